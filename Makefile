@@ -1,0 +1,69 @@
+# `make demo` and `make test` need nothing but Python 3.11 or newer, git and make: each builds the
+# environment that it needs in .venv, once, and runs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# Tests of one file share compiled programs, so files and not tests are spread over the processes.
+PYTEST_OPTIONS ?= --quiet --numprocesses=auto --dist=loadfile
+
+RUN_READY := $(VENV)/.ready-to-run
+TEST_READY := $(VENV)/.ready-to-test
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint style types floors unit bench docs clean
+
+help: ## Show this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
+
+demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures
+	@$(BIN)/maesn demo
+
+test: $(TEST_READY) ## Run all tests and all checks
+	@$(MAKE) --no-print-directory --keep-going unit lint
+
+lint: $(TEST_READY) ## Check style, types and the floors of the architecture
+	@$(MAKE) --no-print-directory --keep-going style types floors
+
+unit: $(TEST_READY)
+	@echo "== tests"
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS)
+
+style: $(TEST_READY)
+	@echo "== style"
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --quiet --check .
+
+types: $(TEST_READY)
+	@echo "== types"
+	@$(BIN)/mypy --no-error-summary
+
+floors: $(TEST_READY)
+	@echo "== floors"
+	@$(BIN)/lint-imports --no-logo
+
+bench: $(RUN_READY) ## Time a whole meta-iteration against the bare simulator
+	@$(BIN)/python benchmarks/meta_iteration.py --family wheeled
+
+docs: $(TEST_READY) ## Check the links and run the Python examples of the documentation
+	@$(BIN)/python -m pytest --quiet tests/test_docs.py
+
+clean: ## Remove the environment and every cache (runs/ stays)
+	rm -rf $(VENV) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "maesn needs Python 3.11 or newer; \`$(PYTHON)\` is $$($(PYTHON) --version 2>&1 | head -n 1)." \
+	       "Name another one: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+
+$(RUN_READY): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "== installing maesn into $(VENV)"
+	@$(INSTALL) --editable .
+	@touch $@
+
+$(TEST_READY): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "== installing maesn and its development tools into $(VENV)"
+	@$(INSTALL) --editable '.[dev]'
+	@touch $(RUN_READY) $@

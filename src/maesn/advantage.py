@@ -1,0 +1,93 @@
+"""From rewards to advantages: a linear baseline fitted per task, and GAE."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.episodes import Episodes
+from maesn.numerics import (
+    discounted_returns,
+    generalized_advantages,
+    ridge_regression,
+    standardize,
+)
+
+# Range that observations are clipped to and time that t is divided by, from the reference's
+# linear feature baseline.
+FEATURE_CLIP = 10.0
+FEATURE_TIME_SCALE = 100.0
+
+
+class Advantages(eqx.Module):
+    """Advantages of one task's episodes, standardised over the task."""
+
+    step: Float[Array, "*batch episode time"]
+    """A_t of every action; 0 where invalid."""
+    episode: Float[Array, "*batch episode"]
+    """A_0 of the draw of z, the zeroth action of the episode."""
+
+
+class AdvantageEstimator(eqx.Module):
+    """Generalised advantage estimation with a linear baseline.
+
+    The baseline is fitted afresh on each task's batch, by ridge regression of the discounted
+    return on rllab's features, and holds no state. Values follow the reference.
+    """
+
+    discount: float = 0.99
+    """gamma, the weight of a reward one step later."""
+    trace: float = 1.0
+    """lambda of generalised advantage estimation; 1 is return minus baseline."""
+    ridge: float = 1e-5
+    """Weight of the squared coefficients in the fit of the baseline."""
+
+    def __check_init__(self) -> None:
+        for name, value in (("discount", self.discount), ("trace", self.trace)):
+            if not 0 <= value <= 1:
+                raise ValueError(f"`{name}` must lie in [0, 1], got {value}.")
+
+    def __call__(self, episodes: Episodes) -> Advantages:
+        """Return the advantages of one task.
+
+        The episode's advantage is the discounted return minus the baseline at t = 0, standardised
+        over the task's episodes; the steps' advantages are standardised over all valid steps.
+
+        Args:
+            episodes: episodes of one task, `[episode, time, ...]`.
+        """
+        reward = jnp.where(episodes.valid, episodes.reward, 0.0)
+        returns = jax.vmap(discounted_returns, in_axes=(0, 0, None))(
+            reward, episodes.valid, self.discount
+        )
+        value = self._baseline(episodes, returns)
+        # Every episode counts as complete: nothing is paid after the clock runs out either.
+        raw = jax.vmap(generalized_advantages, in_axes=(0, 0, None, 0, None, None))(
+            reward, value, jnp.zeros(()), episodes.valid, self.discount, self.trace
+        )
+        first = returns[:, 0] - value[:, 0]
+        return Advantages(
+            step=standardize(raw, episodes.valid),
+            episode=standardize(first, jnp.ones_like(first, dtype=bool)),
+        )
+
+    def _baseline(
+        self, episodes: Episodes, returns: Float[Array, "episode time"]
+    ) -> Float[Array, "episode time"]:
+        features = _features(episodes.observation[:, : returns.shape[1]], episodes.valid)
+        rows = features.reshape(-1, features.shape[-1])
+        weight = episodes.valid.reshape(-1).astype(rows.dtype)
+        coefficients = ridge_regression(rows, returns.reshape(-1), weight, self.ridge)
+        return features @ coefficients
+
+
+def _features(
+    observation: Float[Array, "episode time observation"], valid: Bool[Array, "episode time"]
+) -> Float[Array, "episode time feature"]:
+    """Return [o, o^2, t, t^2, t^3, 1] with o clipped and t in hundreds of steps."""
+    clipped = jnp.clip(observation, -FEATURE_CLIP, FEATURE_CLIP)
+    clipped = jnp.where(valid[..., None], clipped, 0.0)
+    time = jnp.arange(valid.shape[1], dtype=clipped.dtype) / FEATURE_TIME_SCALE
+    powers = jnp.stack([time, time**2, time**3, jnp.ones_like(time)], axis=-1)
+    powers = jnp.broadcast_to(powers, (*valid.shape, 4))
+    return jnp.concatenate([clipped, clipped**2, powers], axis=-1)

@@ -1,0 +1,53 @@
+"""An agent: a policy and one task's context. All that an inner step may change."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from maesn.context import AbstractContextValue
+from maesn.policies import AbstractPolicy
+
+
+class Agent(eqx.Module):
+    """What acts in one task."""
+
+    policy: AbstractPolicy
+    context: AbstractContextValue
+
+
+class Agents(eqx.Module):
+    """One agent per task slot.
+
+    Methods that leave the policy's weights alone in their inner step share one copy of them. This
+    is not only smaller: a product with shared weights is one matrix product over the whole batch,
+    where stacked weights make it a batch of small ones.
+    """
+
+    policy: AbstractPolicy
+    """Weights, with a leading `task` axis unless `shares_policy`."""
+    context: AbstractContextValue
+    """Contexts, with a leading `task` axis."""
+    shares_policy: bool = eqx.field(static=True)
+
+    def vmap(self, function: Callable[..., Any], in_axes: Any = 0) -> Callable[..., Any]:
+        """Map `function(agent, *rest)` over the tasks.
+
+        Args:
+            function: written for one task; its first argument is an `Agent`.
+            in_axes: axes of the remaining arguments, as one value for all or a tuple.
+
+        Returns:
+            A function of the remaining arguments, each with a leading `task` axis.
+        """
+
+        def mapped(*rest: Any) -> Any:
+            axes = in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(rest)
+            policy_axis = None if self.shares_policy else 0
+            return jax.vmap(
+                lambda policy, context, *args: function(Agent(policy, context), *args),
+                in_axes=(policy_axis, 0, *axes),
+            )(self.policy, self.context, *rest)
+
+        return mapped

@@ -1,0 +1,39 @@
+"""Names of the axes that every array of the library is annotated with, and type aliases.
+
+Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
+axis that is mapped over, cut into chunks, and sharded over devices. Functions are written for one
+task or one episode; the leading axes are added by `jax.vmap` in one place
+(`maesn.agent.Agents.vmap` for tasks and episodes).
+
+| axis          | runs over                                                                     |
+|---------------|-------------------------------------------------------------------------------|
+| `task`        | slots of the batch of tasks that is being played                              |
+| `row`         | tasks of a finite task set, such as the rows of the table of latents          |
+| `episode`     | episodes of one task, played in parallel                                      |
+| `time`        | control steps of one episode, t = 0 ... T-1                                   |
+| `time_plus_1` | states of one episode, t = 0 ... T                                            |
+| `observation` | components of what the policy sees of the world                               |
+| `action`      | components of one action                                                      |
+| `context`     | components of what the context slot feeds to the policy (the latent z)        |
+| `noise`       | components of the random draw behind one context value                        |
+| `simulation`  | simulations of one batch of the engine: task-major, `task * episodes + episode` |
+"""
+
+from typing import Any, TypeAlias
+
+from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Key as KeyArray
+
+# One random key.
+Key: TypeAlias = PRNGKeyArray
+
+# One random key per task slot, or per task slot and episode.
+TaskKeys: TypeAlias = KeyArray[Array, " task"]
+EpisodeKeys: TypeAlias = KeyArray[Array, "task episode"]
+
+# Named quantities of the simulated world. The names are the physics engine's own ("qpos", "qvel",
+# "subtree_com", ...), so an environment and its engine agree on them without a translation table.
+Readings: TypeAlias = dict[str, Array]
+
+# What a recurrent policy remembers between steps; `None` for policies without memory.
+Carry: TypeAlias = Any

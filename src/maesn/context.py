@@ -1,0 +1,274 @@
+"""The context slot: what a policy is conditioned on, and how it changes between tasks.
+
+A context is a small set of parameters that belongs to one task and enters the policy as an
+additional input. (The word is used as in CAVIA, for adapted parameters; in PEARL it means observed
+transitions.) Three fillings span the methods of the paper:
+
+* `NoContext`: nothing. With adapted policy weights this is MAML.
+* `BiasContext`: a deterministic vector shared by all tasks. This is MAML with a bias
+  transformation (appendix "Ablation Study").
+* `LatentContext`: a Gaussian per training task, from which one z is drawn per episode. This is
+  MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
+  LatentSpace.
+
+Each filling comes as two types. The *settings* (`AbstractContext`) know how contexts start and what
+they cost. The *values* (`AbstractContextValue`) hold the arrays of one task.
+"""
+
+from abc import abstractmethod
+from typing import Generic, Literal, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.axes import Key
+from maesn.numerics import DiagonalGaussian
+
+
+class AbstractContextValue(eqx.Module):
+    """The context of one task: arrays only."""
+
+    @abstractmethod
+    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+        """Return what the policy is fed during one episode, given the episode's random draw."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of components that are fed to the policy."""
+
+    @property
+    @abstractmethod
+    def noise_size(self) -> int:
+        """Number of standard normal components behind one draw."""
+
+
+class Nothing(AbstractContextValue):
+    """The value of `NoContext`."""
+
+    @property
+    def size(self) -> int:
+        return 0
+
+    @property
+    def noise_size(self) -> int:
+        return 0
+
+    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+        return noise
+
+
+class Bias(AbstractContextValue):
+    """The value of `BiasContext`: fed to the policy as it is."""
+
+    value: Float[Array, "*batch context"]
+
+    @property
+    def size(self) -> int:
+        return self.value.shape[-1]
+
+    @property
+    def noise_size(self) -> int:
+        return 0
+
+    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+        return self.value
+
+
+class Latent(AbstractContextValue):
+    """The value of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
+
+    mean: Float[Array, "*batch context"]
+    log_std: Float[Array, "*batch context"]
+
+    @property
+    def size(self) -> int:
+        return self.mean.shape[-1]
+
+    @property
+    def noise_size(self) -> int:
+        return self.mean.shape[-1]
+
+    @property
+    def distribution(self) -> DiagonalGaussian:
+        """q(z), the distribution that z is drawn from."""
+        return DiagonalGaussian(self.mean, self.log_std)
+
+    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+        """Return z = mean + exp(log_std) * noise."""
+        return self.distribution.sample_from_noise(noise)
+
+
+Value = TypeVar("Value", bound=AbstractContextValue)
+
+
+class AbstractContext(eqx.Module, Generic[Value]):
+    """Settings of a context: how it starts, what it costs, how its draw is differentiated."""
+
+    @abstractmethod
+    def init(self, key: Key, num_tasks: int) -> Value:
+        """Return the meta-learned context: one row per training task, or shared by all."""
+
+    @abstractmethod
+    def start(self, learned: Value, task_index: Int[Array, " task"]) -> Value:
+        """Return the pre-update contexts of the given training tasks, stacked over `task`."""
+
+    @abstractmethod
+    def start_new(self, learned: Value, num_tasks: int) -> Value:
+        """Return the contexts that unseen tasks start from, stacked over `task`."""
+
+    @abstractmethod
+    def inner_draw(
+        self, value: Value, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+    ) -> Float[Array, " context"]:
+        """Return what the policy is conditioned on inside the inner loss of one episode.
+
+        Args:
+            value: the context that is being adapted.
+            noise: the episode's recorded random draw.
+            drawn: what the policy was fed while the episode was played.
+        """
+
+    @abstractmethod
+    def draw_loss(
+        self,
+        value: Value,
+        drawn: Float[Array, "episode context"],
+        episode_advantage: Float[Array, " episode"],
+    ) -> Float[Array, ""]:
+        """Return the part of the inner loss that treats the draw as the zeroth action."""
+
+    @abstractmethod
+    def penalty(self, value: Value) -> Float[Array, ""]:
+        """Return what the outer loss charges for one task's pre-update context."""
+
+
+class NoContext(AbstractContext[Nothing]):
+    """No context: the policy sees observations alone."""
+
+    def init(self, key: Key, num_tasks: int) -> Nothing:
+        return Nothing()
+
+    def start(self, learned: Nothing, task_index: Int[Array, " task"]) -> Nothing:
+        return learned
+
+    def start_new(self, learned: Nothing, num_tasks: int) -> Nothing:
+        return learned
+
+    def inner_draw(
+        self, value: Nothing, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+    ) -> Float[Array, " context"]:
+        return drawn
+
+    def draw_loss(
+        self,
+        value: Nothing,
+        drawn: Float[Array, "episode context"],
+        episode_advantage: Float[Array, " episode"],
+    ) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+    def penalty(self, value: Nothing) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+
+class BiasContext(AbstractContext[Bias]):
+    """A deterministic vector, shared by all tasks before adaptation.
+
+    Its inner gradient runs through the policy (pathwise), and nothing is charged for it.
+    """
+
+    size: int = 8
+    """Components of the bias. The reference's ant run had 8."""
+
+    def __check_init__(self) -> None:
+        if self.size < 0:
+            raise ValueError(f"`size` of BiasContext must be at least 0, got {self.size}.")
+
+    def init(self, key: Key, num_tasks: int) -> Bias:
+        return Bias(jnp.zeros(self.size))
+
+    def start(self, learned: Bias, task_index: Int[Array, " task"]) -> Bias:
+        return self.start_new(learned, task_index.shape[0])
+
+    def start_new(self, learned: Bias, num_tasks: int) -> Bias:
+        return Bias(jnp.broadcast_to(learned.value, (num_tasks, self.size)))
+
+    def inner_draw(
+        self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+    ) -> Float[Array, " context"]:
+        return value.draw(noise)
+
+    def draw_loss(
+        self,
+        value: Bias,
+        drawn: Float[Array, "episode context"],
+        episode_advantage: Float[Array, " episode"],
+    ) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+    def penalty(self, value: Bias) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+
+class LatentContext(AbstractContext[Latent]):
+    """A Gaussian latent per training task; one z is drawn per episode.
+
+    The latent is the zeroth action of an episode (z, a_0, ..., a_{T-1}). Its inner gradient is the
+    likelihood ratio of section "Using the Latent Spaces for Exploration", or the reparameterised
+    gradient that the same section names as the alternative. The outer loss charges
+    `kl_weight * KL(N(mean, std^2) || N(0, I))` on the pre-update latent.
+    """
+
+    size: int = 2
+    """Components of the latent z (2 in all reported runs)."""
+    kl_weight: float = 0.1
+    """Weight of the KL divergence to the prior. Reference: 0.1 on wheeled and ant."""
+    initial_spread: float = 1.0
+    """Standard deviation of the latents' means at the start. Reference: 1."""
+    gradient: Literal["likelihood_ratio", "reparameterized"] = "likelihood_ratio"
+    """How the inner loss is differentiated through the draw of z. Reference: likelihood ratio."""
+
+    def __check_init__(self) -> None:
+        if self.size < 1:
+            raise ValueError(f"`size` of LatentContext must be at least 1, got {self.size}.")
+        if self.kl_weight < 0:
+            raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
+        if self.initial_spread < 0:
+            raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
+
+    def init(self, key: Key, num_tasks: int) -> Latent:
+        shape = (num_tasks, self.size)
+        return Latent(self.initial_spread * jax.random.normal(key, shape), jnp.zeros(shape))
+
+    def start(self, learned: Latent, task_index: Int[Array, " task"]) -> Latent:
+        return Latent(learned.mean[task_index], learned.log_std[task_index])
+
+    def start_new(self, learned: Latent, num_tasks: int) -> Latent:
+        """Return the prior N(0, I) for every task (section "Using the Latent Spaces ...")."""
+        zeros = jnp.zeros((num_tasks, self.size))
+        return Latent(zeros, zeros)
+
+    def inner_draw(
+        self, value: Latent, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+    ) -> Float[Array, " context"]:
+        # The likelihood ratio needs the z that was played. Recomputing it from the noise would
+        # agree at the current parameters, but not along the line search of the outer step.
+        return drawn if self.gradient == "likelihood_ratio" else value.draw(noise)
+
+    def draw_loss(
+        self,
+        value: Latent,
+        drawn: Float[Array, "episode context"],
+        episode_advantage: Float[Array, " episode"],
+    ) -> Float[Array, ""]:
+        """Return -mean_e[log q(z_e) A_e], the likelihood-ratio surrogate of the latent."""
+        if self.gradient == "reparameterized":
+            return jnp.zeros(())
+        return -jnp.mean(value.distribution.log_prob(drawn) * episode_advantage)
+
+    def penalty(self, value: Latent) -> Float[Array, ""]:
+        prior = DiagonalGaussian(jnp.zeros_like(value.mean), jnp.zeros_like(value.log_std))
+        return self.kl_weight * value.distribution.kl(prior)

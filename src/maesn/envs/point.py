@@ -1,0 +1,112 @@
+"""A point that slides on a plane towards a goal it is not told: the fast family.
+
+It has the wheeled robot's goals and rewards but no dynamics, so MAESN trains on it in seconds. It
+is not in the paper; its variants follow those of `maesn.envs.wheeled`.
+
+Observation (2 components): position x, y in m. Action (2 components, unbounded): velocity demand;
+the point moves by 0.1 m times u = clip(a, -1, 1) per step.
+
+Reward, with d the distance from the goal g in metres:
+
+| variant     | dense               | sparse, outside of the radius |
+|-------------|---------------------|-------------------------------|
+| `reference` | -d - 0.05 sum(u^2)  | -|g| - 0.05 sum(u^2)          |
+| `paper`     | -d                  | -c_max                        |
+
+Episodes last 40 steps of 0.1 s and never terminate.
+"""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key, Readings
+from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
+from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.tasks import TaskFamily
+
+Goal = Float[Array, " 2"]
+
+GOAL_RADIUS = 2.0  # metres, as on the wheeled robot
+SPARSE_RADIUS = 0.5  # metres; a quarter of the way, so that a jittering point hardly ever gets there
+C_MAX = 2.0  # what the dense reward pays a point that has not moved
+CONTROL_COST = 0.05
+STEP_LENGTH = 0.1  # metres per unit of action: the goal is 20 full steps away
+POSITION_NOISE = 0.01  # standard deviation of the start in metres
+
+
+class Point(AbstractPureEnv[Goal]):
+    """The point robot; see the module for observations, actions and rewards."""
+
+    name: ClassVar[str] = "point"
+    control_period: ClassVar[float] = 0.1
+
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = SPARSE_RADIUS
+    horizon: int = 40
+    observation_size: int = 2
+    action_size: int = 2
+
+    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+        return POSITION_NOISE * jax.random.normal(key, (2,)), jnp.zeros(2)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+        return jnp.clip(action, -1.0, 1.0)
+
+    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+        velocity = STEP_LENGTH / self.control_period * control
+        return {
+            "qpos": readings["qpos"] + self.control_period * velocity,
+            "qvel": velocity,
+        }
+
+    def observe(self, readings: Readings) -> Float[Array, " 2"]:
+        return readings["qpos"]
+
+    def instruction(self, task: Goal) -> Float[Array, " 0"]:
+        return jnp.zeros(0)
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Goal,
+    ) -> Reward:
+        distance = _distance(next_readings, task)
+        if self.variant == "paper":
+            goal = goal_reward(distance, -C_MAX, self.reward_kind, self.sparse_radius)
+            return Reward(goal, jnp.zeros(()))
+        outside = -jnp.linalg.norm(task)
+        goal = goal_reward(distance, outside, self.reward_kind, self.sparse_radius)
+        return Reward(goal, -CONTROL_COST * jnp.sum(self.control(action) ** 2))
+
+    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+        return jnp.zeros((), bool)
+
+    def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
+        return within(_distance(readings, task), self.sparse_radius)
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
+
+    def goal(self, task: Goal) -> Float[Array, " 2"]:
+        return task
+
+    def model_fields(self, task: Goal) -> dict[str, Array]:
+        return {}
+
+
+def _distance(readings: Readings, goal: Goal) -> Float[Array, ""]:
+    return jnp.linalg.norm(readings["qpos"] - goal)
+
+
+def _draw_goals(stream: np.random.Generator, size: int) -> np.ndarray:
+    return draw_half_circle(stream, size, GOAL_RADIUS)
+
+
+point = TaskFamily("point", Point, _draw_goals, ("goal",), seed=2)

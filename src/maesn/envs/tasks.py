@@ -1,0 +1,64 @@
+"""Finite sets of tasks, and families that make them."""
+
+import hashlib
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Int
+
+from maesn.envs.base import AnyEnv
+
+SetName: TypeAlias = Literal["training", "validation", "test"]
+
+SETS: tuple[SetName, ...] = ("training", "validation", "test")
+SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
+
+
+class TaskSet(eqx.Module):
+    """A finite, indexable set of tasks.
+
+    MAESN keeps one latent per training task, so the set is part of what is learned: sampling
+    returns indices, and a checkpoint stores the set's `digest`.
+    """
+
+    tasks: Any
+    """One pytree of arrays with a leading `row` axis."""
+
+    def __len__(self) -> int:
+        return int(jax.tree.leaves(self.tasks)[0].shape[0])
+
+    def __getitem__(self, index: int | slice | Int[Array, " task"]) -> Any:
+        """Return one task, or several stacked."""
+        return jax.tree.map(lambda leaf: leaf[index], self.tasks)
+
+    def digest(self) -> str:
+        """Return a hexadecimal hash of the tasks' values, shapes and structure."""
+        leaves, structure = jax.tree.flatten(self.tasks)
+        sha = hashlib.sha256(str(structure).encode())
+        for leaf in leaves:
+            array = np.ascontiguousarray(leaf)
+            sha.update(f"{array.dtype.str}{array.shape}".encode())
+            sha.update(array.tobytes())
+        return sha.hexdigest()[:16]
+
+
+class TaskFamily(NamedTuple):
+    """An environment and its distribution over tasks."""
+
+    name: str
+    make_env: Callable[..., AnyEnv]
+    """Called with `variant`, `reward_kind` and `sparse_radius` (None: the family's own)."""
+    draw_tasks: Callable[[np.random.Generator, int], Any]
+    """Draws a pytree of that many tasks, stacked."""
+    task_names: tuple[str, ...]
+    """Names of the arrays in a user's `.npz` file of tasks, in the order of the pytree's leaves."""
+    seed: int
+    """Fixes the three sets of the family."""
+
+    def task_set(self, name: SetName, size: int = SET_SIZE) -> TaskSet:
+        """Return one of the family's three disjoint sets, the same in every process."""
+        stream = np.random.default_rng([self.seed, SETS.index(name)])
+        return TaskSet(self.draw_tasks(stream, size))

@@ -1,0 +1,85 @@
+"""The paper's gradient-based methods as fillings of the slots of one learner.
+
+Each function cites what it follows. Settings that are not named here are the defaults of the
+slots, which follow the reference.
+"""
+
+from typing import Any
+
+from maesn.adaptation import Adaptation, InnerStep, StepSchedule
+from maesn.context import BiasContext, LatentContext, NoContext
+from maesn.learners.gradient import GradientMetaLearner
+
+# Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
+POLICY_STEP = 0.1
+
+
+def maesn(**settings: Any) -> GradientMetaLearner:
+    """MAESN: a latent per task, adapted alone, with learned step sizes (algorithm 1).
+
+    Source: section "Meta-Learning Latent Variable Policies", equations (3) to (5). Reference
+    settings for `wheeled`: initial step size 1, KL weight 0.1, two latent components.
+    """
+    return _fill(settings, context=LatentContext(), adaptation=Adaptation(context=InnerStep(1.0)))
+
+
+def maesn_theta(**settings: Any) -> GradientMetaLearner:
+    """MAESN with the optional update of the policy, equation (6).
+
+    Stage-wise, as the paper found necessary: the first 150 meta-iterations leave the policy alone
+    in the inner step. The paper gives no length of the stage; this is half of a run of 300.
+    """
+    adaptation = Adaptation(
+        policy=InnerStep(POLICY_STEP, first_iteration=150), context=InnerStep(1.0)
+    )
+    return _fill(settings, context=LatentContext(), adaptation=adaptation)
+
+
+def maml(**settings: Any) -> GradientMetaLearner:
+    """MAML: the policy's weights, with one fixed step size (section "Meta-Learning for RL")."""
+    adaptation = Adaptation(policy=InnerStep(POLICY_STEP, learned=False))
+    return _fill(settings, context=NoContext(), adaptation=adaptation)
+
+
+def maml_bias(**settings: Any) -> GradientMetaLearner:
+    """MAML + bias transformation + learned step sizes, adapting all parameters.
+
+    Source: appendix "Ablation Study", variant (2).
+    """
+    adaptation = Adaptation(policy=InnerStep(POLICY_STEP), context=InnerStep(POLICY_STEP))
+    return _fill(settings, context=BiasContext(), adaptation=adaptation)
+
+
+def maml_bias_only(**settings: Any) -> GradientMetaLearner:
+    """MAML + bias transformation + learned step sizes, adapting the bias alone.
+
+    Source: appendix "Ablation Study", variant (3). The reference's runs began with step size 0.5.
+    """
+    return _fill(settings, context=BiasContext(), adaptation=Adaptation(context=InnerStep(0.5)))
+
+
+def latent_space(**settings: Any) -> GradientMetaLearner:
+    """LatentSpace: a latent per task, trained without an inner update (after Hausman et al.).
+
+    It plays as many episodes per meta-iteration as MAESN and learns from all of them. (The
+    reference collects the same number and throws half of them away.) In a new task the latents
+    are adapted with the reference's steps 1, 1, 1, 1/2, 1/4, ...; KL weight 0.01.
+    """
+    return _fill(
+        settings,
+        context=LatentContext(kl_weight=0.01),
+        adaptation=Adaptation(context=InnerStep(1.0, learned=False)),
+        schedule=StepSchedule(full_steps=3),
+        inner_updates=0,
+        outer_batches=2,
+    )
+
+
+def _fill(settings: dict[str, Any], **defaults: Any) -> GradientMetaLearner:
+    return GradientMetaLearner(**{**defaults, **settings})
+
+
+PRESETS = {
+    preset.__name__: preset
+    for preset in (maesn, maesn_theta, maml, maml_bias, maml_bias_only, latent_space)
+}

@@ -1,0 +1,51 @@
+"""A multilayer perceptron whose leaves are arrays only."""
+
+from itertools import pairwise
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from maesn.axes import Key
+
+
+class Linear(eqx.Module):
+    """An affine map x -> x W + b. The weight is stored as [input, output]."""
+
+    weight: Float[Array, "*batch inputs outputs"]
+    bias: Float[Array, "*batch outputs"]
+
+    def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
+        return x @ self.weight + self.bias
+
+
+class MLP(eqx.Module):
+    """Rectified linear hidden layers and a linear output.
+
+    `equinox.nn.MLP` would do, but it carries its activation function as a leaf, and everything
+    that travels through `jax.lax.scan` or is written to a checkpoint here holds arrays alone.
+    """
+
+    layers: tuple[Linear, ...]
+
+    def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
+        for layer in self.layers[:-1]:
+            x = jax.nn.relu(layer(x))
+        return self.layers[-1](x)
+
+
+def init_mlp(key: Key, sizes: tuple[int, ...]) -> MLP:
+    """Return an MLP with Xavier-uniform weights and zero biases, as in the reference.
+
+    Args:
+        key: random key.
+        sizes: widths of input, hidden layers and output.
+    """
+    keys = jax.random.split(key, len(sizes) - 1)
+    xavier = jax.nn.initializers.glorot_uniform()
+    layers = [
+        Linear(xavier(layer_key, (inputs, outputs)), jnp.zeros(outputs))
+        for layer_key, (inputs, outputs) in zip(keys, pairwise(sizes), strict=True)
+    ]
+    return MLP(tuple(layers))

@@ -1,0 +1,133 @@
+"""Discounted returns, advantages and masked statistics of one episode.
+
+Time runs over t in [0, T-1]. `valid` marks the n <= T steps that were really played: t in [0, n-1].
+What the arrays hold beyond them, NaN included, changes neither a result nor its gradient,
+and every result is 0 there.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+def discounted_returns(
+    reward: Float[Array, "time"],
+    valid: Bool[Array, "time"],
+    discount: float | Float[Array, ""],
+) -> Float[Array, "time"]:
+    """Discounted return-to-go of every step.
+
+        G_t = Σ_k γᵏ r_{t+k},  k in [0, n-1-t],   that is   G_t = r_t + γ G_{t+1},  G_n = 0
+
+    Source: Sutton and Barto, "Reinforcement Learning" (2nd ed.), equation 3.11.
+
+    Args:
+        reward: r_t, t in [0, T-1], the reward for the action taken at step t.
+        valid: true for t in [0, n-1].
+        discount: γ in [0, 1].
+
+    Returns:
+        G_t for t in [0, n-1], then 0.
+    """
+    return _discounted_sum(jnp.where(valid, reward, 0.0), discount)
+
+
+def generalized_advantages(
+    reward: Float[Array, "time"],
+    value: Float[Array, "time"],
+    bootstrap_value: float | Float[Array, ""],
+    valid: Bool[Array, "time"],
+    discount: float | Float[Array, ""],
+    trace: float | Float[Array, ""],
+) -> Float[Array, "time"]:
+    """Generalised advantage estimates.
+
+        δ_t = r_t + γ V_{t+1} - V_t
+        A_t = δ_t + γλ A_{t+1},  A_n = 0,   for t in [0, n-1]
+
+    where V_n is `bootstrap_value`. With λ = 1 and V_n = 0, A_t = G_t - V_t; with λ = 0, A_t = δ_t.
+
+    Source: Schulman et al., "High-dimensional continuous control using generalized advantage
+    estimation" (2016), equations 11 to 16, https://arxiv.org/abs/1506.02438.
+
+    Args:
+        reward: r_t, t in [0, T-1], the reward for the action taken at step t.
+        value: V_t, t in [0, T-1], estimated before the action of step t.
+        bootstrap_value: V_n, the value after the last valid step: 0 if the episode terminated
+            there, or if the task ends with its horizon.
+        valid: true for t in [0, n-1].
+        discount: γ in [0, 1].
+        trace: λ in [0, 1]; 0 trusts the values (bias), 1 the sampled rewards (variance).
+
+    Returns:
+        A_t for t in [0, n-1], then 0.
+    """
+    reward = jnp.where(valid, reward, 0.0)
+    value = jnp.where(valid, value, 0.0)
+    next_valid = jnp.roll(valid, -1).at[-1].set(False)
+    next_value = jnp.where(next_valid, jnp.roll(value, -1), bootstrap_value)
+    difference = jnp.where(valid, reward + discount * next_value - value, 0.0)
+    return _discounted_sum(difference, discount * trace)
+
+
+def masked_mean(
+    values: Float[Array, "*shape"],
+    valid: Bool[Array, "*shape"],
+    axis: int | tuple[int, ...] | None = None,
+) -> Float[Array, "*reduced"]:
+    """Mean of the valid entries, Σ_i m_i x_i / Σ_i m_i over the entries i of the reduced axes.
+
+    Args:
+        values: x_i.
+        valid: the mask m_i; where it is false, `values` is ignored.
+        axis: the axes that are reduced; all by default.
+
+    Returns:
+        The mean; 0 where no entry is valid.
+    """
+    total = jnp.sum(jnp.where(valid, values, 0.0), axis=axis)
+    count = jnp.sum(valid, axis=axis, dtype=values.dtype)
+    return total / jnp.maximum(count, 1.0)
+
+
+def standardize(
+    values: Float[Array, "*shape"],
+    valid: Bool[Array, "*shape"],
+    epsilon: float = 1e-8,
+) -> Float[Array, "*shape"]:
+    """Shift and scale the valid entries to mean 0 and (population) standard deviation 1.
+
+        y_i = (x_i - mean(x)) / (std(x) + ε),  mean and std over the valid entries
+
+    If all valid entries are equal, every result is 0 up to rounding.
+
+    Args:
+        values: x_i.
+        valid: where it is false, `values` is ignored and the result is 0.
+        epsilon: ε, in the unit of `values`. The default is the one of the reference
+            implementation's advantages.
+    """
+    deviation = jnp.where(valid, values, 0.0) - masked_mean(values, valid)
+    # The mean is rounded, so equal values leave a common deviation of the same size as their
+    # standard deviation, and their quotient would be of order 1. Centring twice removes it.
+    deviation = jnp.where(valid, deviation - masked_mean(deviation, valid), 0.0)
+    variance = masked_mean(deviation**2, valid)
+    # The derivative of sqrt at 0 is infinite, also in the branch that `where` does not select.
+    is_spread = variance > 0.0
+    std = jnp.where(is_spread, jnp.sqrt(jnp.where(is_spread, variance, 1.0)), 0.0)
+    return deviation / (std + epsilon)
+
+
+def _discounted_sum(
+    terms: Float[Array, "time"], decay: float | Float[Array, ""]
+) -> Float[Array, "time"]:
+    """The recursion y_t = x_t + a y_{t+1} for t in [0, T-1], with y_T = 0."""
+
+    def step(
+        following: Float[Array, ""], term: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        current = term + decay * following
+        return current, current
+
+    _, sums = jax.lax.scan(step, jnp.zeros((), terms.dtype), terms, reverse=True)
+    return sums

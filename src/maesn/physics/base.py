@@ -1,0 +1,88 @@
+"""What every physics engine on the host offers: many simulations of one model, moved together.
+
+A simulator is the one stateful object of a rollout: it holds where every simulation is. It knows
+no task, no reward and no episode. Row i of every array that goes in or comes out is simulation i.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Float64, Shaped
+
+# Engine quantities by their MuJoCo name ("qpos", "qvel", "subtree_com", ...), in SI units and in
+# MuJoCo's layout. Every array is a copy that later steps leave alone.
+Readings: TypeAlias = dict[str, Float64[np.ndarray, "simulation ..."]]
+
+# Values of fields of `mujoco.MjModel` by name, one row for each simulation.
+ModelFields: TypeAlias = Mapping[str, Shaped[np.ndarray, "simulation ..."]]
+
+_SHOWN = 5
+
+
+class PhysicsError(Exception):
+    """Some simulations of a batch cannot go on.
+
+    Attributes:
+        simulations: the indices of the simulations that failed, ascending. Whoever laid out the
+            batch knows which task and episode they are.
+        reason: one sentence about the first of them.
+    """
+
+    def __init__(self, simulations: Sequence[int], reason: str) -> None:
+        self.simulations: tuple[int, ...] = tuple(int(index) for index in simulations)
+        self.reason = reason
+        shown = ", ".join(map(str, self.simulations[:_SHOWN]))
+        more = len(self.simulations) - _SHOWN
+        rest = f" and {more} more" if more > 0 else ""
+        super().__init__(f"simulation {shown}{rest}: {reason}")
+
+
+class AbstractSimulator(ABC):
+    """Many simulations of one model. Not to be shared between Python threads."""
+
+    @property
+    @abstractmethod
+    def num_simulations(self) -> int:
+        """How many simulations move together."""
+
+    @abstractmethod
+    def reset(
+        self,
+        qpos: Float[np.ndarray, "simulation qpos"],
+        qvel: Float[np.ndarray, "simulation qvel"],
+        model_fields: ModelFields | None = None,
+    ) -> Readings:
+        """Put every simulation into a state, with nothing left of what it did before.
+
+        Args:
+            qpos: generalised positions.
+            qvel: generalised velocities.
+            model_fields: dynamics that differ between simulations. Fields that are not named have
+                the model's own values, whatever an earlier reset gave them.
+
+        Returns:
+            The readings of that state.
+
+        Raises:
+            PhysicsError: a state or a field is not finite.
+        """
+
+    @abstractmethod
+    def step(self, control: Float[np.ndarray, "simulation control"]) -> Readings:
+        """Advance every simulation by one control step.
+
+        Args:
+            control: what the actuators are given, held constant over the step.
+
+        Returns:
+            The readings of the new state: none of them is a substep behind.
+
+        Raises:
+            PhysicsError: a control is not finite, or a simulation has blown up.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release threads and memory. Nothing else may be called afterwards."""

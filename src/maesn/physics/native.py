@@ -1,0 +1,216 @@
+"""The MuJoCo engine on the host: simulations of one model on a pool of threads.
+
+Measured behaviour of `mujoco.batch` on which this file rests is pinned in
+`tests/physics/test_assumptions.py`.
+"""
+
+import importlib
+import os
+from types import ModuleType
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from maesn.physics.base import AbstractSimulator, ModelFields, PhysicsError, Readings
+from maesn.physics.loading import load_model
+
+# What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
+# describes the state one substep earlier unless it is computed again.
+_STATE = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
+
+# Beyond this size MuJoCo itself calls a number bad, and ignores it as it ignores NaN.
+_LARGEST = float(mujoco.mjMAXVAL)
+
+
+class NativeSimulator(AbstractSimulator):
+    """Simulations on `mujoco.batch.Batch`, bit-identical at any number of threads.
+
+    Readings beyond the state itself ("subtree_com", "sensordata", ...) cost a forward pass per
+    step, without which they would be one substep old.
+
+    Non-finite physics is silent in MuJoCo: a control that is NaN becomes 0, and a state that blows
+    up is reset or carried on. So controls are checked before every step, and the state and
+    MuJoCo's warning counters after it.
+
+    Args:
+        model: name of a model of the library or path of an XML file, as for `load_model`.
+        num_simulations: how many simulations move together.
+        readings: names of the fields of `mujoco.MjData` that `reset` and `step` return.
+        frame_skip: physics steps per control step.
+        num_threads: threads that share the work; 0 means one for each CPU.
+        nonfinite: what happens when a simulation blows up: "raise" a `PhysicsError`, or "report"
+            the state as it is, for families in which this ends an episode.
+
+    Raises:
+        ImportError: the installed MuJoCo is older than 4.0.
+        FileNotFoundError: there is no such model.
+        ValueError: an argument is out of range, or MuJoCo knows no reading of that name.
+    """
+
+    def __init__(
+        self,
+        model: str | os.PathLike[str],
+        num_simulations: int,
+        readings: tuple[str, ...] = ("qpos", "qvel"),
+        frame_skip: int = 1,
+        num_threads: int = 0,
+        nonfinite: Literal["raise", "report"] = "raise",
+    ) -> None:
+        _check_settings(num_simulations, frame_skip, num_threads, nonfinite)
+        self._engine = _import_engine()
+        self._model = load_model(model)
+        self._batch: Any = self._engine.Batch(self._model, num_simulations, num_threads)
+        self._num_simulations = num_simulations
+        self._frame_skip = frame_skip
+        self._raises = nonfinite == "raise"
+        self._expanded: set[str] = set()
+        self._qpos, self._qvel, self._control = map(self._batch.bind, ("qpos", "qvel", "ctrl"))
+        self._readings = {name: self._batch.bind(name) for name in readings}
+        self._derives = not _STATE.issuperset(readings)
+        stage = mujoco.mjtStage.mjSTAGE_ACC if self._derives else mujoco.mjtStage.mjSTAGE_NONE
+        self._stage = int(stage)
+
+    @property
+    def num_simulations(self) -> int:
+        """See `AbstractSimulator.num_simulations`."""
+        return self._num_simulations
+
+    def reset(
+        self,
+        qpos: Float[np.ndarray, "simulation qpos"],
+        qvel: Float[np.ndarray, "simulation qvel"],
+        model_fields: ModelFields | None = None,
+    ) -> Readings:
+        """See `AbstractSimulator.reset`."""
+        batch = self._open()
+        _check_rows("qpos", qpos, self._qpos.shape)
+        _check_rows("qvel", qvel, self._qvel.shape)
+        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._write_model_fields(model_fields or {})
+        self._qpos[...] = qpos
+        self._qvel[...] = qvel
+        if self._derives:
+            self._run(batch.forward)
+        return self._read()
+
+    def step(self, control: Float[np.ndarray, "simulation control"]) -> Readings:
+        """See `AbstractSimulator.step`."""
+        batch = self._open()
+        _check_rows("control", control, self._control.shape)
+        self._control[...] = control
+        self._run(batch.step, nstep=self._frame_skip, stage=self._stage)
+        return self._read()
+
+    def close(self) -> None:
+        """See `AbstractSimulator.close`."""
+        # The engine has no such call: it ends with the last reference to one of its arrays.
+        self._batch = None
+        self._readings = {}
+        self._qpos = self._qvel = self._control = np.empty((0, 0))
+
+    def _open(self) -> Any:
+        if self._batch is None:
+            raise RuntimeError("the simulator is closed: make a new one")
+        return self._batch
+
+    def _run(self, call: Any, **arguments: int) -> None:
+        try:
+            call(**arguments)
+        except self._engine.SimulationError as error:
+            raise PhysicsError(error.ids.tolist(), str(error)) from error
+        if self._raises:
+            self._check_physics()
+
+    def _check_physics(self) -> None:
+        if _is_sound(self._qpos) and _is_sound(self._qvel) and not self._batch.warning.any():
+            return
+        # A reset clears the counters, so whatever they hold happened since then.
+        count = self._batch.warning[:, :, 1]
+        failed = ~(_sound_rows(self._qpos) & _sound_rows(self._qvel)) | count.any(axis=1)
+        simulations = np.flatnonzero(failed).tolist()
+        raise PhysicsError(simulations, self._reason(simulations[0]))
+
+    def _reason(self, simulation: int) -> str:
+        info, count = self._batch.warning[simulation].T
+        if not count.any():
+            return (
+                f"the state must stay finite and below {_LARGEST:.0e} in size, got "
+                f"qpos {self._qpos[simulation]} and qvel {self._qvel[simulation]}: shorten the "
+                "model's time step, or bound what drives it"
+            )
+        first = int(np.flatnonzero(count)[0])
+        said = mujoco.mju_warningText(first, int(info[first])).rstrip(".")
+        return f"MuJoCo warns: {said}"
+
+    def _read(self) -> Readings:
+        # The engine's arrays are live: the next step writes over them.
+        return {name: np.array(value, np.float64) for name, value in self._readings.items()}
+
+    def _write_model_fields(self, fields: ModelFields) -> None:
+        """Give each simulation its own dynamics, and the model's own to fields not named."""
+        for name in self._expanded - fields.keys():
+            self._batch.expand(name)[...] = _own_value(self._model, name)
+        for name, value in fields.items():
+            expanded = self._batch.expand(name)
+            _check_rows(name, value, expanded.shape)
+            expanded[...] = value
+        if fields or self._expanded:
+            # Inertia weights and the like follow from the fields: the solver reads those.
+            self._run(self._batch.set_const)
+        self._expanded |= fields.keys()
+
+
+def _import_engine() -> ModuleType:
+    try:
+        return importlib.import_module("mujoco.batch")
+    except ImportError as error:
+        raise ImportError(
+            "the native engine needs mujoco >= 4.0, which brings `mujoco.batch`, but found mujoco "
+            f"{mujoco.__version__}: install a newer MuJoCo, or play this family on another engine"
+        ) from error
+
+
+def _check_settings(
+    num_simulations: int, frame_skip: int, num_threads: int, nonfinite: str
+) -> None:
+    for name, value, smallest in (
+        ("num_simulations", num_simulations, 1),
+        ("frame_skip", frame_skip, 1),
+        ("num_threads", num_threads, 0),
+    ):
+        if value < smallest:
+            raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
+    if nonfinite not in ("raise", "report"):
+        raise ValueError(f'`nonfinite` must be "raise" or "report", got {nonfinite!r}')
+
+
+def _check_rows(name: str, rows: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Refuse rows of a wrong shape, and numbers that MuJoCo would silently replace."""
+    if rows.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {rows.shape}")
+    if not _is_sound(rows):
+        failed = np.flatnonzero(~_sound_rows(rows)).tolist()
+        raise PhysicsError(
+            failed,
+            f"`{name}` must be finite and below {_LARGEST:.0e} in size, got {rows[failed[0]]}: "
+            "look for what computed it, because MuJoCo would go on without it",
+        )
+
+
+def _is_sound(values: np.ndarray) -> bool:
+    # False for NaN too, which compares as not smaller.
+    return bool(np.abs(values).max(initial=0.0) <= _LARGEST)
+
+
+def _sound_rows(values: np.ndarray) -> Bool[np.ndarray, " simulation"]:
+    size = np.abs(values.reshape(values.shape[0], -1))
+    return size.max(axis=1, initial=0.0) <= _LARGEST
+
+
+def _own_value(model: mujoco.MjModel, name: str) -> Any:
+    """Value of a field of the model, or of its options if the name is "opt.<field>"."""
+    if name.startswith("opt."):
+        return getattr(model.opt, name.removeprefix("opt."))
+    return getattr(model, name)

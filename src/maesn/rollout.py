@@ -1,0 +1,222 @@
+"""Play episodes in any world: makes the function `collect` that learners are given."""
+
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from maesn.agent import Agent, Agents
+from maesn.axes import Carry, Key, Readings, TaskKeys
+from maesn.envs.base import AnyEnv, Reward
+from maesn.episodes import Episodes
+from maesn.policies import PolicyInput
+from maesn.worlds import (
+    AbstractWorld,
+    Actors,
+    Decision,
+    EpisodeError,
+    Moment,
+    SimulationFailure,
+    Start,
+    Trajectory,
+)
+
+
+class Collect(Protocol):
+    """Plays episodes; all that a learner knows of the world."""
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks that can be asked for."""
+
+    def __call__(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> Episodes:
+        """Play a fixed number of episodes of each task.
+
+        Args:
+            keys: one key per task slot. All randomness of slot i comes from `keys[i]`, so what is
+                played in it depends neither on the other slots nor on how many there are.
+            agents: one agent per task slot.
+            task_index: which task each slot plays.
+            carry: memory that the policies start with, `[task, episode, ...]`; None to start a
+                trial afresh.
+
+        Returns:
+            Episodes with the leading axes `task episode`.
+        """
+
+
+class Collector:
+    """`Collect` on a world."""
+
+    def __init__(self, world: AbstractWorld, episodes_per_task: int) -> None:
+        self.world = world
+        self.episodes_per_task = episodes_per_task
+        # Compiled once per collector; the environment is a constant of the programs.
+        self._begin = jax.jit(self._begin_batch)
+        self._act = jax.jit(self._decide)
+        self._finish = jax.jit(self._assemble)
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks of the world."""
+        return len(self.world.tasks)
+
+    def __call__(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> Episodes:
+        """See `Collect`.
+
+        Raises:
+            EpisodeError: physics or reward of an episode became non-finite.
+        """
+        tasks = self.world.tasks[np.asarray(task_index)]
+        actors, start, fresh_carry = self._begin(keys, agents, tasks)
+        carry = fresh_carry if carry is None else carry
+        try:
+            trajectory = self.world.play(self._act, actors, start, carry)
+        except SimulationFailure as failure:
+            task_slot, episode = divmod(failure.simulation, self.episodes_per_task)
+            task = int(task_index[task_slot])
+            raise EpisodeError(
+                self.world.env.name, task, episode, failure.step, failure.reason
+            ) from failure
+        episodes, finite = self._finish(actors, trajectory)
+        if not bool(finite.all()):
+            self._refuse(np.asarray(finite), np.asarray(task_index))
+        return episodes
+
+    def _refuse(self, finite: np.ndarray, task_index: np.ndarray) -> None:
+        task_slot, episode, step = np.argwhere(~finite)[0]
+        raise EpisodeError(
+            self.world.env.name,
+            int(task_index[task_slot]),
+            int(episode),
+            int(step),
+            "observation, action or reward is not finite",
+        )
+
+    def _begin_batch(
+        self, keys: TaskKeys, agents: Agents, tasks: Any
+    ) -> tuple[Actors, Start, Carry]:
+        """Draw contexts and initial states of all episodes."""
+        env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
+
+        def begin_episode(agent: Agent, key: Key, task: Any, episode: Array) -> Any:
+            context_key, start_key, action_key = jax.random.split(
+                jax.random.fold_in(key, episode), 3
+            )
+            noise = jax.random.normal(context_key, (agent.context.noise_size,))
+            qpos, qvel = env.initial(start_key, task)
+            fields = env.model_fields(task)
+            carry = agent.policy.initial_carry()
+            context = agent.context.draw(noise)
+            return noise, context, action_key, (qpos, qvel, fields), carry
+
+        def begin_task(agent: Agent, key: Key, task: Any) -> Any:
+            return jax.vmap(begin_episode, in_axes=(None, None, None, 0))(
+                agent, key, task, episodes
+            )
+
+        noise, context, action_keys, start, carry = agents.vmap(begin_task)(keys, tasks)
+        actors = Actors(agents, tasks, noise, context, action_keys)
+        return actors, Start(*jax.tree.map(_join_batch_axes, start)), carry
+
+    def _decide(self, actors: Actors, moment: Moment) -> Decision:
+        """Ask the policies for the step of every episode."""
+        env = self.world.env
+        shape = actors.context.shape[:2]
+        readings, previous = jax.tree.map(
+            lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
+        )
+        start = moment.step == 0
+
+        def decide(
+            agent: Agent, task: Any, context: Array, key: Key, now: Readings, before: Readings,
+            previous_action: Array, carry: Carry,
+        ) -> Any:  # fmt: skip
+            reward = env.reward(before, previous_action, now, task).total
+            policy_input = PolicyInput(
+                observation=_observe(env, now, task),
+                previous_action=previous_action,
+                previous_reward=jnp.where(start, 0.0, reward),
+                episode_start=start,
+            )
+            distribution, carry = agent.policy(policy_input, context, carry)
+            action = distribution.sample(jax.random.fold_in(key, moment.step))
+            return env.control(action), action, distribution, carry
+
+        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0))
+        control, action, distribution, carry = actors.agents.vmap(per_task)(
+            actors.tasks, actors.context, actors.action_keys, readings, previous,
+            moment.previous_action, moment.carry,
+        )  # fmt: skip
+        return Decision(_join_batch_axes(control), action, distribution, carry)
+
+    def _assemble(
+        self, actors: Actors, trajectory: Trajectory
+    ) -> tuple[Episodes, Bool[Array, "task episode time"]]:
+        """Turn what was read and done into episodes; also say which steps are finite."""
+        shape = actors.context.shape[:2]
+        readings = jax.tree.map(
+            lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
+            trajectory.readings,
+        )
+        action, behaviour = jax.tree.map(
+            lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
+        )
+        judge = jax.vmap(jax.vmap(self._judge, in_axes=(0, 0, None)))
+        observation, reward, solved, ended = judge(readings, action, actors.tasks)
+        valid = jnp.logical_not(ended[..., :-1])
+        episodes = Episodes(
+            observation=observation,
+            action=action,
+            reward=reward.total,
+            goal_reward=reward.goal,
+            valid=valid,
+            solved=jnp.logical_and(solved, valid),
+            terminated=ended[..., -1],
+            noise=actors.noise,
+            context=actors.context,
+            behaviour=behaviour,
+            carry=trajectory.carry,
+        )
+        finite = jnp.isfinite(reward.total) & jnp.isfinite(action).all(-1)
+        finite &= jnp.isfinite(observation[..., :-1, :]).all(-1)
+        return episodes, finite | ~valid
+
+    def _judge(
+        self, readings: Readings, action: Float[Array, "time action"], task: Any
+    ) -> tuple[Array, Reward, Array, Array]:
+        """Evaluate the environment along one episode.
+
+        Returns:
+            Observations `[time_plus_1, observation]`, rewards `[time]`, whether the goal region is
+            reached after each step `[time]`, and whether the episode has ended at or before each
+            state `[time_plus_1]`.
+        """
+        env = self.world.env
+        before = jax.tree.map(lambda x: x[:-1], readings)
+        after = jax.tree.map(lambda x: x[1:], readings)
+        observation = jax.vmap(lambda r: _observe(env, r, task))(readings)
+        reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
+        solved = jax.vmap(lambda r: env.solved(r, task))(after)
+        ended = jnp.cumsum(jax.vmap(env.terminated)(readings)) > 0
+        return observation, reward, solved, ended
+
+
+def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
+    return jnp.concatenate([env.observe(readings), env.instruction(task)])
+
+
+def _join_batch_axes(x: Array) -> Array:
+    """[task, episode, ...] -> [simulation, ...]."""
+    return x.reshape(-1, *x.shape[2:])
+
+
+def _split_batch_axes(x: Array, shape: tuple[int, ...]) -> Array:
+    """[simulation, ...] -> [task, episode, ...]."""
+    return x.reshape(*shape, *x.shape[1:])

@@ -1,0 +1,156 @@
+"""TRPO's step on any pytree of parameters (Schulman et al. 2015, appendix C)."""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from maesn.numerics import AbstractDistribution, conjugate_gradient
+
+Parameters = TypeVar("Parameters")
+Vector = Float[Array, " parameter"]
+
+# Keeps the length of the step finite where the curvature vanishes; from the reference.
+CURVATURE_EPSILON = 1e-8
+
+
+class Evaluation(NamedTuple):
+    """Outcome of one candidate."""
+
+    loss: Float[Array, ""]
+    kl: Float[Array, ""]
+    """Mean KL(old || candidate) of the action distributions."""
+
+
+class TrustRegionInfo(eqx.Module):
+    """What happened in one step."""
+
+    accepted: Bool[Array, ""]
+    """False if no candidate improved the loss within the trust region: nothing has changed."""
+    backtracks: Int[Array, ""]
+    loss_before: Float[Array, ""]
+    loss_after: Float[Array, ""]
+    kl: Float[Array, ""]
+    gradient_norm: Float[Array, ""]
+    residual_norm: Float[Array, ""]
+    """Norm of what the conjugate gradient method left of the gradient."""
+
+
+class TrustRegion(eqx.Module):
+    """Natural gradient step of a bounded mean KL, with backtracking.
+
+    Direction d solves (J'FJ + damping I) d = -g, where J is the Jacobian of the action
+    distributions with respect to the parameters and F their Fisher information. The longest
+    candidate is sqrt(2 max_kl / d'Hd) d; it is shortened until the loss is lower and the KL is
+    below max_kl.
+    """
+
+    max_kl: float = 0.01
+    """Bound on the mean KL divergence of one step. Reference: 0.01."""
+    cg_steps: int = 10
+    """Steps of the conjugate gradient method. Reference: 10."""
+    damping: float = 1e-5
+    """Added to the curvature of every parameter. Reference: 1e-5."""
+    backtrack_ratio: float = 0.8
+    """Factor between the lengths of two candidates. Reference: 0.8."""
+    max_backtracks: int = 15
+    """Number of candidates. Reference: 15."""
+
+    def __check_init__(self) -> None:
+        if self.max_kl <= 0:
+            raise ValueError(f"`max_kl` must be positive, got {self.max_kl}.")
+        if not 0 < self.backtrack_ratio < 1:
+            raise ValueError(f"`backtrack_ratio` must lie in (0, 1), got {self.backtrack_ratio}.")
+
+    def step(
+        self,
+        parameters: Parameters,
+        evaluate: Callable[[Parameters], Evaluation],
+        distribution: Callable[[Parameters], AbstractDistribution],
+        weight: Float[Array, "*batch"],
+    ) -> tuple[Parameters, TrustRegionInfo]:
+        """Return improved parameters, or the same ones if no candidate is acceptable.
+
+        Args:
+            parameters: where to start.
+            evaluate: loss and KL to the distributions at `parameters`.
+            distribution: action distributions `[*batch, action]` that the curvature is taken of.
+            weight: weight of each of them in the mean KL; sums to 1.
+        """
+        flat, unravel = ravel_pytree(parameters)
+        before, gradient = jax.value_and_grad(lambda x: evaluate(unravel(x)).loss)(flat)
+        product = self._curvature(lambda x: distribution(unravel(x)), flat, weight)
+        solution = conjugate_gradient(product, -gradient, self.cg_steps)
+        direction = solution.solution
+        curvature = direction @ product(direction)
+        longest = jnp.sqrt(2 * self.max_kl / (curvature + CURVATURE_EPSILON)) * direction
+        search = self._search(lambda x: evaluate(unravel(x)), flat, longest, before)
+        info = TrustRegionInfo(
+            accepted=search.accepted,
+            backtracks=search.candidate - 1,
+            loss_before=before,
+            loss_after=jnp.where(search.accepted, search.evaluation.loss, before),
+            kl=jnp.where(search.accepted, search.evaluation.kl, 0.0),
+            gradient_norm=jnp.linalg.norm(gradient),
+            residual_norm=solution.residual_norm,
+        )
+        length = self._length(search.candidate - 1)
+        moved = jnp.where(search.accepted, flat + length * longest, flat)
+        return unravel(moved), info
+
+    def _curvature(
+        self,
+        distribution: Callable[[Vector], AbstractDistribution],
+        flat: Vector,
+        weight: Float[Array, "*batch"],
+    ) -> Callable[[Vector], Vector]:
+        """Return v -> (J'FJ + damping I) v: linearised once, positive semidefinite."""
+        at, jacobian = jax.linearize(distribution, flat)
+        transposed = jax.linear_transpose(jacobian, flat)
+
+        def product(vector: Vector) -> Vector:
+            image = at.fisher_product(jacobian(vector))
+            weighted = jax.tree.map(lambda x: weight[..., None] * x, image)
+            (back,) = transposed(weighted)
+            return back + self.damping * vector
+
+        return product
+
+    def _length(self, backtracks: Int[Array, ""]) -> Float[Array, ""]:
+        return self.backtrack_ratio ** backtracks.astype(float)
+
+    def _search(
+        self,
+        evaluate: Callable[[Vector], Evaluation],
+        flat: Vector,
+        longest: Vector,
+        loss_before: Float[Array, ""],
+    ) -> "_Search":
+        """Try ever shorter candidates until one is acceptable."""
+
+        def is_open(search: _Search) -> Bool[Array, ""]:
+            return ~search.accepted & (search.candidate < self.max_backtracks)
+
+        def try_next(search: _Search) -> _Search:
+            candidate = evaluate(flat + self._length(search.candidate) * longest)
+            # False for NaN, so a broken candidate is never accepted.
+            accepted = (candidate.loss < loss_before) & (candidate.kl < self.max_kl)
+            return _Search(search.candidate + 1, accepted, candidate)
+
+        nothing = Evaluation(loss_before, jnp.zeros_like(loss_before))
+        start = _Search(jnp.zeros((), int), jnp.zeros((), bool), nothing)
+        return jax.lax.while_loop(is_open, try_next, start)
+
+
+class _Search(NamedTuple):
+    """State of the backtracking search."""
+
+    candidate: Int[Array, ""]
+    """Number of candidates that were tried."""
+    accepted: Bool[Array, ""]
+    evaluation: Evaluation
+    """Of the last candidate."""

@@ -1,0 +1,118 @@
+"""What a rollout drives: many episodes of a family at once.
+
+A world joins an environment (pure functions of one episode), a finite set of tasks, and something
+that moves states. It plays a whole batch when it is given a policy to ask, and hands back what
+was read and done at every step. Rewards, observations and masks are not its business: they are
+pure functions of the readings, computed once for the whole batch by `maesn.rollout`.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple, Protocol
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from maesn.agent import Agents
+from maesn.axes import Carry, EpisodeKeys, Readings
+from maesn.envs.base import AnyEnv
+from maesn.envs.tasks import TaskSet
+from maesn.numerics import AbstractDistribution
+
+
+class Start(NamedTuple):
+    """How a batch of episodes begins, task-major over `simulation`."""
+
+    qpos: Float[Array, "simulation qpos"]
+    qvel: Float[Array, "simulation qvel"]
+    model_fields: dict[str, Array]
+    """What the tasks change in the dynamics, `[simulation, ...]` each; empty if nothing."""
+
+
+class Actors(eqx.Module):
+    """Who acts in a batch of episodes, and all that stays constant during it."""
+
+    agents: Agents
+    tasks: Any
+    """Task pytree with a leading `task` axis."""
+    noise: Float[Array, "task episode noise"]
+    context: Float[Array, "task episode context"]
+    action_keys: EpisodeKeys
+    """One key per `[task, episode]`; step t uses `fold_in(key, t)`."""
+
+
+class Decision(NamedTuple):
+    """What the policies decide at one step of every episode."""
+
+    control: Float[Array, "simulation control"]
+    action: Float[Array, "task episode action"]
+    behaviour: AbstractDistribution
+    carry: Carry
+
+
+class Moment(NamedTuple):
+    """What the policies are told at step t of every episode."""
+
+    step: Int[Array, ""]
+    readings: Readings
+    """`[simulation, ...]` each."""
+    previous_readings: Readings
+    previous_action: Float[Array, "task episode action"]
+    carry: Carry
+
+
+class Act(Protocol):
+    """Asks the policies of a batch of episodes for one step."""
+
+    def __call__(self, actors: Actors, moment: Moment) -> Decision:
+        """Return what each episode does next."""
+
+
+class Trajectory(NamedTuple):
+    """What was read and done, time first."""
+
+    readings: Readings
+    """`[time_plus_1, simulation, ...]` each."""
+    action: Float[Array, "time task episode action"]
+    behaviour: AbstractDistribution
+    """`[time, task, episode, action]`."""
+    carry: Carry
+    """Memory after the last step, `[task, episode, ...]`."""
+
+
+class EpisodeError(RuntimeError):
+    """An episode went wrong; the message names environment, task, episode and step."""
+
+    def __init__(self, env: str, task: int, episode: int, step: int, reason: str) -> None:
+        super().__init__(f"{env}, task {task}, episode {episode}, step {step}: {reason}")
+
+
+class SimulationFailure(RuntimeError):
+    """Some simulations of a batch failed at one step; `maesn.rollout` names their episodes."""
+
+    def __init__(self, simulation: int, step: int, reason: str) -> None:
+        super().__init__(f"simulation {simulation}, step {step}: {reason}")
+        self.simulation = simulation
+        self.step = step
+        self.reason = reason
+
+
+class AbstractWorld(ABC):
+    """A family's tasks, ready to be played in batches."""
+
+    env: AnyEnv
+    tasks: TaskSet
+
+    @abstractmethod
+    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+        """Play one episode of `env.horizon` steps in every simulation.
+
+        Args:
+            act: pure function that decides each step. Passing the same object again avoids a
+                second compilation.
+            actors: who acts.
+            start: how the episodes begin.
+            carry: memory of the policies at the start, `[task, episode, ...]`.
+
+        Raises:
+            SimulationFailure: the physics of a simulation blew up.
+        """

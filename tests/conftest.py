@@ -1,0 +1,29 @@
+"""Arithmetic in the tests is stricter than in production: no silent promotion or broadcasting.
+
+Shapes and types are checked as well: `--jaxtyping-packages` in `pyproject.toml` wraps every
+annotated function of the package. Warnings are errors.
+"""
+
+import os
+from collections.abc import Iterator
+
+# Before JAX is imported, and inherited by the programs that tests start. A graphics card can be
+# asked for by name (`JAX_PLATFORMS=cuda make test`); figures never open a window.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ["MPLBACKEND"] = "Agg"
+
+import jax
+import pytest
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """Double precision for one test, where the truth that it compares with needs it.
+
+    Off otherwise: production is single precision, and so is what most tests must judge.
+    """
+    with jax.enable_x64(True):
+        yield

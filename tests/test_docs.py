@@ -1,0 +1,67 @@
+"""The documentation: every link leads somewhere, every Python example runs."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted(
+    page
+    for pattern in ("*.md", "docs/**/*.md", "results/**/*.md", "examples/**/*.md")
+    for page in ROOT.glob(pattern)
+)
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
+
+
+def prose(page: Path) -> str:
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
+
+
+def anchors(page: Path) -> set[str]:
+    """The fragments under which a page's headings can be reached."""
+    headings = re.findall(r"^#+\s+(.+?)\s*$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def leads_somewhere(page: Path, link: str) -> bool:
+    path, _, fragment = link.partition("#")
+    target = (page.parent / path).resolve() if path else page
+    return target.exists() and (
+        not fragment or target.suffix != ".md" or fragment in anchors(target)
+    )
+
+
+def examples(page: Path) -> str:
+    """The Python examples of one page, as one program: later ones may use the names of earlier."""
+    return "\n".join(
+        code for language, code in FENCE.findall(page.read_text("utf-8")) if language == "python"
+    )
+
+
+def test_the_readme_is_among_the_pages() -> None:
+    assert ROOT / "README.md" in PAGES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    links = [first or second for first, second in LINK.findall(prose(page))]
+    local = [link for link in links if not re.match(r"[a-z]+:", link)]
+    assert not [link for link in local if not leads_somewhere(page, link)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_python_examples_run(page: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", examples(page)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONSAFEPATH": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr

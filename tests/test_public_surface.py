@@ -1,0 +1,108 @@
+"""The public surface: one path per name, loaded when used; and no method without documentation."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import maesn
+
+ROOT = Path(maesn.__file__).parent
+HEAVY = {"equinox", "jax", "matplotlib", "mujoco", "numpy", "rich", "scipy", "tyro"}
+NAMES = sorted(maesn._MODULE_OF)
+MODULES = {
+    ".".join(("maesn", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): (
+        path
+    )
+    for path in sorted(ROOT.rglob("*.py"))
+    if path.stem != "__main__"  # importing that one is running the program
+}
+
+
+def loaded_by(statement: str) -> set[str]:
+    """The top-level packages that a fresh interpreter has loaded after `statement`."""
+    program = f"{statement}\nimport sys\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+    command = [sys.executable, "-c", program]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+
+
+def names_for_type_checkers() -> set[tuple[str, str]]:
+    """The (module, name) pairs imported under `if TYPE_CHECKING` in the package's `__init__`."""
+    return {
+        (str(statement.module), alias.asname or alias.name)
+        for block in ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8")).body
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+
+def methods(path: Path) -> list[tuple[str, str]]:
+    """The (class, method) pairs of a file, public ones only, that have no docstring themselves."""
+    return [
+        (definition.name, method.name)
+        for definition in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(definition, ast.ClassDef) and not definition.name.startswith("_")
+        for method in definition.body
+        if isinstance(method, ast.FunctionDef) and not method.name.startswith("_")
+        if ast.get_docstring(method) is None
+    ]
+
+
+def documented_by_interface(owner: type, method: str) -> bool:
+    return any((getattr(base, method, None).__doc__ or "").strip() for base in owner.__mro__[1:-1])
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    assert not loaded_by("import maesn; maesn.__version__; dir(maesn)") & HEAVY
+
+
+def test_every_heavy_package_would_be_noticed() -> None:
+    # Guards the test above against a name that no longer means anything.
+    assert loaded_by("import " + ", ".join(sorted(HEAVY))) >= HEAVY
+
+
+def test_the_runtime_loads_numpy_and_no_other_heavy_package() -> None:
+    assert loaded_by("import maesn.runtime") & HEAVY == {"numpy"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_public_name_resolves_and_is_documented(name: str) -> None:
+    value = getattr(maesn, name)
+    assert value is getattr(import_module(maesn._MODULE_OF[name]), name)
+    assert name in dir(maesn)
+    assert (value.__doc__ or "").strip()
+
+
+def test_type_checkers_see_the_same_names() -> None:
+    at_run_time = {(module, name) for name, module in maesn._MODULE_OF.items()}
+    assert names_for_type_checkers() == at_run_time
+
+
+def test_each_public_name_has_one_home() -> None:
+    assert len(NAMES) == sum(len(names) for names in maesn._PUBLIC.values())
+
+
+def test_no_public_name_is_hidden_by_a_module() -> None:
+    # `import maesn.x` sets the attribute `x` of the package to the module.
+    assert not {f"maesn.{name}" for name in NAMES} & MODULES.keys()
+
+
+def test_an_unknown_name_is_refused_by_name() -> None:
+    with pytest.raises(AttributeError, match="`no_such_name`"):
+        maesn.__getattr__("no_such_name")
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_method_is_documented_by_itself_or_its_interface(module: str) -> None:
+    loaded = import_module(module)
+    bare = [
+        f"{owner}.{method}"
+        for owner, method in methods(MODULES[module])
+        if not documented_by_interface(getattr(loaded, owner), method)
+    ]
+    assert not bare
