@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Tests of one file share compiled programs, so files and not tests are spread over the processes.
-PYTEST_OPTIONS ?= --quiet --numprocesses=auto --dist=loadfile
+PYTEST_OPTIONS ?= --quiet --tb=short --numprocesses=auto --dist=loadfile
 
 RUN_READY := $(VENV)/.ready-to-run
 TEST_READY := $(VENV)/.ready-to-test

@@ -21,6 +21,7 @@ task or one episode; the leading axes are added by `jax.vmap` in one place
 
 from typing import Any, TypeAlias
 
+import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 from jaxtyping import Key as KeyArray
 
@@ -34,6 +35,7 @@ EpisodeKeys: TypeAlias = KeyArray[Array, "task episode"]
 # Named quantities of the simulated world. The names are the physics engine's own ("qpos", "qvel",
 # "subtree_com", ...), so an environment and its engine agree on them without a translation table.
 Readings: TypeAlias = dict[str, Array]
+HostReadings: TypeAlias = dict[str, np.ndarray]
 
 # What a recurrent policy remembers between steps; `None` for policies without memory.
 Carry: TypeAlias = Any

@@ -1,11 +1,14 @@
-"""A batch of episodes: all that learning ever sees of the world."""
+"""A batch of episodes, and the function that plays one: all that learning sees of the world."""
+
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Carry
+from maesn.agent import Agents
+from maesn.axes import Carry, TaskKeys
 from maesn.numerics import AbstractDistribution
 
 
@@ -77,3 +80,29 @@ class Episodes(eqx.Module):
 def concatenate(first: Episodes, second: Episodes) -> Episodes:
     """Join two batches of the same tasks along the `episode` axis."""
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=1), first, second)
+
+
+@runtime_checkable
+class Collect(Protocol):
+    """Plays episodes; all that a learner knows of the world."""
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks that can be asked for."""
+
+    def __call__(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> Episodes:
+        """Play a fixed number of episodes of each task.
+
+        Args:
+            keys: one key per task slot. All randomness of slot i comes from `keys[i]`, so what is
+                played in it depends neither on the other slots nor on how many there are.
+            agents: one agent per task slot.
+            task_index: which task each slot plays.
+            carry: memory that the policies start with, `[task, episode, ...]`; None to start a
+                trial afresh.
+
+        Returns:
+            Episodes with the leading axes `task episode`.
+        """

@@ -1,6 +1,6 @@
 """Play episodes in any world: makes the function `collect` that learners are given."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,33 +24,8 @@ from maesn.worlds import (
 )
 
 
-class Collect(Protocol):
-    """Plays episodes; all that a learner knows of the world."""
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of tasks that can be asked for."""
-
-    def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
-    ) -> Episodes:
-        """Play a fixed number of episodes of each task.
-
-        Args:
-            keys: one key per task slot. All randomness of slot i comes from `keys[i]`, so what is
-                played in it depends neither on the other slots nor on how many there are.
-            agents: one agent per task slot.
-            task_index: which task each slot plays.
-            carry: memory that the policies start with, `[task, episode, ...]`; None to start a
-                trial afresh.
-
-        Returns:
-            Episodes with the leading axes `task episode`.
-        """
-
-
 class Collector:
-    """`Collect` on a world."""
+    """`maesn.episodes.Collect` on a world."""
 
     def __init__(self, world: AbstractWorld, episodes_per_task: int) -> None:
         self.world = world

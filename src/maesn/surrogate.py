@@ -1,5 +1,7 @@
 """Losses whose gradients are policy gradients: the inner and the outer one."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,7 +15,7 @@ from maesn.policies import PolicyInput
 
 
 def inner_loss(
-    agent: Agent, context: AbstractContext, episodes: Episodes, advantages: Advantages
+    agent: Agent, context: AbstractContext[Any], episodes: Episodes, advantages: Advantages
 ) -> Float[Array, ""]:
     """REINFORCE on one task, with the draw of z as the zeroth action.
 
@@ -77,9 +79,7 @@ def action_distributions(
     """
     steps = episodes.valid.shape[1]
     # Zeros instead of garbage, since the gradient of a masked NaN is NaN.
-    observation = jnp.where(
-        episodes.valid[..., None], episodes.observation[:, :steps], 0.0
-    )
+    observation = jnp.where(episodes.valid[..., None], episodes.observation[:, :steps], 0.0)
 
     def distribution(
         observed: Float[Array, " observation"], context: Float[Array, " context"]

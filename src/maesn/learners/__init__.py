@@ -4,9 +4,9 @@ from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
 from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners.fast import GradientFastLearner as GradientFastLearner
 from maesn.learners.fast import GradientFastState as GradientFastState
-from maesn.learners.gradient import GradientInfo as GradientInfo
 from maesn.learners.gradient import GradientMetaLearner as GradientMetaLearner
 from maesn.learners.gradient import GradientState as GradientState
+from maesn.learners.info import GradientInfo as GradientInfo
 from maesn.learners.presets import PRESETS as PRESETS
 from maesn.learners.presets import latent_space as latent_space
 from maesn.learners.presets import maesn as maesn

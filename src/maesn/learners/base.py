@@ -6,15 +6,14 @@ take and return.
 """
 
 from abc import abstractmethod
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Int
 
 from maesn.agent import Agents
 from maesn.axes import Key
-from maesn.episodes import Episodes
-from maesn.rollout import Collect
+from maesn.episodes import Collect, Episodes
 
 FastState = TypeVar("FastState")
 MetaState = TypeVar("MetaState")
@@ -41,9 +40,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     """Learns across tasks how to learn inside one."""
 
     @abstractmethod
-    def init(
-        self, key: Key, observation_size: int, action_size: int, num_tasks: int
-    ) -> MetaState:
+    def init(self, key: Key, observation_size: int, action_size: int, num_tasks: int) -> MetaState:
         """Return the state before any training."""
 
     @abstractmethod
@@ -51,7 +48,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """Do one meta-iteration: draw tasks, play, improve."""
 
     @abstractmethod
-    def fast_learner(self, state: MetaState) -> AbstractFastLearner:
+    def fast_learner(self, state: MetaState) -> AbstractFastLearner[Any]:
         """Return what has been learned, as a learner for new tasks."""
 
     @abstractmethod

@@ -31,7 +31,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     with the learned step sizes, while the policy's weights stay.
     """
 
-    context: AbstractContext
+    context: AbstractContext[Any]
     adaptation: Adaptation
     advantage: AdvantageEstimator
     schedule: StepSchedule

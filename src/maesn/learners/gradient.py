@@ -4,7 +4,7 @@ MAML, MAML + bias, LatentSpace and MAESN are this one learner with two slots fil
 the context that it conditions on, and the adaptation that it allows (`maesn.learners.presets`).
 """
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,28 +15,14 @@ from maesn.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.agent import Agent, Agents
 from maesn.axes import Key, TaskKeys
-from maesn.context import AbstractContext, AbstractContextValue
-from maesn.episodes import Episodes, concatenate
+from maesn.context import AbstractContext
+from maesn.episodes import Collect, Episodes, concatenate
 from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.fast import GradientFastLearner
-from maesn.numerics import AbstractDistribution, DiagonalGaussian, masked_mean
-from maesn.policies import AbstractPolicy, AbstractPolicySettings, GaussianMLP
-from maesn.rollout import Collect
-from maesn.surrogate import outer_loss, post_distributions
-from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
-
-# A batch of episodes with its advantages.
-Experience: TypeAlias = tuple[Episodes, Advantages]
-
-
-class MetaParameters(eqx.Module):
-    """All that the outer step changes."""
-
-    policy: AbstractPolicy
-    """theta, where every task starts from."""
-    context: AbstractContextValue
-    """One context per training task, or one for all, as the context's rule says."""
-    step_sizes: StepSizes
+from maesn.learners.info import GradientInfo, describe_step
+from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
+from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.trust_region import TrustRegion
 
 
 class GradientState(eqx.Module):
@@ -46,43 +32,10 @@ class GradientState(eqx.Module):
     iteration: Int[Array, ""]
 
 
-class GroupShares(eqx.Module):
-    """Shares of the squared length of the outer step that fall on each group; they sum to 1.
-
-    Directions in which the policy has no curvature are held by damping alone, so it is worth a
-    look which group the step spends itself on.
-    """
-
-    policy: Float[Array, ""]
-    context: Float[Array, ""]
-    step_sizes: Float[Array, ""]
-
-
-class GradientInfo(eqx.Module):
-    """What a human wants to know of one meta-iteration: scalars only."""
-
-    return_before: Float[Array, ""]
-    """Mean undiscounted return before the inner updates."""
-    return_after: Float[Array, ""]
-    """Mean undiscounted return after them."""
-    success_after: Float[Array, ""]
-    """Share of the episodes after adaptation that reach the goal region."""
-    penalty: Float[Array, ""]
-    """Mean penalty of the pre-update contexts (weighted KL to the prior)."""
-    action_std: Float[Array, ""]
-    """Mean standard deviation of the actions after adaptation."""
-    trust_region: TrustRegionInfo
-    shares: GroupShares
-    step_sizes: StepSizes
-    """Mean of the learned step sizes of every array of parameters."""
-    nonfinite_tasks: Int[Array, ""]
-    """Number of tasks whose surrogate loss was not finite; the step was then rejected."""
-
-
 class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """REINFORCE inside, TRPO outside (algorithm 1 of the paper)."""
 
-    context: AbstractContext
+    context: AbstractContext[Any]
     """What the policy is conditioned on."""
     adaptation: Adaptation
     """What an inner step changes."""
@@ -188,12 +141,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     @eqx.filter_jit
     def _start(self, parameters: MetaParameters, index: Int[Array, " task"]) -> Agents:
-        return self._agents(parameters, index)
-
-    def _agents(self, parameters: MetaParameters, index: Int[Array, " task"]) -> Agents:
-        """Return the pre-update agents of the given training tasks."""
-        context = self.context.start(parameters.context, index)
-        return Agents(parameters.policy, context, shares_policy=True)
+        return start_agents(self.context, parameters, index)
 
     @eqx.filter_jit
     def _advantages(self, episodes: Episodes) -> Advantages:
@@ -221,7 +169,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     ) -> tuple[MetaParameters, GradientInfo]:
         """Do the outer step. Beyond this point only the meta-parameters vary."""
         *pre, (post, advantages) = played
-        objective = MetaObjective(self, adaptation, index, tuple(pre), post, advantages)
+        objective = MetaObjective(self.context, adaptation, index, tuple(pre), post, advantages)
         offset = jax.random.randint(key, (), 0, self.curvature_stride)
         thinned = post.every(self.curvature_stride, offset)
         improved, step = self.trust_region.step(
@@ -230,81 +178,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             lambda varied: objective.distributions(varied, thinned),
             _step_weights(thinned),
         )
-        return improved, self._info(objective, parameters, improved, step)
-
-    def _info(
-        self,
-        objective: "MetaObjective",
-        old: MetaParameters,
-        new: MetaParameters,
-        step: TrustRegionInfo,
-    ) -> GradientInfo:
-        first = objective.pre[0][0] if objective.pre else objective.post
-        losses = objective.task_losses(old)
-        return GradientInfo(
-            return_before=first.undiscounted_return.mean(),
-            return_after=objective.post.undiscounted_return.mean(),
-            success_after=objective.post.solved.any(-1).mean(),
-            penalty=objective.penalties(old).mean(),
-            action_std=_mean_std(objective.post.behaviour),
-            trust_region=step,
-            shares=_group_shares(old, new),
-            step_sizes=jax.tree.map(jnp.mean, new.step_sizes),
-            nonfinite_tasks=jnp.sum(~jnp.isfinite(losses)),
-        )
-
-
-class MetaObjective(eqx.Module):
-    """The outer loss of one meta-iteration as a function of the meta-parameters.
-
-    loss = mean_i [ L_outer,i(adapted agent i) + penalty(pre-update context i) ]
-
-    (problem (3) of section "Meta-Learning Latent Variable Policies"). Episodes and advantages are
-    data: gradients run through the inner updates, but not through the sampling before them.
-    """
-
-    learner: GradientMetaLearner
-    adaptation: Adaptation
-    index: Int[Array, " task"]
-    pre: tuple[Experience, ...]
-    post: Episodes
-    advantages: Advantages
-
-    def adapted(self, parameters: MetaParameters) -> Agents:
-        """Return the agents after all inner updates."""
-        agents = self.learner._agents(parameters, self.index)
-        for episodes, advantages in self.pre:
-            agents = self.adaptation(
-                agents, parameters.step_sizes, self.learner.context, episodes, advantages
-            )
-        return agents
-
-    def distributions(
-        self, parameters: MetaParameters, episodes: Episodes
-    ) -> AbstractDistribution:
-        """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
-        return self.adapted(parameters).vmap(post_distributions)(episodes)
-
-    def evaluate(self, parameters: MetaParameters) -> Evaluation:
-        """Return the loss, and the mean KL from the distributions that were played."""
-        new = self.distributions(parameters, self.post)
-        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
-        divergence = self.post.behaviour.kl(new)
-        return Evaluation(
-            loss=jnp.mean(surrogate + self.penalties(parameters)),
-            kl=jnp.mean(jax.vmap(masked_mean)(divergence, self.post.valid)),
-        )
-
-    def task_losses(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return every task's part of the loss."""
-        new = self.distributions(parameters, self.post)
-        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
-        return surrogate + self.penalties(parameters)
-
-    def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return what each task's pre-update context is charged."""
-        context = self.learner.context.start(parameters.context, self.index)
-        return jax.vmap(self.learner.context.penalty, axis_size=self.index.shape[0])(context)
+        return improved, describe_step(objective, parameters, improved, step)
 
 
 def _task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
@@ -318,21 +192,3 @@ def _step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
     valid = episodes.valid.astype(float)
     per_task = jnp.maximum(valid.sum((1, 2), keepdims=True), 1.0)
     return valid / (per_task * valid.shape[0])
-
-
-def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
-    def squared(before: Any, after: Any) -> Float[Array, ""]:
-        parts = jax.tree.map(lambda a, b: jnp.sum((b - a) ** 2), before, after)
-        return sum(jax.tree.leaves(parts), jnp.zeros(()))
-
-    policy = squared(old.policy, new.policy)
-    context = squared(old.context, new.context)
-    sizes = squared(old.step_sizes, new.step_sizes)
-    total = policy + context + sizes
-    scale = jnp.where(total > 0, 1.0 / jnp.where(total > 0, total, 1.0), 0.0)
-    return GroupShares(policy * scale, context * scale, sizes * scale)
-
-
-def _mean_std(behaviour: AbstractDistribution) -> Float[Array, ""]:
-    assert isinstance(behaviour, DiagonalGaussian)
-    return jnp.exp(behaviour.log_std).mean()

@@ -62,8 +62,6 @@ def generalized_advantages(
     Returns:
         A_t for t in [0, n-1], then 0.
     """
-    reward = jnp.where(valid, reward, 0.0)
-    value = jnp.where(valid, value, 0.0)
     next_valid = jnp.roll(valid, -1).at[-1].set(False)
     next_value = jnp.where(next_valid, jnp.roll(value, -1), bootstrap_value)
     difference = jnp.where(valid, reward + discount * next_value - value, 0.0)

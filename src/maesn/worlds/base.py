@@ -7,13 +7,14 @@ pure functions of the readings, computed once for the whole batch by `maesn.roll
 """
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from maesn.agent import Agents
-from maesn.axes import Carry, EpisodeKeys, Readings
+from maesn.axes import Carry, EpisodeKeys, HostReadings, Readings
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
 from maesn.numerics import AbstractDistribution
@@ -50,16 +51,17 @@ class Decision(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What the policies are told at step t of every episode."""
+    """What the policies are told at step t of every episode; host worlds hand over NumPy arrays."""
 
-    step: Int[Array, ""]
-    readings: Readings
+    step: Int[Array | np.ndarray, ""]
+    readings: Readings | HostReadings
     """`[simulation, ...]` each."""
-    previous_readings: Readings
-    previous_action: Float[Array, "task episode action"]
+    previous_readings: Readings | HostReadings
+    previous_action: Float[Array | np.ndarray, "task episode action"]
     carry: Carry
 
 
+@runtime_checkable
 class Act(Protocol):
     """Asks the policies of a batch of episodes for one step."""
 
@@ -70,9 +72,9 @@ class Act(Protocol):
 class Trajectory(NamedTuple):
     """What was read and done, time first."""
 
-    readings: Readings
+    readings: Readings | HostReadings
     """`[time_plus_1, simulation, ...]` each."""
-    action: Float[Array, "time task episode action"]
+    action: Float[Array | np.ndarray, "time task episode action"]
     behaviour: AbstractDistribution
     """`[time, task, episode, action]`."""
     carry: Carry
@@ -99,8 +101,15 @@ class SimulationFailure(RuntimeError):
 class AbstractWorld(ABC):
     """A family's tasks, ready to be played in batches."""
 
-    env: AnyEnv
-    tasks: TaskSet
+    @property
+    @abstractmethod
+    def env(self) -> AnyEnv:
+        """The environment that is played."""
+
+    @property
+    @abstractmethod
+    def tasks(self) -> TaskSet:
+        """The tasks that can be played."""
 
     @abstractmethod
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:

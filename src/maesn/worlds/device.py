@@ -1,7 +1,7 @@
 """Worlds written in JAX: a whole batch of episodes is one compiled scan."""
 
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +16,20 @@ class DeviceWorld(AbstractWorld):
     """Plays an `AbstractPureEnv` on whatever device JAX uses."""
 
     def __init__(self, env: AbstractPureEnv[Any], tasks: TaskSet) -> None:
-        self.env = env
-        self.tasks = tasks
+        self._env = env
+        self._tasks = tasks
+
+    @property
+    def env(self) -> AbstractPureEnv[Any]:
+        return self._env
+
+    @property
+    def tasks(self) -> TaskSet:
+        return self._tasks
 
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. Nothing in here can fail: JAX raises no numerical errors."""
-        return _scan_episodes(self.env, act, actors, start, carry)
+        return _scan_episodes(self._env, act, actors, start, carry)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -34,7 +42,7 @@ def _scan_episodes(
 
     def step(moment: Moment, _: None) -> tuple[Moment, tuple[Readings, Decision]]:
         decision = act(actors, moment)
-        readings = advance(moment.readings, decision.control)
+        readings = advance(cast(Readings, moment.readings), decision.control)
         following = Moment(
             step=moment.step + 1,
             readings=readings,

@@ -8,8 +8,9 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
-from maesn.axes import Carry, Readings
+from maesn.axes import Carry, HostReadings
 from maesn.envs.base import AbstractMujocoEnv
 from maesn.envs.tasks import TaskSet
 from maesn.physics import AbstractSimulator, NativeSimulator, PhysicsError
@@ -31,25 +32,32 @@ class NativeWorld(AbstractWorld):
     Simulators are kept open, one for each number of simulations that was asked for.
     """
 
-    def __init__(
-        self, env: AbstractMujocoEnv[Any], tasks: TaskSet, num_threads: int = 0
-    ) -> None:
-        self.env = env
-        self.tasks = tasks
+    def __init__(self, env: AbstractMujocoEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
+        self._env = env
+        self._tasks = tasks
         self._num_threads = num_threads
         self._simulators: dict[int, AbstractSimulator] = {}
+
+    @property
+    def env(self) -> AbstractMujocoEnv[Any]:
+        return self._env
+
+    @property
+    def tasks(self) -> TaskSet:
+        return self._tasks
 
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         simulator = self._simulator(start.qpos.shape[0])
         readings = simulator.reset(*jax.tree.map(np.asarray, tuple(start)))
         record = _Record(readings, self.env.horizon)
-        previous_action = np.zeros((*actors.context.shape[:2], self.env.action_size), np.float32)
+        no_action = np.zeros((*actors.context.shape[:2], self.env.action_size), np.float32)
+        previous_action: Array | np.ndarray = no_action
         for step in range(self.env.horizon):
             decision = act(
                 actors,
                 Moment(
-                    step=np.int32(step),
+                    step=np.asarray(step, np.int32),
                     readings=record.at(step),
                     previous_readings=record.at(max(step - 1, 0)),
                     previous_action=previous_action,
@@ -75,23 +83,22 @@ class NativeWorld(AbstractWorld):
 class _Record:
     """Collects the steps of a batch in arrays of single precision."""
 
-    def __init__(self, first: Readings, horizon: int) -> None:
+    def __init__(self, first: HostReadings, horizon: int) -> None:
         self._readings = {
-            name: np.empty((horizon + 1, *value.shape), np.float32)
-            for name, value in first.items()
+            name: np.empty((horizon + 1, *value.shape), np.float32) for name, value in first.items()
         }
         self._decisions: list[Any] = []
         self._write(0, first)
 
-    def _write(self, index: int, readings: Readings) -> None:
+    def _write(self, index: int, readings: HostReadings) -> None:
         for name, value in readings.items():
             self._readings[name][index] = value
 
-    def at(self, index: int) -> Readings:
+    def at(self, index: int) -> HostReadings:
         """The readings of one state, as the policy sees them."""
         return {name: values[index] for name, values in self._readings.items()}
 
-    def add(self, step: int, readings: Readings, decision: Decision) -> None:
+    def add(self, step: int, readings: HostReadings, decision: Decision) -> None:
         self._write(step + 1, readings)
         self._decisions.append((decision.action, decision.behaviour))
 
@@ -102,7 +109,7 @@ class _Record:
         return Trajectory(self._readings, action, behaviour, carry)
 
 
-def _advance(simulator: AbstractSimulator, control: np.ndarray, step: int) -> Readings:
+def _advance(simulator: AbstractSimulator, control: np.ndarray, step: int) -> HostReadings:
     try:
         return simulator.step(control)
     except PhysicsError as error:

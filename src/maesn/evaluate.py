@@ -1,0 +1,154 @@
+"""Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from maesn.axes import TaskKeys
+from maesn.episodes import Collect, Episodes
+from maesn.learners import AbstractFastLearner
+
+CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
+
+
+class AdaptationCurves(eqx.Module):
+    """How every task's performance changes with adaptation.
+
+    Entry `[i, k]` is measured on the episodes that are played in task i after k updates, before the
+    learner sees them.
+    """
+
+    mean_return: Float[Array | np.ndarray, "task *update"]
+    """Mean undiscounted return."""
+    goal_return: Float[Array | np.ndarray, "task *update"]
+    """The part of it that is due to the goal: without control and survival terms."""
+    success_rate: Float[Array | np.ndarray, "task *update"]
+    """Share of the episodes that reach the goal region at some time."""
+    final_success_rate: Float[Array | np.ndarray, "task *update"]
+    """Share of the episodes that end in the goal region."""
+    time_in_region: Float[Array | np.ndarray, "task *update"]
+    """Share of the steps that are spent in the goal region."""
+
+
+class AdaptationOutcome(NamedTuple):
+    """Outcome of adapting to a set of tasks."""
+
+    curves: AdaptationCurves
+    contexts: Any
+    """Contexts of the agents, `[task, update, ...]`; as `Agents.context`."""
+    episodes_per_update: int
+
+
+def adapt(
+    learner: AbstractFastLearner[Any],
+    collect: Collect,
+    *,
+    updates: int = 10,
+    episodes_per_task: int = 50,
+    seed: int = 0,
+    chunk_size: int = CHUNK_SIZE,
+    start: Any = None,
+) -> AdaptationOutcome:
+    """Adapt to all tasks of a set at once.
+
+    Args:
+        learner: learns in each task separately.
+        collect: plays `episodes_per_task` episodes in each task.
+        updates: number of updates; the curves have one entry more.
+        episodes_per_task: number of episodes that `collect` plays per task, for the record.
+        seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
+        chunk_size: number of tasks that advance together; bounds the memory.
+        start: state of the learner to go on from, with a leading `task` axis; None for the
+            learner's own start.
+    """
+    parts = [
+        _adapt_chunk(learner, collect, slots, updates, seed, start)
+        for slots in _chunks(collect.num_tasks, chunk_size)
+    ]
+    curves, contexts = jax.tree.map(
+        lambda *chunks: np.concatenate(chunks)[: collect.num_tasks], *parts
+    )
+    return AdaptationOutcome(curves, contexts, episodes_per_task)
+
+
+def _adapt_chunk(
+    learner: AbstractFastLearner[Any],
+    collect: Collect,
+    slots: np.ndarray,
+    updates: int,
+    seed: int,
+    start: Any,
+) -> tuple[AdaptationCurves, Any]:
+    state = learner.init(len(slots)) if start is None else _take(start, slots)
+    curves, contexts = [], []
+    for update in range(updates + 1):
+        agents = learner.agents(state)
+        episodes = collect(_task_keys(seed, update, slots), agents, jnp.asarray(slots))
+        curves.append(jax.tree.map(np.asarray, measure(episodes)))
+        contexts.append(jax.tree.map(np.asarray, agents.context))
+        if update < updates:
+            state = learner.update(state, episodes)
+    return _stack_updates(curves), _stack_updates(contexts)
+
+
+@jax.jit
+def measure(episodes: Episodes) -> AdaptationCurves:
+    """Return one update's column of the curves, `[task]`, from episodes `[task, episode, ...]`."""
+    valid = episodes.valid
+    steps = jnp.maximum(valid.sum((1, 2)), 1)
+    last = jnp.maximum(valid.sum(-1) - 1, 0)
+    final = jnp.take_along_axis(episodes.solved, last[..., None], axis=-1)[..., 0]
+    return AdaptationCurves(
+        mean_return=episodes.undiscounted_return.mean(-1),
+        goal_return=jnp.where(valid, episodes.goal_reward, 0.0).sum(-1).mean(-1),
+        success_rate=episodes.solved.any(-1).mean(-1),
+        final_success_rate=final.mean(-1),
+        time_in_region=episodes.solved.sum((1, 2)) / steps,
+    )
+
+
+def _chunks(num_tasks: int, chunk_size: int) -> Iterator[np.ndarray]:
+    """Cut the tasks into chunks of one size; the last one repeats its last task as padding."""
+    size = min(chunk_size, num_tasks)
+    for first in range(0, num_tasks, size):
+        yield np.minimum(np.arange(first, first + size), num_tasks - 1)
+
+
+def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
+    update_key = jax.random.fold_in(jax.random.key(seed), update)
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
+
+
+def _take(start: Any, slots: np.ndarray) -> Any:
+    return jax.tree.map(lambda x: x[slots], start)
+
+
+def _stack_updates(columns: list[Any]) -> Any:
+    """[task, ...] for each update -> [task, update, ...]."""
+    return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
+
+
+def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
+    """Yield the curves as rows of a table, task by task.
+
+    `episodes` is the number of episodes per task that the agent has learned from by then.
+    """
+    curves = adaptation.curves
+    num_tasks, num_columns = curves.mean_return.shape
+    for task in range(num_tasks):
+        for update in range(num_columns):
+            yield {
+                "task": task,
+                "update": update,
+                "episodes": update * adaptation.episodes_per_update,
+                "mean_return": float(curves.mean_return[task, update]),
+                "goal_return": float(curves.goal_return[task, update]),
+                "success_rate": float(curves.success_rate[task, update]),
+                "final_success_rate": float(curves.final_success_rate[task, update]),
+                "time_in_region": float(curves.time_in_region[task, update]),
+            }

@@ -1,0 +1,90 @@
+"""The outer objective of gradient-based meta-learning, as a function of the meta-parameters."""
+
+from typing import Any, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.adaptation import Adaptation, StepSizes
+from maesn.advantage import Advantages
+from maesn.agent import Agents
+from maesn.context import AbstractContext, AbstractContextValue
+from maesn.episodes import Episodes
+from maesn.numerics import AbstractDistribution, masked_mean
+from maesn.policies import AbstractPolicy
+from maesn.surrogate import outer_loss, post_distributions
+from maesn.trust_region import Evaluation
+
+# A batch of episodes with its advantages.
+Experience: TypeAlias = tuple[Episodes, Advantages]
+
+
+class MetaParameters(eqx.Module):
+    """All that the outer step changes."""
+
+    policy: AbstractPolicy
+    """theta, where every task starts from."""
+    context: AbstractContextValue
+    """One context per training task, or one for all, as the context's rule says."""
+    step_sizes: StepSizes
+
+
+def start_agents(
+    context: AbstractContext[Any], parameters: MetaParameters, index: Int[Array, " task"]
+) -> Agents:
+    """Return the pre-update agents of the given training tasks."""
+    started = context.start(parameters.context, index)
+    return Agents(parameters.policy, started, shares_policy=True)
+
+
+class MetaObjective(eqx.Module):
+    """The outer loss of one meta-iteration as a function of the meta-parameters.
+
+    loss = mean_i [ L_outer,i(adapted agent i) + penalty(pre-update context i) ]
+
+    (problem (3) of section "Meta-Learning Latent Variable Policies"). Episodes and advantages are
+    data: gradients run through the inner updates, but not through the sampling before them.
+    """
+
+    context: AbstractContext[Any]
+    adaptation: Adaptation
+    index: Int[Array, " task"]
+    pre: tuple[Experience, ...]
+    post: Episodes
+    advantages: Advantages
+
+    def adapted(self, parameters: MetaParameters) -> Agents:
+        """Return the agents after all inner updates."""
+        agents = start_agents(self.context, parameters, self.index)
+        for episodes, advantages in self.pre:
+            agents = self.adaptation(
+                agents, parameters.step_sizes, self.context, episodes, advantages
+            )
+        return agents
+
+    def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
+        """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
+        return self.adapted(parameters).vmap(post_distributions)(episodes)
+
+    def evaluate(self, parameters: MetaParameters) -> Evaluation:
+        """Return the loss, and the mean KL from the distributions that were played."""
+        new = self.distributions(parameters, self.post)
+        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
+        divergence = self.post.behaviour.kl(new)
+        return Evaluation(
+            loss=jnp.mean(surrogate + self.penalties(parameters)),
+            kl=jnp.mean(jax.vmap(masked_mean)(divergence, self.post.valid)),
+        )
+
+    def task_losses(self, parameters: MetaParameters) -> Float[Array, " task"]:
+        """Return every task's part of the loss."""
+        new = self.distributions(parameters, self.post)
+        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
+        return surrogate + self.penalties(parameters)
+
+    def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
+        """Return what each task's pre-update context is charged."""
+        context = self.context.start(parameters.context, self.index)
+        return jax.vmap(self.context.penalty, axis_size=self.index.shape[0])(context)

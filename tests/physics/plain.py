@@ -1,0 +1,53 @@
+"""Episodes of the wheeled robot on `NativeSimulator`, and the same ones on plain MuJoCo."""
+
+import mujoco
+import numpy as np
+
+from maesn.physics import NativeSimulator, Readings
+
+NUM_SIMULATIONS, STEPS = 12, 60
+STATE = ("qpos", "qvel")
+
+
+def start(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    shape = (NUM_SIMULATIONS, 6)
+    return 0.01 * generator.normal(size=shape), 0.1 * generator.normal(size=shape)
+
+
+def controls(seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-2, 2, size=(STEPS, NUM_SIMULATIONS, 2))
+
+
+def play(simulator: NativeSimulator, seed: int = 0, **options: dict) -> list[Readings]:
+    readings = [simulator.reset(*start(seed), **options)]
+    return readings + [simulator.step(control) for control in controls()]
+
+
+def plain(
+    models: list[mujoco.MjModel], names: tuple[str, ...], frame_skip: int = 1
+) -> list[Readings]:
+    """The same episodes with `mj_step`, and `mj_forward` for what is derived from the state."""
+    episodes = []
+    for model, qpos, qvel, control in zip(models, *start(), controls().swapaxes(0, 1), strict=True):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(model, data)
+        episodes.append([{name: getattr(data, name).copy() for name in names}])
+        for row in control:
+            data.ctrl[:] = row
+            mujoco.mj_step(model, data, frame_skip)
+            mujoco.mj_forward(model, data)
+            episodes[-1].append({name: getattr(data, name).copy() for name in names})
+    return [
+        {name: np.stack([moment[name] for moment in moments]) for name in names}
+        for moments in zip(*episodes, strict=True)
+    ]
+
+
+def assert_equal(got: list[Readings], expected: list[Readings]) -> None:
+    assert len(got) == len(expected)
+    for step, (one, other) in enumerate(zip(got, expected, strict=True)):
+        assert one.keys() == other.keys()
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name], f"{name}, step {step}")

@@ -1,0 +1,178 @@
+"""What `NativeSimulator` refuses, and that no failure of the physics goes unnoticed."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from physics.plain import NUM_SIMULATIONS, STATE, assert_equal, controls, play, start
+
+from maesn.physics import NativeSimulator, PhysicsError, Readings
+
+# A mass on a motor that pushes it away from the origin: x grows by a factor 1e7 every step.
+UNSTABLE = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body>
+  </worldbody>
+  <actuator><general joint="x" biastype="affine" biasprm="0 1e11 0"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture(autouse=True)
+def _no_file_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    directory = tmp_path / "working_directory"
+    directory.mkdir()
+    monkeypatch.chdir(directory)
+    yield
+    assert not list(directory.iterdir())
+
+
+@pytest.fixture
+def unstable(tmp_path: Path) -> Path:
+    path = tmp_path / "unstable.xml"
+    path.write_text(UNSTABLE, encoding="utf-8")
+    return path
+
+
+def coast(simulator: NativeSimulator, actuators: int, steps: int) -> Readings:
+    """Advance without any control."""
+    control = np.zeros((simulator.num_simulations, actuators))
+    for _ in range(steps):
+        readings = simulator.step(control)
+    return readings
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("nonfinite", ["raise", "report"])
+def test_a_control_that_is_not_finite_is_refused(bad: float, nonfinite: str) -> None:
+    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS, nonfinite=nonfinite)
+    undisturbed = play(simulator)
+    simulator.reset(*start())
+    control = controls()[0]
+    control[[4, 7], 1] = bad
+    with pytest.raises(PhysicsError, match="`control` must be finite") as caught:
+        simulator.step(control)
+    assert caught.value.simulations == (4, 7)
+    assert_equal([simulator.step(controls()[0])], [undisturbed[1]])  # nothing had moved
+
+
+@pytest.mark.parametrize("name", ["qpos", "qvel"])
+def test_a_start_that_is_not_finite_is_refused(name: str) -> None:
+    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS, nonfinite="report")
+    states = dict(zip(STATE, start(), strict=True))
+    states[name][5, 0] = np.nan
+    with pytest.raises(PhysicsError, match=f"`{name}` must be finite") as caught:
+        simulator.reset(**states)
+    assert caught.value.simulations == (5,)
+
+
+def test_a_violent_state_is_reported_where_it_is() -> None:
+    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS)
+    before = play(simulator)
+    qpos, qvel = start()
+    qvel[9, 3] = 9e9  # spins
+    simulator.reset(qpos, qvel)
+    with pytest.raises(PhysicsError, match=r"simulation 9: MuJoCo warns: .* QACC") as caught:
+        coast(simulator, actuators=2, steps=20)
+    assert caught.value.simulations == (9,)
+    assert_equal(play(simulator), before)  # and the next reset is clean
+
+
+@pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos")])
+def test_a_blow_up_is_raised_at_once(unstable: Path, readings: tuple[str, ...]) -> None:
+    simulator = NativeSimulator(unstable, 6, readings)
+    qpos = np.zeros((6, 1))
+    qpos[[1, 4]] = 1e-6
+    simulator.reset(qpos, np.zeros((6, 1)))
+    coast(simulator, actuators=1, steps=1)  # x = 1e-6 * 1e7
+    with pytest.raises(PhysicsError) as caught:
+        coast(simulator, actuators=1, steps=3)
+    assert caught.value.simulations == (1, 4)
+    assert "simulation 1, 4: " in str(caught.value)
+    with pytest.raises(PhysicsError):  # nobody can go on by accident
+        coast(simulator, actuators=1, steps=1)
+
+
+def test_a_blow_up_is_seen_in_the_step_that_makes_it(unstable: Path) -> None:
+    """MuJoCo would warn one step later, which a last step does not have."""
+    simulator = NativeSimulator(unstable, 3)
+    qvel, control = np.zeros((3, 1)), np.zeros((3, 1))
+    qvel[2], control[2] = 9.95e9, 9.9e9  # together 1.0049e10
+    simulator.reset(np.zeros((3, 1)), qvel)
+    with pytest.raises(
+        PhysicsError, match="the state must stay finite and below 1e\\+10"
+    ) as caught:
+        simulator.step(control)
+    assert caught.value.simulations == (2,)
+
+
+@pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos")])
+def test_a_blow_up_can_be_reported_instead(unstable: Path, readings: tuple[str, ...]) -> None:
+    simulator = NativeSimulator(unstable, 6, readings, nonfinite="report")
+    qpos = np.zeros((6, 1))
+    qpos[4] = 1e-6
+    simulator.reset(qpos, np.zeros((6, 1)))
+    last = coast(simulator, actuators=1, steps=100)
+    expected = np.arange(6) == 4
+    for name in readings:
+        finite = np.isfinite(last[name].reshape(6, -1)).all(axis=1)
+        np.testing.assert_array_equal(~finite, expected)
+    np.testing.assert_array_equal(last["qpos"][~expected], 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.step(np.zeros((12, 3))), r"`control` must have the shape \(12, 2\)"),
+        (lambda s: s.step(np.zeros((1, 2))), r"`control` must have the shape \(12, 2\)"),
+        (lambda s: s.reset(np.zeros((3, 6)), np.zeros((3, 6))), r"`qpos` .* \(12, 6\), got"),
+        (lambda s: s.reset(np.zeros((12, 6)), np.zeros((12, 5))), r"`qvel` .* \(12, 6\), got"),
+    ],
+)
+def test_arrays_of_a_wrong_shape_are_refused(
+    call: Callable[[NativeSimulator], object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        call(NativeSimulator("wheeled", NUM_SIMULATIONS))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_simulations": 0}, "`num_simulations` must be at least 1, got 0"),
+        ({"frame_skip": 0}, "`frame_skip` must be at least 1, got 0"),
+        ({"num_threads": -1}, "`num_threads` must be at least 0, got -1"),
+        ({"readings": ("qpos", "geom_xpo")}, "geom_xpos"),
+    ],
+)
+def test_settings_out_of_range_are_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        NativeSimulator("wheeled", **{"num_simulations": 2} | arguments)
+
+
+def test_a_closed_simulator_says_so() -> None:
+    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS)
+    assert simulator.num_simulations == NUM_SIMULATIONS
+    simulator.close()
+    simulator.close()
+    for call in (lambda: simulator.reset(*start()), lambda: simulator.step(controls()[0])):
+        with pytest.raises(RuntimeError, match="closed"):
+            call()
+
+
+def test_an_older_mujoco_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco.batch", None)
+    monkeypatch.setattr(mujoco, "__version__", "3.3.7")
+    with pytest.raises(ImportError, match=r"needs mujoco >= 4\.0.*found mujoco 3\.3\.7"):
+        NativeSimulator("wheeled", 2)
+
+
+def test_many_failures_are_counted_not_listed() -> None:
+    error = PhysicsError(range(3, 20), "it fell apart")
+    assert str(error) == "simulation 3, 4, 5, 6, 7 and 12 more: it fell apart"
+    assert (error.simulations, error.reason) == (tuple(range(3, 20)), "it fell apart")
