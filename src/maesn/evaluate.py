@@ -133,10 +133,14 @@ def _stack_updates(columns: list[Any]) -> Any:
     return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
-def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
+def as_rows(adaptation: AdaptationOutcome, first_update: int = 0) -> Iterator[dict[str, float | int]]:
     """Yield the curves as rows of a table, task by task.
 
     `episodes` is the number of episodes per task that the agent has learned from by then.
+
+    Args:
+        adaptation: what was measured.
+        first_update: number of updates that lie before it.
     """
     curves = adaptation.curves
     num_tasks, num_columns = curves.mean_return.shape
@@ -144,8 +148,8 @@ def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
         for update in range(num_columns):
             yield {
                 "task": task,
-                "update": update,
-                "episodes": update * adaptation.episodes_per_update,
+                "update": first_update + update,
+                "episodes": (first_update + update) * adaptation.episodes_per_update,
                 "mean_return": float(curves.mean_return[task, update]),
                 "goal_return": float(curves.goal_return[task, update]),
                 "success_rate": float(curves.success_rate[task, update]),

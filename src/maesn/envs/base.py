@@ -25,13 +25,13 @@ Task = TypeVar("Task")
 class Reward(NamedTuple):
     """The reward of one step, in two parts."""
 
-    goal: Float[Array, ""]
+    goal: Float[Array, "*batch"]
     """What is paid for the goal."""
-    other: Float[Array, ""]
+    other: Float[Array, "*batch"]
     """Control costs, contact costs, survival bonus: what no goal has to do with."""
 
     @property
-    def total(self) -> Float[Array, ""]:
+    def total(self) -> Float[Array, "*batch"]:
         return self.goal + self.other
 
 

@@ -1,7 +1,37 @@
 """The families that come with the library, by name."""
 
+import difflib
+
 from maesn.envs.point import point
+from maesn.envs.probes import hidden_end, hidden_side
+from maesn.envs.target_probes import delayed_target, hidden_target
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.wheeled import wheeled
 
 FAMILIES: dict[str, TaskFamily] = {family.name: family for family in (point, wheeled)}
+"""What is worth learning."""
+
+PROBES: dict[str, TaskFamily] = {
+    family.name: family for family in (hidden_target, delayed_target, hidden_side, hidden_end)
+}
+"""What is known already; see `maesn.envs.probes`."""
+
+
+def find_family(name: str) -> TaskFamily:
+    """Return a family or a probe by its name.
+
+    Args:
+        name: as in `FAMILIES` and `PROBES`.
+
+    Raises:
+        ValueError: there is no such family; the message names the likeliest one and all others.
+    """
+    known = FAMILIES | PROBES
+    if name in known:
+        return known[name]
+    likely = difflib.get_close_matches(name, known, n=1)
+    suggestion = f"; did you mean {likely[0]!r}?" if likely else ""
+    raise ValueError(
+        f"`family` must be one of {', '.join(FAMILIES)} or one of the probes "
+        f"{', '.join(PROBES)}, got {name!r}{suggestion}"
+    )

@@ -25,13 +25,14 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.goals import draw_half_circle, driving_reward, within
 from maesn.envs.tasks import TaskFamily
 
 Goal = Float[Array, " 2"]
 
 GOAL_RADIUS = 2.0  # metres, as on the wheeled robot
-SPARSE_RADIUS = 0.5  # metres; a quarter of the way, so that a jittering point hardly ever gets there
+# Metres; a quarter of the way, so that a jittering point hardly ever gets there.
+SPARSE_RADIUS = 0.5
 C_MAX = 2.0  # what the dense reward pays a point that has not moved
 CONTROL_COST = 0.05
 STEP_LENGTH = 0.1  # metres per unit of action: the goal is 20 full steps away
@@ -77,13 +78,16 @@ class Point(AbstractPureEnv[Goal]):
         next_readings: Readings,
         task: Goal,
     ) -> Reward:
-        distance = _distance(next_readings, task)
-        if self.variant == "paper":
-            goal = goal_reward(distance, -C_MAX, self.reward_kind, self.sparse_radius)
-            return Reward(goal, jnp.zeros(()))
-        outside = -jnp.linalg.norm(task)
-        goal = goal_reward(distance, outside, self.reward_kind, self.sparse_radius)
-        return Reward(goal, -CONTROL_COST * jnp.sum(self.control(action) ** 2))
+        return driving_reward(
+            _distance(next_readings, task),
+            task,
+            self.control(action),
+            variant=self.variant,
+            reward_kind=self.reward_kind,
+            sparse_radius=self.sparse_radius,
+            c_max=C_MAX,
+            control_cost=CONTROL_COST,
+        )
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return jnp.zeros((), bool)

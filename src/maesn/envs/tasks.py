@@ -30,7 +30,7 @@ class TaskSet(eqx.Module):
     def __len__(self) -> int:
         return int(jax.tree.leaves(self.tasks)[0].shape[0])
 
-    def __getitem__(self, index: int | slice | Int[Array, " task"]) -> Any:
+    def __getitem__(self, index: int | slice | np.ndarray | Int[Array, " task"]) -> Any:
         """Return one task, or several stacked."""
         return jax.tree.map(lambda leaf: leaf[index], self.tasks)
 

@@ -6,12 +6,12 @@ Observation (12 components; the goal is not among them):
 |-------|--------------------------------------|-------|
 | 0-2   | position x, y, z of the car          | m     |
 | 3     | heading (yaw)                        | rad   |
-| 4-5   | angle of the left and right wheel    | rad   |
+| 4-5   | angle of the right and left wheel    | rad   |
 | 6-8   | velocity x, y, z of the car          | m/s   |
 | 9     | rate of turn                         | rad/s |
-| 10-11 | speed of the left and right wheel    | rad/s |
+| 10-11 | speed of the right and left wheel    | rad/s |
 
-Action (2 components, unbounded): torque demand of the left and right wheel. The motors receive
+Action (2 components, unbounded): torque demand of the right and left wheel. The motors receive
 u = clip(2 a, -2, 2) N m.
 
 Reward, with d the distance of the car from the goal g in metres:
@@ -33,15 +33,15 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.goals import draw_half_circle, driving_reward, within
 from maesn.envs.tasks import TaskFamily
 
 Goal = Float[Array, " 2"]
 
 GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
-# The paper calls it "an uninformative large negative constant". All goals lie 2 m from the start, so
-# this is what the dense reward pays a robot that has not moved.
+# The paper calls it "an uninformative large negative constant". All goals lie 2 m from the start,
+# so this is what the dense reward pays a robot that has not moved.
 C_MAX = 2.0
 CONTROL_COST = 0.05  # reference, per squared newton metre
 ACTION_SCALE = 2.0  # the motors' range, +-2 N m
@@ -85,13 +85,16 @@ class Wheeled(AbstractMujocoEnv[Goal]):
         next_readings: Readings,
         task: Goal,
     ) -> Reward:
-        distance = _distance(next_readings, task)
-        if self.variant == "paper":
-            goal = goal_reward(distance, -C_MAX, self.reward_kind, self.sparse_radius)
-            return Reward(goal, jnp.zeros(()))
-        outside = -jnp.linalg.norm(task)
-        goal = goal_reward(distance, outside, self.reward_kind, self.sparse_radius)
-        return Reward(goal, -CONTROL_COST * jnp.sum(self.control(action) ** 2))
+        return driving_reward(
+            _distance(next_readings, task),
+            task,
+            self.control(action),
+            variant=self.variant,
+            reward_kind=self.reward_kind,
+            sparse_radius=self.sparse_radius,
+            c_max=C_MAX,
+            control_cost=CONTROL_COST,
+        )
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return jnp.zeros((), bool)

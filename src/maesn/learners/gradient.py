@@ -54,8 +54,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Inner updates per meta-iteration, each on episodes of its own."""
     outer_batches: int = 1
     """Batches of episodes that the outer step learns from."""
-    curvature_stride: int = 5
-    """The curvature of the trust region is averaged over every so-manieth time step."""
+    curvature_stride: int = 10
+    """The curvature of the trust region is averaged over every so-manieth time step (neighbouring
+    steps resemble each other); 1 for all. The reference uses all."""
 
     def __check_init__(self) -> None:
         for name in ("meta_batch_size", "outer_batches", "curvature_stride"):

@@ -1,0 +1,5 @@
+"""`python -m maesn` is the command `maesn`."""
+
+from maesn.cli import main
+
+main()

@@ -1,0 +1,245 @@
+"""The library's verbs, as functions of Python. The command line calls them, one for one."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from maesn.context import Latent
+from maesn.envs import RewardKind, TaskFamily
+from maesn.evaluate import AdaptationOutcome, as_rows
+from maesn.evaluate import adapt as adapt_to_tasks
+from maesn.explore import explore
+from maesn.export import export_policy
+from maesn.learners import AbstractMetaLearner
+from maesn.plot import plot_run_directories
+from maesn.progress import train_live
+from maesn.rollout import Collector
+from maesn.run import Run
+from maesn.run_config import RunSettings
+from maesn.storage import RunError, write_whole
+from maesn.train import init_from as start_from
+
+# Episodes that figures show, and among which the share of goals reached is counted.
+EXPLORATION_EPISODES = 50
+
+
+def train(
+    learner: AbstractMetaLearner[Any, Any],
+    settings: RunSettings,
+    directory: str | Path,
+    *,
+    init_from: str | Path | None = None,
+    family: TaskFamily | None = None,
+) -> Run:
+    """Meta-train in a new run directory, with a live display.
+
+    Args:
+        learner: the method and its settings; see `maesn.PRESETS`.
+        settings: of the run.
+        directory: must be empty or not exist.
+        init_from: directory of a run whose policy and step sizes to start from.
+        family: a family of your own; None for the one that `settings.family` names.
+
+    Raises:
+        RunError: a setting or the directory cannot be used.
+        EpisodeError: an episode went wrong; the last good state is in the directory.
+    """
+    run = Run.create(directory, learner, settings, family=family)
+    if init_from is not None:
+        start_from(run, init_from)
+    train_live(run)
+    return run
+
+
+def resume(
+    directory: str | Path, iterations: int | None = None, family: str | TaskFamily | None = None
+) -> Run:
+    """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
+
+    Args:
+        directory: of the run.
+        iterations: total number of meta-iterations; None for that of the run's settings.
+        family: the run's family, if it is your own: itself, or `module:name`.
+    """
+    run = Run.open(directory, family=family)
+    train_live(run, iterations=iterations)
+    return run
+
+
+def adapt(
+    directory: str | Path,
+    *,
+    reward: RewardKind = "sparse",
+    updates: int = 10,
+    episodes_per_task: int = 50,
+    tasks: str = "test",
+    seed: int = 0,
+    out: str | Path | None = None,
+    start: str | Path | None = None,
+    family: str | TaskFamily | None = None,
+) -> AdaptationOutcome:
+    """Adapt a trained policy to new tasks, and write the curves as a table.
+
+    Args:
+        directory: of the run; its latest checkpoint is adapted, never the best one.
+        reward: dense or sparse.
+        updates: policy-gradient updates per task.
+        episodes_per_task: episodes per task and update.
+        tasks: test (report on these), validation (choose on these), training, or the path of an
+            `.npz` file.
+        seed: of the episodes.
+        out: path of the table; None for `DIR/adaptation/TASKS-REWARD.csv`. The adapted latents are
+            written beside it as `.latents.npz`.
+        start: an earlier `.latents.npz` of the same tasks to go on from.
+        family: the run's family, if it is your own: itself, or `module:name`.
+    """
+    if updates < 0 or episodes_per_task < 1:
+        raise RunError(
+            "`updates` must be at least 0 and `episodes_per_task` at least 1, got "
+            f"{updates} and {episodes_per_task}."
+        )
+    run = Run.open(directory, family=family)
+    learner = run.learner.fast_learner(run.latest_state())
+    collect = Collector(run.world(run.task_set(tasks), reward), episodes_per_task)
+    state, done = None, 0
+    if start is not None:
+        latents, done = read_latents(Path(start), collect.num_tasks)
+        state = learner.resume(latents, done)
+    outcome = adapt_to_tasks(
+        learner,
+        collect,
+        updates=updates,
+        episodes_per_task=episodes_per_task,
+        seed=seed,
+        start=state,
+    )
+    table = adaptation_file(run.directory, tasks, reward) if out is None else Path(out)
+    write_outcome(table, outcome, first_update=done)
+    return outcome
+
+
+def export(
+    directory: str | Path, path: str | Path, family: str | TaskFamily | None = None
+) -> Path:
+    """Write a trained policy as one `.npz` file for `maesn.runtime`.
+
+    Args:
+        directory: of the run; its latest checkpoint is exported.
+        path: of the file to write.
+        family: the run's family, if it is your own: itself, or `module:name`.
+    """
+    run = Run.open(directory, family=family)
+    snapshot = run.latest()
+    learner = run.learner.fast_learner(snapshot.state)
+    description = {"method": run.settings.method, "iteration": snapshot.iteration}
+    try:
+        export_policy(learner, run.env(), path, description)
+    except (ValueError, OSError) as error:
+        raise RunError(f"`{directory}` cannot be exported to `{path}`: {error}") from error
+    return Path(path)
+
+
+def plot(directories: Sequence[str | Path], out: str | Path | None = None) -> list[Path]:
+    """Draw the paper's figures from run directories.
+
+    What a figure needs and no run has left behind is played first: adaptation to the test tasks
+    on sparse reward, and episodes of exploration.
+
+    Args:
+        directories: of the runs; several are compared in one figure.
+        out: where the figures go; None for `figures` in the first directory.
+
+    Returns:
+        The files that were written, PNG and PDF.
+    """
+    paths = [Path(directory) for directory in directories]
+    for path in paths:
+        if not adaptation_file(path, "test", "sparse").exists():
+            adapt(path)
+        record_exploration(path)
+    return plot_run_directories(paths, paths[0] / "figures" if out is None else Path(out))
+
+
+def record_exploration(directory: str | Path) -> Path:
+    """Play and record what the figures of exploration show; does nothing if it is there."""
+    run = Run.open(directory)
+    path = run.directory / "figures" / "exploration.npz"
+    if path.exists():
+        return path
+    tasks, env = run.task_set("test"), run.env()
+    collect = Collector(run.world(tasks), EXPLORATION_EPISODES)
+    trained = explore(run.learner.fast_learner(run.latest_state()), collect)
+    untrained = explore(run.learner.fast_learner(run.untrained_state()), collect)
+    goal = jax.vmap(env.goal)
+    arrays = {
+        "training_goals": goal(run.training_tasks.tasks),
+        "goals": goal(tasks.tasks),
+        "sparse_radius": np.asarray(env.sparse_radius),
+        "prior_paths": trained.prior_paths,
+        "untrained_paths": untrained.prior_paths,
+        "prior_latents": trained.prior_latents,
+    }
+    if trained.fixed_paths is not None:
+        arrays["fixed_paths"] = trained.fixed_paths
+    _write_arrays(path, arrays)
+    return path
+
+
+def adaptation_file(directory: Path, tasks: str, reward: RewardKind) -> Path:
+    """Return the path of a run's table of adaptation curves."""
+    return directory / "adaptation" / f"{Path(tasks).stem}-{reward}.csv"
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, first_update: int = 0) -> None:
+    """Write curves as a `.csv` file, and adapted latents as `.latents.npz` beside it."""
+    rows = list(as_rows(outcome, first_update))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    table.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(table, text.getvalue().encode())
+    if isinstance(outcome.contexts, Latent):
+        arrays = {
+            "mean": outcome.contexts.mean.swapaxes(0, 1),
+            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
+            "first_update": np.asarray(first_update),
+        }
+        _write_arrays(latents_file(table), arrays)
+
+
+def latents_file(table: Path) -> Path:
+    """Return the path of the latents that belong to a table of adaptation curves."""
+    return table.with_suffix(".latents.npz")
+
+
+def read_latents(path: Path, num_tasks: int) -> tuple[Latent, int]:
+    """Read the last latents that an adaptation has saved, and the number of updates behind them.
+
+    Raises:
+        RunError: the file cannot be read, or holds another number of tasks.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            mean, log_std = arrays["mean"], arrays["log_std"]
+            first = int(arrays["first_update"])
+    except (OSError, ValueError, KeyError) as error:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
+    if mean.shape[1] != num_tasks:
+        raise RunError(
+            f"`{path}` holds the latents of {mean.shape[1]} tasks, but {num_tasks} are to be "
+            "adapted to: give the same task set as before."
+        )
+    return Latent(mean[-1], log_std[-1]), first + len(mean) - 1
+
+
+def _write_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    content = io.BytesIO()
+    np.savez(content, **{name: np.asarray(array) for name, array in arrays.items()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content.getvalue())

@@ -1,0 +1,95 @@
+"""The command line. This module answers `--help` alone; a command's imports wait for its turn."""
+
+import difflib
+import sys
+from importlib import import_module
+
+from maesn._version import __version__
+
+# Command -> its line of help. Each is the function `main` of `maesn.commands.<command>`.
+COMMANDS = {
+    "train": "meta-train a method on a family of tasks",
+    "resume": "go on with a run from its latest checkpoint",
+    "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
+    "plot": "draw the paper's figures from one or several runs",
+    "export": "write a trained policy as one file for the NumPy runtime",
+    "list": "list the methods and the families of tasks",
+    "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
+}
+
+USAGE_ERROR = 2
+INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
+
+
+def main() -> None:
+    """Run the command that the arguments name, and exit."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command.
+
+    Args:
+        arguments: the command and its options.
+
+    Returns:
+        The exit code: 0, or 2 for a mistake in the options or in what they point to.
+    """
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_help())
+        return 0
+    name, *options = arguments
+    if name == "--version":
+        print(f"maesn {__version__}")
+        return 0
+    if name not in COMMANDS:
+        print(_unknown(name), file=sys.stderr)
+        return USAGE_ERROR
+    return _run_command(name, options)
+
+
+def _run_command(name: str, options: list[str]) -> int:
+    try:
+        import_module(f"maesn.commands.{name}").main(options)
+    except KeyboardInterrupt:
+        print(f"maesn {name}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except _user_errors() as error:
+        print(f"maesn {name}: {error}", file=sys.stderr)
+        return USAGE_ERROR
+    return 0
+
+
+def _user_errors() -> tuple[type[Exception], ...]:
+    """Return the errors whose message is all that a user needs: no traceback."""
+    names = {
+        "maesn.storage": ("RunError",),
+        "maesn.train": ("TrainingError",),
+        "maesn.worlds": ("EpisodeError",),
+        "maesn.report": ("ReportError",),
+    }
+    return tuple(
+        getattr(import_module(module), name) for module, all_ in names.items() for name in all_
+    )
+
+
+def _help() -> str:
+    lines = [f"  {name:8s}  {text}" for name, text in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: maesn COMMAND [OPTIONS]",
+            "",
+            "Meta-reinforcement learning of structured exploration strategies.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.",
+        ]
+    )
+
+
+def _unknown(name: str) -> str:
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    hint = f" Did you mean `{near[0]}`?" if near else ""
+    return f"maesn: there is no command `{name}`.{hint} Known are: {', '.join(COMMANDS)}."

@@ -1,0 +1,48 @@
+"""`maesn adapt DIR`: adapt a trained policy to new tasks."""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from maesn import api
+from maesn.commands.options import parse
+from maesn.envs import RewardKind
+from maesn.report import print_adaptation_summary
+from maesn.compilation import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Adapt the last checkpoint of a run to new tasks, and tabulate how it does."""
+
+    run: tyro.conf.Positional[Path]
+    """Directory of the run."""
+    reward: RewardKind = "sparse"
+    """Reward in the new tasks."""
+    updates: int = 10
+    """Policy-gradient updates per task."""
+    episodes_per_task: int = 50
+    """Episodes per task and update."""
+    tasks: str = "test"
+    """test (report on these), validation (choose on these), training, or an `.npz` file."""
+    seed: int = 0
+    """Of the episodes."""
+    out: Path | None = None
+    """Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it."""
+    start: Path | None = None
+    """Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from."""
+    family: str | None = None
+    """The run's family as `module:name`, if it is your own."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run the command."""
+    options = parse(Options, "adapt", arguments)
+    enable_compilation_cache()
+    settings = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    directory = settings.pop("run")
+    api.adapt(directory, **settings)
+    table = options.out or api.adaptation_file(directory, options.tasks, options.reward)
+    print_adaptation_summary(table)
+    print(f"table: {table}")

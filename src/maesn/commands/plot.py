@@ -1,0 +1,28 @@
+"""`maesn plot DIR [DIR...]`: draw the paper's figures."""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from maesn import api
+from maesn.commands.options import parse
+from maesn.compilation import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Draw the paper's figures from one or several runs."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Directories of the runs; several are compared in one figure."""
+    out: Path | None = None
+    """Where the figures go; None: `figures` in the first run's directory."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run the command."""
+    options = parse(Options, "plot", arguments)
+    enable_compilation_cache()
+    for path in api.plot(options.runs, options.out):
+        print(path)

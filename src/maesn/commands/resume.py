@@ -1,0 +1,30 @@
+"""`maesn resume DIR`: go on with a run from its latest checkpoint."""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from maesn import api
+from maesn.commands.options import parse
+from maesn.compilation import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Go on with a run from its latest checkpoint, as if it had never stopped."""
+
+    run: tyro.conf.Positional[Path]
+    """Directory of the run."""
+    iterations: int | None = None
+    """Total number of meta-iterations; None: what the run was started with."""
+    family: str | None = None
+    """The run's family as `module:name`, if it is your own."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run the command."""
+    options = parse(Options, "resume", arguments)
+    enable_compilation_cache()
+    run = api.resume(options.run, options.iterations, family=options.family)
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")

@@ -1,0 +1,59 @@
+"""`maesn train METHOD --run DIR`: meta-train in a new run directory."""
+
+import dataclasses
+import difflib
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from maesn import api
+from maesn.commands.options import parse
+from maesn.learners import PRESETS, GradientMetaLearner
+from maesn.run_config import RunSettings
+from maesn.storage import RunError
+from maesn.compilation import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Meta-train a method on a family of tasks."""
+
+    settings: Annotated[RunSettings, tyro.conf.arg(name="")]
+    learner: Annotated[GradientMetaLearner, tyro.conf.arg(name="")]
+    run: Path
+    """Directory of the new run; must be empty or not exist."""
+    init_from: Path | None = None
+    """Directory of a run whose policy and step sizes to start from."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run the command."""
+    method, rest = _method(arguments)
+    settings = RunSettings(method=method)
+    default = Options(settings, PRESETS[method](), run=tyro.MISSING)
+    options = parse(Options, f"train {method}", rest, default)
+    enable_compilation_cache()
+    run = api.train(
+        options.learner, options.settings, options.run, init_from=options.init_from
+    )
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")
+
+
+def _method(arguments: list[str]) -> tuple[str, list[str]]:
+    """Return the method and the options behind it."""
+    known = ", ".join(PRESETS)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(
+            "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
+            f"METHOD is one of: {known}.\n"
+            "`maesn train METHOD --help` lists all settings with the method's defaults."
+        )
+        sys.exit(0)
+    method = arguments[0]
+    if method not in PRESETS:
+        near = difflib.get_close_matches(method, PRESETS, n=1)
+        hint = f" Did you mean `{near[0]}`?" if near else ""
+        raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
+    return method, arguments[1:]

@@ -1,0 +1,72 @@
+"""Compiled programs: where they are kept between processes, and what they cost."""
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax
+import jax.monitoring
+
+# Moves the compilation cache; empty, 0 or off: no cache.
+CACHE_VARIABLE = "MAESN_CACHE"
+
+# All durations that JAX reports of a compilation begin like this. They do not overlap.
+_COMPILE_EVENTS = "/jax/core/compile/"
+
+
+def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Return where compiled programs are kept: `MAESN_CACHE`, or the user's cache directory.
+
+    Args:
+        environment: environment variables.
+
+    Returns:
+        A directory, or None if the user wants no cache.
+    """
+    chosen = environment.get(CACHE_VARIABLE)
+    if chosen is not None:
+        return None if chosen in ("", "0", "off") else Path(chosen)
+    if environment.get("XDG_CACHE_HOME"):
+        return Path(environment["XDG_CACHE_HOME"]) / "maesn"
+    home = Path(environment.get("HOME", "~")).expanduser()
+    return home / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "maesn"
+
+
+def enable_compilation_cache() -> Path | None:
+    """Keep compiled programs on disk, so that the next process starts at once.
+
+    Returns:
+        The directory, or None if the user wants no cache.
+    """
+    directory = cache_directory()
+    if directory is None:
+        return None
+    settings = {
+        "jax_compilation_cache_dir": str(directory),
+        # By default JAX keeps what took a second to compile. The first iteration consists of
+        # dozens of programs, of which most take less.
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    for name, value in settings.items():
+        jax.config.update(name, value)  # type: ignore[no-untyped-call]
+    return directory
+
+
+class CompileClock:
+    """Adds up the time that this process spends on compiling while the clock is entered."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __enter__(self) -> "CompileClock":
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._listen)
+
+    def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
+        if event.startswith(_COMPILE_EVENTS):
+            self.seconds += duration_secs

@@ -1,0 +1,187 @@
+"""Hands a meta-learned policy to a robot: writes the file that `maesn.runtime` reads."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from maesn._version import __version__
+from maesn.context import Latent, LatentContext
+from maesn.envs.base import AnyEnv
+from maesn.learners import AbstractFastLearner, GradientFastLearner
+from maesn.policies import GaussianMLPPolicy
+from maesn.policies.gaussian_mlp import MINIMUM_STD
+from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
+from maesn.runtime import Latent as RuntimeLatent
+from maesn.runtime.storage import Snapshot, write_snapshot
+
+# An action far outside of every range: the control that it leads to is a limit. What grows with
+# the action to half that size has none.
+_FAR = 1e6
+_PROBE_STEP = 2.0**-10  # a power of two, so that the scale is exact in single precision
+_NUM_PROBES = 256
+_TOLERANCE = 1e-4  # for environments with an offset, where it is not
+
+
+def export_policy(
+    learner: AbstractFastLearner[Any],
+    env: AnyEnv,
+    path: str | os.PathLike[str],
+    description: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Write a fast learner as an `.npz` file of plain arrays.
+
+    Args:
+        learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
+        env: the environment that it acts in, for the sizes and the map from actions to controls.
+        path: of the file; one that exists is replaced.
+        description: whatever should be known of the policy on the robot, such as the run and its
+            iteration. Family, horizon and control period are added.
+
+    Raises:
+        ValueError: the runtime cannot learn as this learner does, or a number is not finite.
+        OSError: the file cannot be written.
+    """
+    exported = exported_policy(learner, env, description or {})
+    write_snapshot(path, Snapshot(exported, None, Safeguards(), None))
+
+
+def exported_policy(
+    learner: AbstractFastLearner[Any], env: AnyEnv, description: Mapping[str, str | int | float]
+) -> ExportedPolicy:
+    """Return what `export_policy` writes; see there."""
+    supported = _supported(learner)
+    policy = _policy(supported)
+    start = _latent(supported.context.start_new(supported.learned_context, 1))
+    size = policy.input_size - start.mean.shape[1]
+    if (size, policy.action_size) != (env.observation_size, env.action_size):
+        raise ValueError(
+            f"`env` must have {size} observations and {policy.action_size} actions as the policy "
+            f"has, but `{env.name}` has {env.observation_size} and {env.action_size}; give the "
+            "environment that the policy was trained in."
+        )
+    exported = ExportedPolicy(
+        policy=policy,
+        actuators=probe_actuators(env),
+        start=RuntimeLatent(start.mean[0], start.log_std[0]),
+        rule=_rule(supported),
+        description={
+            "family": env.name,
+            "horizon": env.horizon,
+            "control_period": env.control_period,
+            "maesn_version": __version__,
+            **description,
+        },
+    )
+    _refuse_nonfinite(exported)
+    return exported
+
+
+def probe_actuators(env: AnyEnv) -> Actuators:
+    """Return `env.control` as the numbers of clip(offset + scale * action, lower, upper).
+
+    The numbers are read off the function itself, so that no environment states them twice, and
+    compared with it on random actions.
+
+    Raises:
+        ValueError: the function has another form.
+    """
+    size = env.action_size
+    zeros, step = np.zeros(size), np.full(size, _PROBE_STEP)
+    ends = np.stack([_control(env, np.full(size, sign * _FAR)) for sign in (-1.0, 1.0)])
+    halves = np.stack([_control(env, np.full(size, sign * _FAR / 2)) for sign in (-1.0, 1.0)])
+    limits = np.where(ends == halves, ends, np.copysign(np.inf, ends))
+    actuators = Actuators(
+        offset=_control(env, zeros),
+        scale=(_control(env, step) - _control(env, -step)) / (2 * _PROBE_STEP),
+        lower=limits.min(axis=0),
+        upper=limits.max(axis=0),
+    )
+    for action in 2.0 * np.random.default_rng(0).standard_normal((_NUM_PROBES, size)):
+        wanted = _control(env, action)
+        if not np.allclose(actuators.control(action), wanted, _TOLERANCE, _TOLERANCE):
+            raise ValueError(
+                f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
+                f"upper) for each actuator, but the action {action} becomes {wanted}, where that "
+                f"gives {actuators.control(action)}."
+            )
+    return actuators
+
+
+def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
+    """Return the learner if the runtime's closed-form update is the learner's own."""
+    advice = (
+        "a policy can be exported if its latent alone adapts, by the likelihood-ratio gradient: "
+        "the methods `maesn` and `latent_space`"
+    )
+    if not isinstance(learner, GradientFastLearner):
+        raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
+    if not isinstance(learner.context, LatentContext):
+        raise ValueError(
+            f"`learner` has the context {type(learner.context).__name__}, whose update needs the "
+            f"derivative of the policy; {advice}."
+        )
+    if learner.context.gradient != "likelihood_ratio":
+        raise ValueError(
+            f"`learner` adapts its latent by the {learner.context.gradient} gradient, which needs "
+            f"the derivative of the policy; {advice}."
+        )
+    if learner.adaptation.policy is not None or learner.adaptation.context is None:
+        moving = "nothing" if learner.adaptation.policy is None else "the policy's weights"
+        raise ValueError(f"`learner` adapts {moving} in a new task; {advice}.")
+    if not isinstance(learner.policy, GaussianMLPPolicy):
+        raise ValueError(
+            f"`learner` has the policy {type(learner.policy).__name__}; the runtime computes "
+            "`GaussianMLPPolicy` alone."
+        )
+    return learner
+
+
+def _policy(learner: GradientFastLearner) -> GaussianPolicy:
+    assert isinstance(learner.policy, GaussianMLPPolicy)
+    layers = learner.policy.mlp.layers
+    std = np.maximum(np.exp(np.asarray(learner.policy.log_std, np.float64)), MINIMUM_STD)
+    return GaussianPolicy(
+        weights=tuple(np.asarray(layer.weight, np.float32) for layer in layers),
+        biases=tuple(np.asarray(layer.bias, np.float32) for layer in layers),
+        std=std,
+    )
+
+
+def _latent(value: object) -> RuntimeLatent:
+    assert isinstance(value, Latent)
+    return RuntimeLatent(np.asarray(value.mean, np.float64), np.asarray(value.log_std, np.float64))
+
+
+def _rule(learner: GradientFastLearner) -> LearningRule:
+    assert learner.adaptation.context is not None
+    step = learner.adaptation.context
+    if step.learned:
+        sizes = _latent(learner.step_sizes.context)
+    else:
+        fixed = np.full(learner.learned_context.size, float(step.initial_size))
+        sizes = RuntimeLatent(fixed, fixed)
+    return LearningRule(
+        mean_step=sizes.mean,
+        log_std_step=sizes.log_std,
+        full_steps=learner.schedule.full_steps,
+        factor=float(learner.schedule.factor),
+        discount=float(learner.advantage.discount),
+        ridge=float(learner.advantage.ridge),
+    )
+
+
+def _control(env: AnyEnv, action: np.ndarray) -> np.ndarray:
+    return np.asarray(env.control(jnp.asarray(action, jnp.float32)), np.float64)
+
+
+def _refuse_nonfinite(exported: ExportedPolicy) -> None:
+    limits = ("actuators.lower", "actuators.upper")
+    for name, array in exported.arrays().items():
+        if name not in limits and not np.isfinite(array).all():
+            raise ValueError(
+                f"`learner` must hold finite numbers to be exported, but `{name}` does not; "
+                "export an earlier checkpoint."
+            )

@@ -1,0 +1,111 @@
+"""Live progress of training on a terminal; plain lines where there is none."""
+
+import contextlib
+import datetime
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as Bar
+
+from maesn.run import Run
+from maesn.run_log import Progress
+from maesn.train import train
+
+# Iterations whose mean duration predicts the time that is left.
+_WINDOW = 20
+
+
+def train_live(
+    run: Run, iterations: int | None = None, console: Console | None = None
+) -> Progress | None:
+    """Train and show how it goes: one live line on a terminal, else one line per iteration.
+
+    Args:
+        run: what to train; goes on from its latest checkpoint.
+        iterations: meta-iterations in total; None for what the run's settings say.
+        console: where to show it; None for the standard output.
+
+    Returns:
+        The last iteration; None if there was nothing left to do.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed; the state is saved, and the user has been told.
+        RunError: as for `train`.
+        EpisodeError: as for `train`.
+    """
+    console = Console() if console is None else console
+    total = run.settings.iterations if iterations is None else iterations
+    display = _live if console.is_terminal else _plain
+    last: Progress | None = None
+    try:
+        with contextlib.closing(train(run, iterations)) as steps:
+            for progress in display(steps, total, console):
+                last = progress
+    except KeyboardInterrupt:
+        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}")
+        raise
+    if last is None:
+        _say(console, f"{run.directory} has done its {total} iterations already.")
+    return last
+
+
+def describe(progress: Progress) -> str:
+    """Return one iteration in a line of text, with what its learner has to tell."""
+    info = progress.info
+    parts = []
+    if "return_before" in info and "return_after" in info:
+        parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
+    if "success_after" in info:
+        parts.append(f"success {info['success_after']:.0%}")
+    if "trust_region/kl" in info:
+        accepted = info.get("trust_region/accepted", 1.0)
+        parts.append(f"KL {info['trust_region/kl']:.4f}" if accepted else "step rejected")
+    parts.append(f"{progress.steps_per_second:,.0f} steps/s")
+    if progress.compile_seconds > 1:
+        parts.append(f"compiled for {progress.compile_seconds:.0f} s")
+    return ", ".join(parts)
+
+
+class _Forecast:
+    """Predicts how long the rest will take, from the last iterations without compilation."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._recent: deque[float] = deque(maxlen=_WINDOW)
+
+    def __call__(self, progress: Progress) -> str:
+        self._recent.append(progress.seconds - progress.compile_seconds)
+        mean = sum(self._recent) / len(self._recent)
+        left = mean * (self._total - progress.iteration)
+        return f"{datetime.timedelta(seconds=round(left))} left"
+
+
+def _plain(steps: Iterator[Progress], total: int, console: Console) -> Iterator[Progress]:
+    forecast = _Forecast(total)
+    for progress in steps:
+        left = forecast(progress)
+        _say(console, f"{progress.iteration}/{total}: {describe(progress)}, {left}")
+        yield progress
+
+
+def _live(steps: Iterator[Progress], total: int, console: Console) -> Iterator[Progress]:
+    columns: tuple[Any, ...] = (
+        MofNCompleteColumn(),
+        BarColumn(bar_width=20),
+        TextColumn("{task.description}", markup=False),
+    )
+    forecast = _Forecast(total)
+    with Bar(*columns, console=console) as bar:
+        shown = bar.add_task("compiling", total=total)
+        for progress in steps:
+            text = f"{describe(progress)}, {forecast(progress)}"
+            bar.update(shown, completed=progress.iteration, description=text)
+            yield progress
+
+
+def _say(console: Console, text: str) -> None:
+    # As it is: no markup, no colours, no line breaks of its own.
+    console.print(text, markup=False, highlight=False, soft_wrap=True)

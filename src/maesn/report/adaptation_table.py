@@ -1,0 +1,175 @@
+"""Adaptation curves of one run, read from the CSV file that `maesn adapt` writes."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from maesn.report.reading import ReportError
+
+Curves = Float[np.ndarray, "task update"]
+
+MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
+COLUMNS = ("task", "update", "episodes", *MEASURES)
+
+
+class PriorReach(NamedTuple):
+    """How broadly a policy explores before it has learned anything of its task."""
+
+    share: float
+    """Share of the tasks whose goal some episode reached."""
+    episodes: int
+    """Number of episodes per task."""
+
+
+@dataclass(frozen=True)
+class AdaptationTable:
+    """One `adaptation/<tasks>-<reward>.csv`: entry `[i, k]` is task i in column k."""
+
+    tasks: str
+    """Name of the task set."""
+    reward: str
+    """Reward of the adaptation, "sparse" or "dense"."""
+    episodes: Int[np.ndarray, " update"]
+    """Episodes per task that the agent has learned from by then."""
+    mean_return: Curves
+    """Mean undiscounted return."""
+    goal_return: Curves
+    """The part of it that is due to the goal."""
+    success_rate: Curves
+    """Share of the episodes that reach the goal region at some time."""
+    final_success_rate: Curves
+    """Share of the episodes that end in the goal region."""
+    time_in_region: Curves
+    """Share of the steps that are spent in the goal region."""
+    first_update: int = 0
+    """Number of updates that lie before column 0; not 0 if an earlier adaptation went on."""
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks."""
+        return int(self.mean_return.shape[0])
+
+    @property
+    def updates(self) -> Int[np.ndarray, " update"]:
+        """Number of updates that lie before each column."""
+        return np.arange(self.first_update, self.first_update + len(self.episodes))
+
+    @property
+    def episodes_per_update(self) -> int | None:
+        """Episodes per task that each update learns from; None if the table has a single column."""
+        return int(self.episodes[1] - self.episodes[0]) if len(self.episodes) > 1 else None
+
+    @property
+    def prior_reach(self) -> PriorReach | None:
+        """What the prior reaches; None if the table does not tell."""
+        if self.first_update or self.episodes_per_update is None:
+            return None
+        share = float(np.mean(self.success_rate[:, 0] > 0))
+        return PriorReach(share, self.episodes_per_update)
+
+    def measure(self, name: str) -> Curves:
+        """Return the curves of one of `MEASURES`."""
+        curves: Curves = getattr(self, name)
+        return curves
+
+
+def stack_seeds(
+    tables: Sequence[AdaptationTable], measure: str
+) -> Float[np.ndarray, "seed task update"]:
+    """Return one measure of several runs that differ in their seed.
+
+    Raises:
+        ReportError: if the runs were not adapted to as many tasks, or not with as many updates.
+    """
+    extents = sorted({(t.num_tasks, t.first_update, int(t.updates[-1])) for t in tables})
+    if len(extents) > 1:
+        found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)
+        raise ReportError(
+            f"Expected every seed to be adapted alike, got {found} ({tables[0].tasks} tasks); "
+            "run `maesn adapt` with the same `--tasks` and `--updates` for each."
+        )
+    return np.stack([table.measure(measure) for table in tables])
+
+
+def read_adaptation(path: Path) -> AdaptationTable:
+    """Read a CSV file of `maesn adapt`.
+
+    Args:
+        path: `<tasks>-<reward>.csv`; rows in any order.
+
+    Raises:
+        ReportError: if a column, a row or a number is missing, or a row occurs twice.
+    """
+    rows = _read_rows(path)
+    first = min((int(row["update"]) for row in rows), default=0)
+    episodes = _grid(rows, "episodes", first, path)
+    if (episodes != episodes[:1]).any():
+        raise ReportError(
+            f"Expected the same `episodes` for every task in `{path}`, got different ones; "
+            f"{_remedy(path)}."
+        )
+    tasks, _, reward = path.stem.rpartition("-")
+    curves = {name: _grid(rows, name, first, path) for name in MEASURES}
+    counts = episodes[0].astype(np.int64)
+    return AdaptationTable(tasks, reward, counts, **curves, first_update=first)
+
+
+def _read_rows(path: Path) -> list[dict[str, float]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            _check_columns(reader.fieldnames or (), path)
+            return [_numbers(row, f"`{path}`, line {reader.line_num}", path) for row in reader]
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise ReportError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
+
+
+def _check_columns(present: Sequence[str], path: Path) -> None:
+    missing = [name for name in COLUMNS if name not in present]
+    if missing:
+        raise ReportError(
+            f"Expected the column `{missing[0]}` in `{path}`, got "
+            f"{', '.join(present) or 'an empty file'}; {_remedy(path)}."
+        )
+
+
+def _numbers(row: Mapping[str, str | None], place: str, path: Path) -> dict[str, float]:
+    return {name: _number(row[name], f"`{name}` in {place}", path) for name in COLUMNS}
+
+
+def _number(text: str | None, what: str, path: Path) -> float:
+    try:
+        number = float(text or "")
+    except ValueError as error:
+        raise ReportError(
+            f"Expected a number for {what}, got {text or 'nothing'}; {_remedy(path)}."
+        ) from error
+    if not np.isfinite(number):
+        raise ReportError(
+            f"Expected a finite number for {what}, got {text}; the adaptation of this task failed, "
+            "see what `maesn adapt` reports."
+        )
+    return number
+
+
+def _grid(rows: Sequence[Mapping[str, float]], name: str, first: int, path: Path) -> Curves:
+    """Arrange one column as `[task, update]`; tasks count from 0, updates from `first`."""
+    cells = {(int(row["task"]), int(row["update"]) - first): row[name] for row in rows}
+    num_tasks, num_columns = (1 + max((cell[k] for cell in cells), default=-1) for k in (0, 1))
+    if not rows or len(cells) != len(rows) or len(cells) != num_tasks * num_columns:
+        raise ReportError(
+            f"Expected one row for each task and update in `{path}`, tasks 0 to {num_tasks - 1} "
+            f"and {num_columns} updates, got {len(rows)} rows; {_remedy(path)}."
+        )
+    return np.array(
+        [[cells[task, update] for update in range(num_columns)] for task in range(num_tasks)]
+    )
+
+
+def _remedy(path: Path) -> str:
+    return f"write `{path.name}` again with `maesn adapt`"

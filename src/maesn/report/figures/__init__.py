@@ -1,0 +1,1 @@
+"""One file per figure; each function takes typed records and returns a Matplotlib figure."""

@@ -1,0 +1,67 @@
+"""What learning curves and adaptation curves have in common."""
+
+import math
+import textwrap
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from maesn.report.style import NOTE_SIZE, MethodStyle
+
+_NUM_MARKERS = 6
+_BAND_OPACITY = 0.18
+_LEGEND_COLUMNS = 4
+_LEGEND_LINE = 0.145  # inches
+_LINE_CHARACTERS = 110  # of a note across two columns
+_HANDLE_CHARACTERS = 10  # as wide as a legend's sample line and the gap beside it
+
+Values = Float[np.ndarray, " point"]
+
+
+class Curve(NamedTuple):
+    """A line and the two ends of its band."""
+
+    x: Values
+    y: Values
+    ends: tuple[Values, Values]
+
+
+def draw_curve(axes: Axes, curve: Curve, style: MethodStyle, num_seeds: int) -> None:
+    """Draw a line and its band in its method's style; the label says if it has several seeds."""
+    axes.fill_between(curve.x, *curve.ends, color=style.colour, alpha=_BAND_OPACITY, linewidth=0)
+    axes.plot(
+        curve.x,
+        curve.y,
+        color=style.colour,
+        linestyle=style.line,
+        marker=style.marker,
+        markevery=max(1, len(curve.x) // _NUM_MARKERS),
+        markeredgecolor="white",
+        markeredgewidth=0.4,
+        label=style.label if num_seeds == 1 else f"{style.label}, {num_seeds} seeds",
+    )
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
+
+
+def percent_axis(axes: Axes, label: str) -> None:
+    """Let the vertical axis run from 0 to 100 %."""
+    axes.set_ylabel(label)
+    axes.set_ylim(-0.03, 1.03)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+
+
+def explain(figure: Figure, axes: Axes, note: str) -> None:
+    """Put a note and the legend of one panel below all panels; the figure grows by their height."""
+    handles, labels = axes.get_legend_handles_labels()
+    fitting = _LINE_CHARACTERS // (max(map(len, labels)) + _HANDLE_CHARACTERS)
+    columns = max(1, min(len(labels), _LEGEND_COLUMNS, fitting))
+    note = "\n".join(textwrap.fill(line, _LINE_CHARACTERS) for line in note.splitlines())
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=note)
+    legend.get_title().set_fontsize(NOTE_SIZE)
+    legend.get_title().set_multialignment("center")
+    lines = math.ceil(len(labels) / columns) + note.count("\n") + 1
+    figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * lines)

@@ -1,0 +1,154 @@
+"""Drawing in the plane of the world, in metres: paths, goals, limits that panels share."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+
+from maesn.report.style import BLACK, DARK_GREY, GREY
+
+# Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
+_DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))
+_ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
+
+Points = Float[np.ndarray, "point 2"]
+Positions = Float[np.ndarray, "episode time_plus_1 2"]
+
+_MARGIN = 0.05  # of the larger side
+# Overlapping discs stay translucent: this is the sum of their opacities, within limits for one.
+_DISC_INK = 2.0
+_DISC_OPACITY = (0.015, 0.2)
+
+
+class Limits(NamedTuple):
+    """A rectangle of a plane."""
+
+    low: Float[np.ndarray, "2"]
+    high: Float[np.ndarray, "2"]
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        width, height = self.high - self.low
+        return float(height / width)
+
+
+def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Limits:
+    """Return limits that hold all points, with discs of `radius` around those of the first array.
+
+    Args:
+        points: positions; NaN where an episode is over.
+        radius: in the same unit.
+    """
+    flat = [array.reshape(-1, 2) for array in points]
+    corners = np.concatenate([flat[0] - radius, flat[0] + radius, *flat[1:]])
+    low, high = np.nanmin(corners, 0), np.nanmax(corners, 0)
+    margin = max(_MARGIN * float(np.max(high - low)), 1e-3)
+    return Limits(low - margin, high + margin)
+
+
+def equal_axes(axes: Axes, limits: Limits) -> None:
+    """Give a panel limits, and the same scale in both directions."""
+    axes.set_aspect("equal")
+    axes.set_xlim(limits.low[0], limits.high[0])
+    axes.set_ylim(limits.low[1], limits.high[1])
+
+
+def plane_axes(axes: Axes, limits: Limits) -> None:
+    """Make a panel a piece of the world."""
+    equal_axes(axes, limits)
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.grid(visible=False)
+
+
+def draw_goals(axes: Axes, goals: Points, radius: float) -> None:
+    """Draw goal regions as translucent discs, and the goals in their middle."""
+    size = np.full(len(goals), 2 * radius)
+    opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
+    axes.add_collection(
+        EllipseCollection(
+            size,
+            size,
+            np.zeros(len(goals)),
+            units="xy",
+            offsets=goals,
+            offset_transform=axes.transData,
+            facecolor=GREY,
+            edgecolor="none",
+            alpha=opacity,
+            zorder=0.5,
+        )
+    )
+    axes.plot(
+        *goals.T,
+        ".",
+        color=DARK_GREY,
+        markersize=2.5,
+        markeredgewidth=0,
+        zorder=0.6,
+        label="goals",
+    )
+
+
+def draw_paths(
+    axes: Axes,
+    paths: Positions,
+    colours: str | Float[np.ndarray, "episode 4"],
+    opacity: float = 0.6,
+) -> LineCollection:
+    """Draw one line per episode and a dot where it ends."""
+    lines = LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=opacity, zorder=2)
+    axes.add_collection(lines)
+    final = final_positions(paths)
+    axes.scatter(final[:, 0], final[:, 1], c=colours, s=4, linewidths=0, zorder=2.5)
+    return lines
+
+
+def draw_start(axes: Axes, paths: Positions) -> None:
+    """Mark where episodes start."""
+    start = paths[:, 0].mean(0)
+    axes.plot(*start, "+", color=BLACK, markersize=6, markeredgewidth=1.0, zorder=3, label="start")
+
+
+def final_positions(paths: Positions) -> Float[np.ndarray, "episode 2"]:
+    """Return the last position of every episode that is not NaN."""
+    played = np.isfinite(paths).all(-1)
+    last = paths.shape[1] - 1 - np.argmax(played[:, ::-1], axis=1)
+    return np.asarray(paths[np.arange(len(paths)), last])
+
+
+def reached(goals: Points, paths: Positions, radius: float) -> Bool[np.ndarray, " point"]:
+    """Whether some episode comes within `radius` of each goal."""
+    return np.array(
+        [bool((np.linalg.norm(paths - goal, axis=-1) <= radius).any()) for goal in goals]
+    )
+
+
+def directions(points: Points) -> Float[np.ndarray, " point"]:
+    """Return the angle of each point seen from the origin, in degrees from the x axis."""
+    return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+
+
+def direction_scale(goals: Points) -> ScalarMappable:
+    """Return a colour for each direction: one end of the goals' range to the other."""
+    angles = directions(goals)
+    low = _ANGLE_STEP * float(np.floor(angles.min() / _ANGLE_STEP))
+    high = _ANGLE_STEP * float(np.ceil(angles.max() / _ANGLE_STEP))
+    return ScalarMappable(Normalize(low, max(high, low + _ANGLE_STEP)), _DIRECTION_COLOURS)
+
+
+def direction_bar(figure: Figure, axes: Sequence[Axes], scale: ScalarMappable, label: str) -> None:
+    """Explain the colours of directions, once for all panels."""
+    bar = figure.colorbar(scale, ax=list(axes), label=label, shrink=0.85, pad=0.02, aspect=25)
+    bar.outline.set_linewidth(0.6)
+    bar.ax.grid(visible=False)
+    bar.ax.yaxis.set_major_locator(MultipleLocator(_ANGLE_STEP))

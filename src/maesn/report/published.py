@@ -1,0 +1,87 @@
+"""The published adaptation curves, to be drawn beside our own where they are comparable."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from maesn.report.adaptation_table import AdaptationTable
+
+# Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
+# published; the table's header says what it is.
+_PUBLISHED_NAME = {
+    "maesn": "MAESN",
+    "latent_space": "LatentSpace",
+    "maml": "MAML",
+    "maml_bias": "MAML",
+    "maml_bias_only": "MAML",
+    "rl2": "RL2",
+    "vime": "VIME",
+    "trpo": "TRPO",
+    "reinforce": "VPG",
+}
+
+
+class _Protocol(NamedTuple):
+    """What the published returns depend on, beside the rewards of the reference code."""
+
+    sparse_radius: float
+    """Metres; also the family's own, that of a run without one."""
+    episodes_per_update: int
+
+
+_PROTOCOLS = {
+    "wheeled": _Protocol(0.8, 50),
+    "ant": _Protocol(0.8, 50),
+    "blockpush": _Protocol(0.2, 20),
+}
+
+
+@dataclass(frozen=True)
+class PublishedCurve:
+    """One published curve; updates that could not be read are absent."""
+
+    name: str
+    """The method's name in the paper."""
+    update: Float[np.ndarray, " point"]
+    mean_return: Float[np.ndarray, " point"]
+
+
+def published_curve(family: str, method: str) -> PublishedCurve | None:
+    """Return what the paper shows for a preset; None if it shows nothing."""
+    name = _PUBLISHED_NAME.get(method, "")
+    points = [
+        (float(row["update"]), float(row[name]))
+        for row in _rows()
+        if row["family"] == family and row.get(name)
+    ]
+    if not points:
+        return None
+    update, mean_return = np.array(points).T
+    return PublishedCurve(name, update, mean_return)
+
+
+def is_comparable(settings: Mapping[str, Any], table: AdaptationTable) -> bool:
+    """Whether a run's returns mean what the published ones do.
+
+    Args:
+        settings: of the run, as in `config.json`.
+        table: its adaptation.
+    """
+    protocol = _PROTOCOLS.get(settings["family"])
+    return (
+        protocol is not None
+        and settings["variant"] == "reference"
+        and settings.get("sparse_radius") in (None, protocol.sparse_radius)
+        and table.reward == "sparse"
+        and table.episodes_per_update == protocol.episodes_per_update
+    )
+
+
+def _rows() -> list[dict[str, str]]:
+    text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

@@ -1,0 +1,135 @@
+"""Which runs are seeds of one experiment, and which experiments belong into one figure."""
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from maesn.report.reading import ReportError
+from maesn.report.runs import Run
+from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
+
+# What decides whether returns can be compared at all.
+_WORLD = ("family", "variant", "sparse_radius")
+# What two seeds of one experiment may differ in: it changes nothing, or chance alone.
+_IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
+
+
+@dataclass(frozen=True)
+class Series:
+    """Runs that differ in their seed alone: one line of a figure."""
+
+    name: str
+    """For file names: the method, numbered if the figure has several series of it."""
+    style: MethodStyle
+    runs: tuple[Run, ...]
+
+    @property
+    def label(self) -> str:
+        """The method's name, with the settings in which it differs from others of that name."""
+        return self.style.label
+
+    @property
+    def method(self) -> str:
+        """The preset that the runs trained."""
+        return self.runs[0].method
+
+
+def group_worlds(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Return the runs of each world, in the order given, by a name for a directory.
+
+    A world is a family, its variant and the sparse radius. The name has the family, and the others
+    where they are needed to tell two worlds apart.
+    """
+    worlds: defaultdict[tuple[str, ...], list[Run]] = defaultdict(list)
+    for run in runs:
+        worlds[tuple(_text(run.settings.get(name)) for name in _WORLD)].append(run)
+    named: dict[str, list[Run]] = {}
+    for world, members in worlds.items():
+        others = [other for other in worlds if other[0] == world[0]]
+        parts = [world[0]]
+        parts += [world[1]] if any(other[1] != world[1] for other in others) else []
+        parts += [f"radius-{world[2]}"] if any(other[2] != world[2] for other in others) else []
+        named[re.sub(r"[^\w.]+", "-", "-".join(parts))] = members
+    return named
+
+
+def group_series(runs: Sequence[Run]) -> list[Series]:
+    """Return one series for each experiment, in the order of the methods' styles.
+
+    Raises:
+        ReportError: if two runs have the same settings, the seed included.
+    """
+    experiments: defaultdict[str, list[Run]] = defaultdict(list)
+    for run in sorted(runs, key=_method_order):
+        experiments[_text(_experiment(run))].append(run)
+    for members in experiments.values():
+        _check_seeds_differ(members)
+    firsts = [members[0] for members in experiments.values()]
+    methods = [run.method for run in firsts]
+    names = [_numbered(methods, position) for position in range(len(methods))]
+    styles = [
+        replace(style, label=style.label + _differences(run, firsts))
+        for style, run in zip(series_styles(methods), firsts, strict=True)
+    ]
+    seeds = [tuple(members) for members in experiments.values()]
+    return [Series(*parts) for parts in zip(names, styles, seeds, strict=True)]
+
+
+def _method_order(run: Run) -> int:
+    known = list(METHOD_STYLES)
+    return known.index(run.method) if run.method in known else len(known)
+
+
+def _numbered(methods: Sequence[str], position: int) -> str:
+    before = methods[:position].count(methods[position])
+    return f"{methods[position]}-{before + 1}" if before else methods[position]
+
+
+def _experiment(run: Run) -> dict[str, Any]:
+    """Return all settings that decide what is learned, by their path."""
+    settings = {name: value for name, value in run.settings.items() if name not in _IMMATERIAL}
+    return {**settings, **dict(_leaves("learner", run.learner))}
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, child in value.items():
+            yield from _leaves(f"{path}.{name}", child)
+    else:
+        yield path, value
+
+
+def _check_seeds_differ(runs: Sequence[Run]) -> None:
+    seen: dict[int, Run] = {}
+    for run in runs:
+        if run.seed in seen:
+            raise ReportError(
+                f"Expected runs with different seeds or settings, got seed {run.seed} in both "
+                f"`{seen[run.seed].path}` and `{run.path}`; give only one of them."
+            )
+        seen[run.seed] = run
+
+
+def _differences(run: Run, firsts: Sequence[Run]) -> str:
+    """Name the settings in which a run differs from other experiments with its method."""
+    rivals = [_experiment(other) for other in firsts if other.method == run.method]
+    own = _experiment(run)
+    names = [
+        name
+        for name in sorted({name for rival in rivals for name in rival})
+        if any(_text(rival.get(name)) != _text(own.get(name)) for rival in rivals)
+    ]
+    changed = [f"{_words(name)} {_text(own.get(name))}" for name in names]
+    return f" ({', '.join(changed)})" if changed else ""
+
+
+def _words(path: str) -> str:
+    return path.rpartition(".")[2].replace("_", " ")
+
+
+def _text(value: Any) -> str:
+    """Write a setting, however nested, so that equal settings give equal texts."""
+    return value if isinstance(value, str) else json.dumps(value, sort_keys=True)

@@ -1,0 +1,151 @@
+"""How every figure looks, in one place: colours, sizes, files.
+
+Figures are drawn at the width at which they are printed, so that 8 points stay 8 points. Methods
+differ in colour (Okabe and Ito, "Color universal design", 2008: distinguishable with every common
+colour blindness), in lightness, in line style and in marker, so that they survive a grey printer.
+Nothing here changes Matplotlib's global state, and no window is ever opened.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import matplotlib.style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+ONE_COLUMN = 3.3  # inches; one column of a two-column page
+TWO_COLUMNS = 6.8
+PNG_DPI = 200
+NOTE_SIZE = 7  # points
+# Matplotlib's layout of panels with equal scales settles step by step; it is still after two.
+_LAYOUT_PASSES = 3
+
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY_BLUE = "#56B4E9"
+BLUISH_GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+REDDISH_PURPLE = "#CC79A7"
+GREY = "#7F7F7F"
+DARK_GREY = "#444444"
+
+
+_SETTINGS: dict[str, Any] = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": NOTE_SIZE,
+    "legend.frameon": False,
+    "legend.handlelength": 2.6,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "savefig.dpi": PNG_DPI,
+    "pdf.fonttype": 42,  # TrueType, which publishers ask for and editors can edit
+}
+
+LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """How one method is drawn."""
+
+    label: str
+    colour: str
+    line: LineStyle
+    marker: str
+
+
+_LONG_DASH: LineStyle = (0, (6.0, 1.5))
+_DASH_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2))
+_DASH_DOT_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
+_DOTS: LineStyle = (0, (1.2, 1.2))
+_SHORT_DASH: LineStyle = (0, (3.0, 1.5))
+
+METHOD_STYLES = {
+    "maesn": MethodStyle("MAESN", VERMILLION, "-", "o"),
+    "maesn_theta": MethodStyle("MAESN + θ", ORANGE, _LONG_DASH, "D"),
+    "latent_space": MethodStyle("LatentSpace", BLUE, _DASH_DOT, "s"),
+    "maml": MethodStyle("MAML", BLUISH_GREEN, _LONG_DASH, "^"),
+    "maml_bias": MethodStyle("MAML + bias", SKY_BLUE, _DASH_DOT_DOT, "v"),
+    "maml_bias_only": MethodStyle("MAML, bias only", REDDISH_PURPLE, _DOTS, "P"),
+    "rl2": MethodStyle("RL²", BLACK, _SHORT_DASH, "X"),
+    "vime": MethodStyle("VIME", BLUE, _DOTS, "h"),
+    "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),
+    "reinforce": MethodStyle("REINFORCE", GREY, _DOTS, ">"),
+}
+
+# For what has no style of its own, and for a second experiment with the same method.
+_SPARE = (
+    MethodStyle("", BLUE, _SHORT_DASH, "*"),
+    MethodStyle("", BLACK, _DASH_DOT, "d"),
+    MethodStyle("", BLUISH_GREEN, _SHORT_DASH, "p"),
+    MethodStyle("", REDDISH_PURPLE, _LONG_DASH, "X"),
+    MethodStyle("", ORANGE, _DASH_DOT_DOT, "v"),
+    MethodStyle("", SKY_BLUE, "-", "s"),
+)
+
+
+def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
+    """Return a style for each line of a figure; the first of a method gets the method's own."""
+    styles: list[MethodStyle] = []
+    spare = 0
+    for position, method in enumerate(methods):
+        own = METHOD_STYLES.get(method)
+        if own is not None and method not in methods[:position]:
+            styles.append(own)
+            continue
+        label = own.label if own is not None else method
+        styles.append(replace(_SPARE[spare % len(_SPARE)], label=label))
+        spare += 1
+    return styles
+
+
+@contextmanager
+def publication_style() -> Iterator[None]:
+    """Draw in this style inside the block, whatever the user's own Matplotlib settings are."""
+    with matplotlib.style.context(["default", _SETTINGS]):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure that no window system knows of.
+
+    Args:
+        width: inches, `ONE_COLUMN` or `TWO_COLUMNS`.
+        height: inches.
+    """
+    figure = Figure(figsize=(width, height), layout="compressed")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write `<name>.png` and `<name>.pdf`; the same figure gives the same bytes every time."""
+    directory.mkdir(parents=True, exist_ok=True)
+    files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
+    with publication_style():
+        for _ in range(_LAYOUT_PASSES):
+            figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        for file in files:
+            dated = {"CreationDate": None} if file.suffix == ".pdf" else None
+            figure.savefig(file, metadata=dated)
+    return files

@@ -1,0 +1,165 @@
+"""Summaries of adaptation, with intervals, for the terminal and as Markdown."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from maesn.report.adaptation_table import MEASURES, AdaptationTable, read_adaptation, stack_seeds
+from maesn.report.statistics import Interval, difference_interval, mean_intervals
+
+
+class Unit(NamedTuple):
+    """How one measure is printed."""
+
+    heading: str
+    scale: float = 1.0
+    digits: int = 1
+
+    def number(self, value: float, sign: str = "") -> str:
+        """Return the number as text; `sign` as in format specifications."""
+        return format(self.scale * value, f"{sign}.{self.digits}f")
+
+
+_PERCENT = 100.0
+UNITS: dict[str, Unit] = {
+    "mean_return": Unit("return"),
+    "goal_return": Unit("goal return"),
+    "success_rate": Unit("reaches goal (%)", _PERCENT),
+    "final_success_rate": Unit("ends at goal (%)", _PERCENT),
+    "time_in_region": Unit("time at goal (%)", _PERCENT),
+}
+
+
+@dataclass(frozen=True)
+class IntervalTable:
+    """Rows of intervals, one column per measure."""
+
+    title: str
+    headings: tuple[str, ...]
+    """Of the leading columns that name a row."""
+    names: tuple[tuple[str, ...], ...]
+    """What each row is."""
+    cells: tuple[tuple[Interval, ...], ...]
+    """One interval per row and measure."""
+    sign: str = ""
+    """`"+"` where a number is a difference."""
+
+    @property
+    def labels(self) -> str:
+        """What the intervals are and resample."""
+        return "; or ".join(dict.fromkeys(cell.label for row in self.cells for cell in row))
+
+    def to_rich(self) -> Table:
+        """Return a table for the terminal: the mean and half the width of its interval.
+
+        Fits into 80 columns; `to_markdown` has both ends.
+        """
+        table = Table(title=self.title, caption=f"± half the {self.labels}", box=None)
+        for heading in self.headings:
+            table.add_column(heading, justify="right")
+        rows = [self._texts(cells, self._short) for cells in self.cells]
+        for measure, column in zip(MEASURES, zip(*rows, strict=True), strict=True):
+            # A heading may be broken into lines, a number may not.
+            width = max(map(len, column))
+            table.add_column(UNITS[measure].heading, justify="right", min_width=width)
+        for names, texts in zip(self.names, rows, strict=True):
+            table.add_row(*(Text(text) for text in (*names, *texts)))
+        return table
+
+    def to_markdown(self) -> str:
+        """Return a Markdown table with the mean and both ends of its interval."""
+        heads = (*self.headings, *(UNITS[measure].heading for measure in MEASURES))
+        lines = [f"**{self.title}**", "", _row(heads), _row(["---:"] * len(heads))]
+        for names, cells in zip(self.names, self.cells, strict=True):
+            lines.append(_row((*names, *self._texts(cells, self._full))))
+        return "\n".join([*lines, "", f"In brackets: {self.labels}.", ""])
+
+    def write_markdown(self, path: Path) -> None:
+        """Write the Markdown table to a file; its directory is made if need be."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(self.to_markdown(), encoding="utf-8")
+
+    def _texts(self, cells: Sequence[Interval], write: Callable[[Interval, str], str]) -> list[str]:
+        return [write(cell, measure) for cell, measure in zip(cells, MEASURES, strict=True)]
+
+    def _short(self, interval: Interval, measure: str) -> str:
+        mean = UNITS[measure].number(interval.mean, self.sign)
+        if not interval.is_known:
+            return mean
+        return f"{mean} ±{UNITS[measure].number((interval.high - interval.low) / 2)}"
+
+    def _full(self, interval: Interval, measure: str) -> str:
+        mean = UNITS[measure].number(interval.mean, self.sign)
+        if not interval.is_known:
+            return mean
+        ends = (UNITS[measure].number(end, self.sign) for end in (interval.low, interval.high))
+        return f"{mean} [{', '.join(ends)}]"
+
+
+def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTable:
+    """Summarise adaptation, update by update.
+
+    Args:
+        tables: one per seed of the same method, adapted to the same tasks.
+        title: of the table.
+    """
+    intervals = [mean_intervals(stack_seeds(tables, measure)) for measure in MEASURES]
+    return IntervalTable(
+        title,
+        ("update", "episodes"),
+        tuple(
+            (str(update), str(count))
+            for update, count in zip(tables[0].updates, tables[0].episodes, strict=True)
+        ),
+        tuple(zip(*intervals, strict=True)),
+    )
+
+
+def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
+    """Show one file of `maesn adapt` in the terminal.
+
+    Args:
+        path: of the table.
+        console: where it goes; None for standard output.
+
+    Raises:
+        ReportError: if the file is missing or broken.
+    """
+    table = summary_table([read_adaptation(path)], f"Adaptation: {path.stem}")
+    (Console() if console is None else console).print(table.to_rich())
+
+
+def difference_table(
+    reference: Sequence[AdaptationTable],
+    others: Mapping[str, Sequence[AdaptationTable]],
+    title: str,
+    update: int = -1,
+) -> IntervalTable:
+    """Compare methods with a reference on the same tasks: method minus reference, paired.
+
+    Args:
+        reference: one table per seed.
+        others: for each method's name, one table per seed.
+        title: of the table.
+        update: after how many updates; -1 for each method's last.
+    """
+    cells = tuple(
+        tuple(
+            difference_interval(
+                stack_seeds(tables, measure)[..., update],
+                stack_seeds(reference, measure)[..., update],
+            )
+            for measure in MEASURES
+        )
+        for tables in others.values()
+    )
+    return IntervalTable(title, ("method",), tuple((name,) for name in others), cells, sign="+")
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

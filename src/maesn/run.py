@@ -1,0 +1,249 @@
+"""Run directories: everything about one training run, and nothing that could be executed.
+
+```
+DIR/config.json      settings, learner, versions, digest of the training tasks
+DIR/tasks.npz        the training tasks, if they are a user's own
+DIR/checkpoints/     iteration-000000.safetensors (untrained), iteration-000010.safetensors, ...
+DIR/metrics.jsonl    one line per iteration, the same whenever the run is repeated
+DIR/timing.jsonl     one line per iteration, never the same
+DIR/tensorboard/     events for TensorBoard
+```
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from maesn.axes import Key
+from maesn.checkpoint import CheckpointStore, Snapshot
+from maesn.envs import SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
+from maesn.learners import AbstractMetaLearner
+from maesn.run_config import (
+    SCHEMA,
+    RunConfig,
+    RunSettings,
+    make_env,
+    new_config,
+    read_config,
+    write_config,
+)
+from maesn.serialization import digest
+from maesn.storage import RunError, new_directory
+from maesn.task_sources import (
+    find_tasks,
+    load_tasks,
+    recorded_family,
+    resolve_family,
+    save_tasks,
+)
+from maesn.worlds import AbstractWorld, make_world
+
+CHECKPOINTS = "checkpoints"
+TASKS = "tasks.npz"
+
+# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
+# instead would yield the keys of iterations 0 and 1 a second time.
+_UNTRAINED = 0xFFFFFFFF
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """One run: what `config.json` says, and the checkpoints beside it.
+
+    Made by `Run.create` or `Run.open`.
+    """
+
+    directory: Path
+    config: RunConfig
+    family: TaskFamily
+    training_tasks: TaskSet
+
+    @property
+    def settings(self) -> RunSettings:
+        """Where, on what, how long."""
+        return self.config.settings
+
+    @property
+    def learner(self) -> AbstractMetaLearner[Any, Any]:
+        """The method and its settings."""
+        return self.config.learner
+
+    @classmethod
+    def create(
+        cls,
+        directory: str | Path,
+        learner: AbstractMetaLearner[Any, Any],
+        settings: RunSettings,
+        family: TaskFamily | None = None,
+    ) -> "Run":
+        """Make a new run directory with the untrained state in it.
+
+        Args:
+            directory: must be empty or not exist.
+            learner: the method and its settings.
+            settings: of the run.
+            family: a family of your own; None for the one that `settings.family` names.
+
+        Raises:
+            RunError: the directory is in use or cannot be written, or a setting is wrong.
+        """
+        if family is None:
+            family = resolve_family(settings.family)
+        else:
+            settings = dataclasses.replace(settings, family=family.name)
+        tasks = find_tasks(settings.tasks, family)
+        config = new_config(settings, learner, family, tasks)
+        run = cls(Path(directory), config, family, tasks)
+        with new_directory(run.directory):
+            (run.directory / CHECKPOINTS).mkdir()
+            if settings.tasks not in SETS:
+                save_tasks(run.directory / TASKS, tasks, family)
+            run.save_state(run.untrained_state())
+            # Last, so that a directory with this file in it is a whole run.
+            write_config(run.directory, run.config)
+        return run
+
+    @classmethod
+    def open(cls, directory: str | Path, family: str | TaskFamily | None = None) -> "Run":
+        """Open a run directory. Nothing that stands in it is executed.
+
+        Args:
+            directory: of an earlier run.
+            family: the run's family, if it is your own: itself, or `module:name`.
+
+        Raises:
+            RunError: there is no run, or not one that can be understood.
+        """
+        directory = Path(directory)
+        config = read_config(directory)
+        found = recorded_family(config.family, family)
+        name = config.settings.tasks
+        tasks = find_tasks(name, found) if name in SETS else load_tasks(directory / TASKS, found)
+        if tasks.digest() != config.task_digest:
+            raise RunError(
+                f"`{directory}` was trained on the task set {config.task_digest}, but its tasks "
+                f"`{name}` of family `{found.name}` are now the task set {tasks.digest()}: restore "
+                "what it was made with."
+            )
+        return cls(directory, config, found, tasks)
+
+    def env(self, reward_kind: RewardKind | None = None) -> AnyEnv:
+        """Return the run's environment.
+
+        Args:
+            reward_kind: dense or sparse; None for that of training.
+        """
+        return make_env(self.family, self.settings, reward_kind)
+
+    def task_set(self, name: str | Path = "training") -> TaskSet:
+        """Return tasks of the run's family.
+
+        Args:
+            name: `training` for what this run trains on, `validation` or `test` for those sets of
+                the family, or the path of an `.npz` file.
+
+        Raises:
+            RunError: there is no such set, or the file cannot be used.
+        """
+        return self.training_tasks if name == "training" else find_tasks(name, self.family)
+
+    def world(
+        self, tasks: TaskSet | None = None, reward_kind: RewardKind | None = None
+    ) -> AbstractWorld:
+        """Return a world to play in.
+
+        Args:
+            tasks: None for what this run trains on.
+            reward_kind: dense or sparse; None for that of training.
+        """
+        tasks = self.training_tasks if tasks is None else tasks
+        return make_world(self.env(reward_kind), tasks, num_threads=self.settings.num_threads)
+
+    def iteration_key(self, iteration: int) -> Key:
+        """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
+        return jax.random.fold_in(jax.random.key(self.settings.seed), np.uint32(iteration))
+
+    def untrained_state(self) -> Any:
+        """Return the state that the seed says.
+
+        Raises:
+            RunError: the learner does not fit the tasks.
+        """
+        try:
+            return _init(*self._init_arguments())
+        except ValueError as error:
+            raise RunError(str(error)) from error
+
+    def checkpoints(self) -> list[Path]:
+        """Return the paths of all checkpoints, the earliest first."""
+        return self._store().paths()
+
+    def save_state(self, state: Any, environment_steps: int = 0) -> Path:
+        """Write a checkpoint and return its path.
+
+        Args:
+            state: of the learner.
+            environment_steps: control steps that were played for it.
+
+        Raises:
+            RunError: it cannot be written.
+        """
+        iteration = int(self.learner.iteration(state))
+        return self._store().save(Snapshot(state, iteration, environment_steps))
+
+    def latest_state(self) -> Any:
+        """Return the state of the latest checkpoint; see `latest`."""
+        return self.latest().state
+
+    def latest(self) -> Snapshot:
+        """Return the latest checkpoint that is sound, saying so if a later one is not.
+
+        Raises:
+            RunError: no checkpoint is sound.
+            MismatchError: the latest sound one belongs to something else than this run.
+        """
+        return self._store().latest(self.structure())
+
+    def load(self, path: str | Path) -> Snapshot:
+        """Read one checkpoint of this run.
+
+        Raises:
+            CheckpointError: it is damaged.
+            MismatchError: it belongs to another schema, family, method, task set or learner.
+        """
+        return self._store().load(Path(path), self.structure())
+
+    def _store(self) -> CheckpointStore:
+        identity = {
+            "schema": str(SCHEMA),
+            "family": self.config.family,
+            "method": self.settings.method,
+            "task set": self.config.task_digest,
+            "learner": digest(self.learner),
+        }
+        return CheckpointStore(self.directory / CHECKPOINTS, identity)
+
+    def structure(self, num_tasks: int | None = None) -> Any:
+        """Return the shapes and types of a state, for that many tasks if not for the run's own."""
+        return eqx.filter_eval_shape(_init, *self._init_arguments(num_tasks))
+
+    def _init_arguments(self, num_tasks: int | None = None) -> tuple[Any, ...]:
+        env, key = self.env(), self.iteration_key(_UNTRAINED)
+        rows = len(self.training_tasks) if num_tasks is None else num_tasks
+        return self.learner, key, env.observation_size, env.action_size, rows
+
+
+@eqx.filter_jit
+def _init(
+    learner: AbstractMetaLearner[Any, Any],
+    key: Key,
+    observation_size: int,
+    action_size: int,
+    num_tasks: int,
+) -> Any:
+    # One program instead of many small ones takes half the time to compile.
+    return learner.init(key, observation_size, action_size, num_tasks)

@@ -1,0 +1,202 @@
+"""`config.json`: everything that is needed to rebuild a run, as numbers and names."""
+
+import dataclasses
+import importlib.metadata
+import platform
+from pathlib import Path
+from typing import Any
+
+from maesn.envs import AbstractMujocoEnv, AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
+from maesn.learners import AbstractMetaLearner
+from maesn.serialization import fields_from_json, fields_to_json, from_json, to_json
+from maesn.storage import RunError, read_json, write_json
+
+# Version of the layout of run directories. It grows when an older reader would misunderstand.
+SCHEMA = 1
+
+CONFIG = "config.json"
+
+_ENTRIES = {
+    "settings": dict,
+    "learner": dict,
+    "family": str,
+    "task_digest": str,
+    "engine": str,
+    "versions": dict,
+}
+
+_PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSettings:
+    """What a run does beside learning: where, on what, how long."""
+
+    method: str = "maesn"
+    """Name of the preset that the learner was made with; for people, and for error messages."""
+    family: str = "wheeled"
+    """Family of tasks: one that comes with the library, or `module:name` of your own."""
+    variant: Variant = "reference"
+    """Rewards of the code behind the published curves, or as printed in the paper."""
+    reward: RewardKind = "dense"
+    """Reward in training. The paper trains on dense reward and adapts to sparse."""
+    sparse_radius: float | None = None
+    """Metres around the goal in which sparse reward tells the distance; None: the family's own."""
+    tasks: str = "training"
+    """Tasks to train on: training, validation, test, or the path of an `.npz` file."""
+    seed: int = 0
+    """Every random draw of the run follows from this number."""
+    iterations: int = 300
+    """Meta-iterations in total."""
+    episodes_per_task: int = 20
+    """Episodes that are played of each task before, and again after, an inner update."""
+    checkpoint_every: int = 10
+    """Iterations between two checkpoints; one more is written at the end and on Ctrl-C."""
+    num_threads: int = 0
+    """Threads of the physics engine; 0: one for each CPU."""
+
+    def __post_init__(self) -> None:
+        smallest = {
+            "seed": 0,
+            "iterations": 0,
+            "episodes_per_task": 1,
+            "checkpoint_every": 1,
+            "num_threads": 0,
+        }
+        for name, least in smallest.items():
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        if self.seed >= 2**32:  # JAX would silently take it modulo 2^32
+            raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
+        if self.sparse_radius is not None and not self.sparse_radius > 0:
+            raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """The content of `config.json`."""
+
+    settings: RunSettings
+    learner: AbstractMetaLearner[Any, Any]
+    family: str
+    """The family's own name, by which it is found again."""
+    task_digest: str
+    """Digest of the training tasks."""
+    engine: str
+    """What moves the world."""
+    versions: dict[str, str]
+    """Of Python and of the packages that took part."""
+
+
+def new_config(
+    settings: RunSettings,
+    learner: AbstractMetaLearner[Any, Any],
+    family: TaskFamily,
+    tasks: TaskSet,
+) -> RunConfig:
+    """Return what a new run will write down.
+
+    Raises:
+        RunError: the learner cannot be stored.
+    """
+    try:
+        # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
+        stored = from_json(to_json(learner))
+    except ValueError as error:
+        raise RunError(str(error)) from error
+    assert isinstance(stored, AbstractMetaLearner)
+    on_host = isinstance(make_env(family, settings), AbstractMujocoEnv)
+    return RunConfig(
+        settings=settings,
+        learner=stored,
+        family=family.name,
+        task_digest=tasks.digest(),
+        engine="mujoco.batch" if on_host else "jax",
+        versions=installed_versions(),
+    )
+
+
+def make_env(
+    family: TaskFamily, settings: RunSettings, reward_kind: RewardKind | None = None
+) -> AnyEnv:
+    """Return the environment that the settings ask for.
+
+    Args:
+        family: whose environment.
+        settings: of the run.
+        reward_kind: dense or sparse; None for that of training.
+    """
+    options: dict[str, Any] = {
+        "variant": settings.variant,
+        "reward_kind": settings.reward if reward_kind is None else reward_kind,
+    }
+    if settings.sparse_radius is not None:
+        options["sparse_radius"] = settings.sparse_radius
+    return family.make_env(**options)
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions that decide whether a run can be repeated bit for bit."""
+    packages = {name: importlib.metadata.version(name) for name in _PACKAGES}
+    return {"python": platform.python_version(), **packages}
+
+
+def write_config(directory: Path, config: RunConfig) -> None:
+    """Write `config.json`.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    document = {
+        "schema": SCHEMA,
+        "settings": fields_to_json(config.settings),
+        "learner": to_json(config.learner),
+        "family": config.family,
+        "task_digest": config.task_digest,
+        "engine": config.engine,
+        "versions": config.versions,
+    }
+    write_json(directory / CONFIG, document)
+
+
+def read_config(directory: Path) -> RunConfig:
+    """Read `config.json`.
+
+    Raises:
+        RunError: the file is missing or not what `write_config` writes.
+    """
+    path = directory / CONFIG
+    if not path.is_file():
+        raise RunError(
+            f"there is no run in `{directory}`: `{CONFIG}` is missing. Name a directory that "
+            "`maesn train` has made."
+        )
+    document = read_json(path)
+    if document.get("schema") != SCHEMA:
+        raise RunError(
+            f"`{path}` has schema {document.get('schema')!r}, but this version of maesn reads "
+            f"schema {SCHEMA}: install the version that made the run."
+        )
+    try:
+        return _parse(document)
+    except ValueError as error:
+        raise RunError(f"`{path}` cannot be understood: {error}") from error
+
+
+def _parse(document: dict[str, Any]) -> RunConfig:
+    for name, kind in _ENTRIES.items():
+        found = document.get(name)
+        if not isinstance(found, kind):
+            raise ValueError(f"`{name}` must be of type {kind.__name__}, got {found!r}.")
+    learner = from_json(document["learner"])
+    if not isinstance(learner, AbstractMetaLearner):
+        raise ValueError(f"`learner` must be a meta-learner, got {type(learner).__name__}.")
+    return RunConfig(
+        settings=fields_from_json(RunSettings, document["settings"]),
+        learner=learner,
+        family=document["family"],
+        task_digest=document["task_digest"],
+        engine=document["engine"],
+        versions={name: str(version) for name, version in document["versions"].items()},
+    )

@@ -1,0 +1,210 @@
+"""What a run writes down of every iteration: JSON lines, and events for TensorBoard."""
+
+import contextlib
+import json
+import logging
+import math
+import os
+import socket
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.proto.summary_pb2 import Summary
+from tensorboardX.record_writer import RecordWriter
+
+from maesn.storage import explained
+
+logger = logging.getLogger(__name__)
+
+METRICS = "metrics.jsonl"
+TIMING = "timing.jsonl"
+TENSORBOARD = "tensorboard"
+
+# Entries that are known under another name on a TensorBoard. Others with a path in their name
+# keep it, and the rest goes to `charts/`.
+_TAGS = {
+    "return_before": "returns/before",
+    "return_after": "returns/after",
+    "success_after": "success/after",
+}
+
+
+# Made by the protocol compiler, without types.
+_Event: TypeAlias = Any
+
+
+class Progress(NamedTuple):
+    """One finished iteration."""
+
+    iteration: int
+    """Iterations so far, this one included."""
+    info: dict[str, float]
+    """What the learner says of it, by path: `return_after`, `trust_region/kl`, ..."""
+    seconds: float
+    """Wall time of the iteration, compilation included."""
+    compile_seconds: float
+    """The part of `seconds` in which programs were compiled: the first iteration, mostly."""
+    steps_per_second: float
+    """Control steps per second of the time without compilation."""
+    environment_steps: int
+    """Control steps so far."""
+
+
+class JsonLines:
+    """A file with one JSON object for each iteration, which can be cut back to any of them."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with explained("open", path):
+            # Unbuffered: what could not be written must not be tried again later.
+            self._file = path.open("a+b", buffering=0)
+
+    def cut(self, iterations: int) -> None:
+        """Keep the lines of iterations 1 ... `iterations`, and nothing after them."""
+        kept = end = 0
+        with explained("write", self._path):
+            for line in self._path.read_bytes().splitlines(keepends=True):
+                if kept == iterations or _iteration(line) != kept + 1:
+                    break
+                kept += 1
+                end += len(line)
+            self._file.truncate(end)
+        if kept < iterations:
+            logger.warning(
+                "`%s` holds only %d of the %d iterations before this one; the rest is lost, but "
+                "not for the learner.",
+                self._path,
+                kept,
+                iterations,
+            )
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Write one line. What is not finite becomes null, for JSON has no word for it."""
+        finite = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in record.items()
+        }
+        with explained("write", self._path):
+            line = json.dumps(finite, allow_nan=False).encode() + b"\n"
+            while line:  # a disk that is nearly full takes a part of it
+                line = line[self._file.write(line) :]
+
+    def sync(self) -> None:
+        """Make all lines survive a power cut."""
+        with explained("write", self._path):
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class EventLog:
+    """Events for TensorBoard, written at once and in this thread.
+
+    `tensorboardX.SummaryWriter` would hand them to a thread of its own. If that one dies, of a full
+    disk for example, the next event waits for it for ever.
+    """
+
+    def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
+        self._directory = directory
+        # TensorBoard looks for "tfevents". The iteration tells processes apart that begin within
+        # the same second.
+        name = f"events.out.tfevents.{int(time.time())}.{socket.gethostname()}.{iteration}"
+        with explained("write", directory):
+            directory.mkdir(exist_ok=True)
+            self._records = RecordWriter(str(directory / name))
+        self._write(Event(file_version="brain.Event:2"))
+        if iteration:
+            # Tells TensorBoard to hide what an earlier process wrote of later steps.
+            start = SessionLog(status=SessionLog.START)
+            self._write(Event(step=environment_steps + 1, session_log=start))
+
+    def append(self, scalars: Mapping[str, float], environment_steps: int) -> None:
+        """Write one iteration: tag -> value."""
+        values = [Summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
+        self._write(Event(step=environment_steps, summary=Summary(value=values)))
+
+    def sync(self) -> None:
+        """Make all events survive a power cut."""
+        with explained("write", self._directory):
+            self._records.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        with explained("write", self._directory):
+            self._records.close()
+
+    def _write(self, event: _Event) -> None:
+        event.wall_time = time.time()
+        with explained("write", self._directory):
+            self._records.write(event.SerializeToString())
+
+
+class RunLog:
+    """The log files of a run directory. Only one process may have them open.
+
+    Args:
+        directory: of the run.
+        iteration: iterations so far; what was written of later ones is forgotten.
+        environment_steps: control steps so far.
+    """
+
+    def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
+        with contextlib.ExitStack() as stack:
+            self._metrics = JsonLines(directory / METRICS)
+            stack.callback(self._metrics.close)
+            self._timing = JsonLines(directory / TIMING)
+            stack.callback(self._timing.close)
+            self._events = EventLog(directory / TENSORBOARD, iteration, environment_steps)
+            stack.callback(self._events.close)
+            self.cut(iteration)
+            # Closes what was opened, now if something failed and later if not; and all of it, even
+            # if a file cannot be closed.
+            self._closing = stack.pop_all()
+
+    def cut(self, iteration: int) -> None:
+        """Keep the lines of iterations 1 ... `iteration`."""
+        self._metrics.cut(iteration)
+        self._timing.cut(iteration)
+
+    def write(self, progress: Progress) -> None:
+        """Write down one iteration.
+
+        Raises:
+            RunError: the disk is full, or the like.
+        """
+        steps = {"environment_steps": progress.environment_steps}
+        timing = {
+            "seconds": progress.seconds,
+            "compile_seconds": progress.compile_seconds,
+            "steps_per_second": progress.steps_per_second,
+        }
+        self._timing.append({"iteration": progress.iteration, **steps, **timing})
+        self._metrics.append({"iteration": progress.iteration, **steps, **progress.info})
+        scalars = {_TAGS.get(name, name): value for name, value in progress.info.items()}
+        scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
+        tagged = {n if "/" in n else f"charts/{n}": value for n, value in scalars.items()}
+        self._events.append(tagged, progress.environment_steps)
+
+    def sync(self) -> None:
+        """Make all that was written survive the end of the process, and a power cut."""
+        self._metrics.sync()
+        self._timing.sync()
+        self._events.sync()
+
+    def close(self) -> None:
+        """Close all files."""
+        self._closing.close()
+
+
+def _iteration(line: bytes) -> Any:
+    """Return the iteration of a line; None if the line is not whole."""
+    try:
+        record = json.loads(line) if line.endswith(b"\n") else None
+    except ValueError:
+        return None
+    return record.get("iteration") if isinstance(record, dict) else None

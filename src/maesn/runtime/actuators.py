@@ -1,0 +1,50 @@
+"""From the policy's unbounded actions to what the actuators are sent."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from maesn.runtime.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """control = clip(offset + scale * action, lower, upper), elementwise.
+
+    The map that the policy was trained with. The policy does not know it: likelihoods belong to
+    the unbounded action, and the environment scaled and clipped it.
+
+    Attributes:
+        offset: control for the action 0, in the actuators' unit, `[action]`.
+        scale: change of the control per unit of action.
+        lower: smallest control; -inf if there is none.
+        upper: largest control; inf if there is none.
+    """
+
+    offset: FloatArray
+    scale: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def control(self, action: FloatArray) -> FloatArray:
+        """Return what is sent for an action, `[action]`."""
+        return clipped(self.offset + self.scale * action, self.lower, self.upper)
+
+    def narrowed(self, lower: FloatArray, upper: FloatArray) -> "Actuators":
+        """Return the same map with a range that lies within [lower, upper] as well.
+
+        Raises:
+            ValueError: no control is left.
+        """
+        low, high = np.maximum(self.lower, lower), np.minimum(self.upper, upper)
+        if (low > high).any():
+            raise ValueError(
+                f"`lower` {lower} and `upper` {upper} leave no control: `lower` must be at most "
+                f"`upper`, and the policy's own range is {self.lower} to {self.upper}."
+            )
+        return Actuators(self.offset, self.scale, low, high)
+
+
+def clipped(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return `values` within limits. `np.clip` takes several times as long on two numbers."""
+    return np.minimum(np.maximum(values, lower), upper)

@@ -1,0 +1,74 @@
+"""Checked conversion of what comes from outside: observations, rewards, arrays of a file."""
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+Arrays: TypeAlias = dict[str, NDArray[np.generic]]
+
+
+def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> FloatArray:
+    """Return a copy of `values` in double precision, or refuse it.
+
+    A copy, because robots reuse their buffers: `data.qpos` of a simulator is overwritten in place.
+
+    Args:
+        name: of the argument, for the message.
+        values: what the caller gave.
+        size: the number of components that it must have.
+        reason: why it must have that size, for the message.
+
+    Raises:
+        ValueError: not `size` finite numbers.
+    """
+    try:
+        vector = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must hold {size} numbers, got {values!r}.") from error
+    if vector.shape != (size,):
+        raise ValueError(
+            f"`{name}` must have shape ({size},), {reason}, but has shape {vector.shape}."
+        )
+    finite = np.isfinite(vector)
+    if not finite.all():
+        index = int(np.argmin(finite))
+        raise ValueError(
+            f"`{name}` must be finite, but component {index} is {vector[index]}. Nothing was "
+            "recorded: give finite values, or throw the episode away with `discard()`."
+        )
+    return vector
+
+
+def take(
+    arrays: Mapping[str, NDArray[np.generic]],
+    name: str,
+    *shape: int,
+    allow_infinite: bool = False,
+) -> FloatArray:
+    """Return one array of a file in double precision, or say what is wrong with it.
+
+    Args:
+        arrays: the arrays of the file by name.
+        name: of the array.
+        shape: sizes that it must have; -1 for any.
+        allow_infinite: whether infinities are meant, as in limits that do not exist.
+
+    Raises:
+        ValueError: it is missing, of another shape, or not a number.
+    """
+    if name not in arrays:
+        raise ValueError(f"array `{name}` is missing from the file; write it again.")
+    array = arrays[name]
+    wanted = tuple("any" if size < 0 else size for size in shape)
+    fits = array.ndim == len(shape) and all(
+        size in (-1, actual) for size, actual in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"array `{name}` must have the shape {wanted}, but has {array.shape}.")
+    numbers = array.astype(np.float64) if array.dtype.kind in "fiu" else np.full(1, np.nan)
+    if not (np.isfinite(numbers) | (allow_infinite & np.isinf(numbers))).all():
+        raise ValueError(f"array `{name}` must hold finite numbers; the file is damaged.")
+    return numbers

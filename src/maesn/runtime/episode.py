@@ -1,0 +1,130 @@
+"""What a robot remembers of its episodes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.arrays import Arrays, FloatArray, take
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A finished episode of T steps.
+
+    Attributes:
+        latent: z, drawn once at the start, `[latent]`.
+        observations: o_t before each action, t in [0, T-1], `[time, observation]`.
+        actions: the policy's own, unbounded actions, `[time, action]`.
+        controls: what was executed, in the actuators' unit, `[time, action]`.
+        rewards: r_t of the step that began at o_t, `[time]`.
+    """
+
+    latent: FloatArray
+    observations: FloatArray
+    actions: FloatArray
+    controls: FloatArray
+    rewards: FloatArray
+
+    @property
+    def undiscounted_return(self) -> float:
+        """sum_t r_t."""
+        return float(self.rewards.sum())
+
+
+@dataclass
+class RunningEpisode:
+    """The episode that is being played."""
+
+    latent: FloatArray
+    observations: list[FloatArray] = field(default_factory=list)
+    actions: list[FloatArray] = field(default_factory=list)
+    controls: list[FloatArray] = field(default_factory=list)
+
+    @property
+    def num_steps(self) -> int:
+        """Number of actions taken so far."""
+        return len(self.actions)
+
+    def add(self, observation: FloatArray, action: FloatArray, control: FloatArray) -> None:
+        """Remember one step."""
+        self.observations.append(observation)
+        self.actions.append(action)
+        self.controls.append(control)
+
+    def finished(self, rewards: FloatArray) -> Episode:
+        """Return the episode with its rewards, one for each step."""
+        return Episode(
+            self.latent,
+            np.stack(self.observations),
+            np.stack(self.actions),
+            np.stack(self.controls),
+            rewards,
+        )
+
+    def arrays(self, observation_size: int, action_size: int) -> Arrays:
+        """Return the arrays that a file keeps of this episode."""
+        shape = (self.num_steps, action_size)
+        return {
+            "running.latent": self.latent,
+            "running.observations": np.reshape(
+                self.observations, (self.num_steps, observation_size)
+            ).astype(np.float64),
+            "running.actions": np.reshape(self.actions, shape).astype(np.float64),
+            "running.controls": np.reshape(self.controls, shape).astype(np.float64),
+        }
+
+    @staticmethod
+    def from_arrays(
+        arrays: Mapping[str, NDArray[np.generic]],
+        observation_size: int,
+        action_size: int,
+        latent_size: int,
+    ) -> "RunningEpisode":
+        """Return the running episode of a file; raises ValueError if its arrays do not fit."""
+        observations = take(arrays, "running.observations", -1, observation_size)
+        shape = (observations.shape[0], action_size)
+        return RunningEpisode(
+            take(arrays, "running.latent", latent_size),
+            list(observations),
+            list(take(arrays, "running.actions", *shape)),
+            list(take(arrays, "running.controls", *shape)),
+        )
+
+
+def episodes_to_arrays(episodes: Sequence[Episode]) -> Arrays:
+    """Return the arrays that a file keeps of a batch: episodes of any lengths, joined in time."""
+    if not episodes:
+        return {}
+    return {
+        "episodes.length": np.asarray([len(episode.rewards) for episode in episodes]),
+        "episodes.latents": np.stack([episode.latent for episode in episodes]),
+        "episodes.observations": np.concatenate([e.observations for e in episodes]),
+        "episodes.actions": np.concatenate([e.actions for e in episodes]),
+        "episodes.controls": np.concatenate([e.controls for e in episodes]),
+        "episodes.rewards": np.concatenate([e.rewards for e in episodes]),
+    }
+
+
+def episodes_from_arrays(
+    arrays: Mapping[str, NDArray[np.generic]],
+    observation_size: int,
+    action_size: int,
+    latent_size: int,
+) -> tuple[Episode, ...]:
+    """Return the batch of a file; raises ValueError if its arrays do not fit."""
+    if "episodes.length" not in arrays:
+        return ()
+    length = take(arrays, "episodes.length", -1).astype(np.int64)
+    steps = int(length.sum())
+    latents = take(arrays, "episodes.latents", length.shape[0], latent_size)
+    joined = (
+        take(arrays, "episodes.observations", steps, observation_size),
+        take(arrays, "episodes.actions", steps, action_size),
+        take(arrays, "episodes.controls", steps, action_size),
+        take(arrays, "episodes.rewards", steps),
+    )
+    ends = np.cumsum(length)[:-1]
+    parts = zip(latents, *(np.split(array, ends) for array in joined), strict=True)
+    return tuple(Episode(*part) for part in parts)

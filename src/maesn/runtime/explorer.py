@@ -1,0 +1,238 @@
+"""A robot that explores with a meta-learned policy and learns from what it finds."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maesn.runtime.arrays import FloatArray, finite_vector
+from maesn.runtime.episode import Episode, RunningEpisode
+from maesn.runtime.exported import ExportedPolicy
+from maesn.runtime.learning import AdaptationInfo, learned
+from maesn.runtime.limiter import Limiter
+from maesn.runtime.policy import ConditionedPolicy
+from maesn.runtime.safeguards import Safeguards
+from maesn.runtime.state import ExplorerState
+from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
+
+
+class Explorer:
+    """A fast learner for one task, one episode and one step at a time.
+
+    A new task starts from the prior. At the start of every episode z is drawn from the present
+    latent and kept until its end; `adapt` moves the latent along its policy gradient
+    (section "Using the Latent Spaces for Exploration").
+
+    A method that raises has changed nothing: the call can be repeated with better arguments. Not
+    to be shared between threads.
+
+    Args:
+        exported: what meta-training handed over.
+        state: where to go on; by default at the start of a new task.
+        safeguards: limits on what is executed and learned.
+        seed: of all random draws; None for fresh randomness of the operating system.
+    """
+
+    def __init__(
+        self,
+        exported: ExportedPolicy,
+        state: ExplorerState | None = None,
+        safeguards: Safeguards | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.exported = exported
+        self.safeguards = Safeguards() if safeguards is None else safeguards
+        self._limiter = Limiter(exported.actuators, self.safeguards)
+        self._generator = np.random.default_rng(seed)
+        self._state = ExplorerState(exported.start) if state is None else state
+        self._policy = self._conditioned()
+
+    @staticmethod
+    def load(
+        path: str | os.PathLike[str],
+        seed: int | None = None,
+        safeguards: Safeguards | None = None,
+    ) -> "Explorer":
+        """Return the explorer of a file.
+
+        Args:
+            path: written by `maesn export` (a new task begins) or by `save` (goes on exactly
+                where it stopped).
+            seed: of all random draws from here on. None goes on with the saved random state, or,
+                in a new task, takes fresh randomness of the operating system.
+            safeguards: None takes the saved ones; in a new task there are none.
+
+        Raises:
+            OSError: the file cannot be opened.
+            ValueError: it is no such file, it is damaged, or the safeguards do not fit it.
+        """
+        try:
+            found = read_snapshot(path)
+            kept = found.safeguards if safeguards is None else safeguards
+            explorer = Explorer(found.exported, found.state, kept, seed)
+        except ValueError as error:
+            raise ValueError(f"{os.fspath(path)}: {error}") from error
+        if seed is None and found.random_state is not None:
+            explorer._generator.bit_generator.state = found.random_state
+        return explorer
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything to one file, in the middle of a batch or even of an episode.
+
+        The file holds the policy, the latent, all episodes since the last `adapt`, the safeguards
+        and the random state, so `load` goes on as if nothing had happened. It is written to a
+        temporary name first: whatever happens, `path` holds the old or the new file.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        random_state = self._generator.bit_generator.state
+        write_snapshot(path, Snapshot(self.exported, self._state, self.safeguards, random_state))
+
+    @property
+    def latent_mean(self) -> FloatArray:
+        """Mean of the latent that the next z is drawn from, `[latent]`."""
+        return self._state.latent.mean.copy()
+
+    @property
+    def latent_std(self) -> FloatArray:
+        """Standard deviation of the latent that the next z is drawn from, `[latent]`."""
+        return self._state.latent.std
+
+    @property
+    def update(self) -> int:
+        """Number of calls of `adapt` so far."""
+        return self._state.update
+
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """The episodes finished since the last `adapt`."""
+        return self._state.episodes
+
+    @property
+    def is_running(self) -> bool:
+        """Whether an episode has begun and not yet ended."""
+        return self._state.running is not None
+
+    def begin_episode(self) -> FloatArray:
+        """Draw the z of a new episode from the present latent.
+
+        Returns:
+            z, `[latent]`.
+
+        Raises:
+            RuntimeError: an episode is running.
+        """
+        self._refuse_if_running("begin_episode")
+        noise = self._generator.standard_normal(self.exported.latent_size)
+        running = RunningEpisode(self._state.latent.draw(noise))
+        self._state = replace(self._state, running=running)
+        self._policy = self._conditioned()
+        return running.latent.copy()
+
+    def act(self, observation: ArrayLike, explore: bool = True) -> FloatArray:
+        """Return what to send to the actuators now.
+
+        Args:
+            observation: o_t, `[observation]`.
+            explore: whether to draw the action from the policy, rather than to take its mean.
+
+        Returns:
+            The control in the actuators' unit, within all limits, `[action]`.
+
+        Raises:
+            RuntimeError: no episode is running.
+            ValueError: the observation has the wrong size or is not finite, or the policy's
+                answer to it is not finite.
+        """
+        running = self._running("act")
+        size = self.exported.observation_size
+        observed = finite_vector("observation", observation, size, "as in training")
+        action = self._policy.mean(observed)
+        if not np.isfinite(action).all():
+            raise ValueError(
+                f"`observation` {observed} is so large that the policy's answer is {action}; "
+                "throw the episode away with `discard()`."
+            )
+        if explore:
+            std = self.exported.policy.std
+            action += std * self._generator.standard_normal(std.shape[0])
+        before = running.controls[-1] if running.controls else None
+        control = self._limiter.control(action, before)
+        running.add(observed, action, control)
+        return control.copy()
+
+    def control(self, action: ArrayLike) -> FloatArray:
+        """Return what the actuators would get for an action of the policy, `[action]`.
+
+        Scaled and clipped, but without the limit on its change, which depends on the step before.
+        """
+        size = self.exported.action_size
+        checked = finite_vector("action", action, size, "as in training")
+        return self._limiter.actuators.control(checked)
+
+    def end_episode(self, rewards: ArrayLike) -> Episode:
+        """Finish the running episode.
+
+        Args:
+            rewards: r_t of every step that was taken, `[time]`.
+
+        Returns:
+            The episode as recorded.
+
+        Raises:
+            RuntimeError: no episode is running, or it has no step yet.
+            ValueError: not one finite reward for every step. The episode is still running.
+        """
+        running = self._running("end_episode")
+        if running.num_steps == 0:
+            raise RuntimeError(
+                "`end_episode` needs at least one step, but `act` has not been called since "
+                "`begin_episode`; act, or call `discard()`."
+            )
+        paid = finite_vector("rewards", rewards, running.num_steps, "one for each call of `act`")
+        episode = running.finished(paid)
+        episodes = (*self._state.episodes, episode)
+        self._state = replace(self._state, episodes=episodes, running=None)
+        return episode
+
+    def discard(self) -> None:
+        """Throw the running episode away; the finished ones are kept.
+
+        Raises:
+            RuntimeError: no episode is running.
+        """
+        self._running("discard")
+        self._state = replace(self._state, running=None)
+
+    def adapt(self) -> AdaptationInfo:
+        """Learn from all episodes since the last call, and forget them.
+
+        Moves the latent, or takes the last update back (`Safeguards.max_return_drop`).
+
+        Raises:
+            RuntimeError: an episode is running, there are fewer than two finished episodes, or
+                the update is not finite. The episodes are kept.
+        """
+        self._refuse_if_running("adapt")
+        self._state, info = learned(self._state, self.exported.rule, self.safeguards)
+        return info
+
+    def _conditioned(self) -> ConditionedPolicy:
+        running = self._state.running
+        latent = self._state.latent.mean if running is None else running.latent
+        return self.exported.policy.given(latent)
+
+    def _running(self, method: str) -> RunningEpisode:
+        running = self._state.running
+        if running is None:
+            raise RuntimeError(f"`{method}` needs a running episode; call `begin_episode()` first.")
+        return running
+
+    def _refuse_if_running(self, method: str) -> None:
+        if self._state.running is not None:
+            raise RuntimeError(
+                f"`{method}` was called while an episode of {self._state.running.num_steps} steps "
+                "is running; finish it with `end_episode(rewards)` or call `discard()` first."
+            )

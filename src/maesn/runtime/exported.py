@@ -1,0 +1,114 @@
+"""What meta-training hands to a robot, and nothing that changes there."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.actuators import Actuators
+from maesn.runtime.archive import entry
+from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.latent import Latent, LearningRule
+from maesn.runtime.policy import GaussianPolicy
+
+
+@dataclass(frozen=True)
+class ExportedPolicy:
+    """A meta-learned policy with all that is needed to explore and learn with it.
+
+    Attributes:
+        policy: weights; they stay as they are on the robot.
+        actuators: how actions become controls.
+        start: the latent that a new task starts from, the prior N(0, I).
+        rule: how episodes move the latent.
+        description: what the policy is for: family, horizon, control period and the like. Nothing
+            depends on it.
+    """
+
+    policy: GaussianPolicy
+    actuators: Actuators
+    start: Latent
+    rule: LearningRule
+    description: Mapping[str, str | int | float]
+
+    @property
+    def latent_size(self) -> int:
+        """Number of components of z."""
+        return int(self.start.mean.shape[0])
+
+    @property
+    def observation_size(self) -> int:
+        """Number of components of an observation."""
+        return self.policy.input_size - self.latent_size
+
+    @property
+    def action_size(self) -> int:
+        """Number of components of an action, and of a control."""
+        return self.policy.action_size
+
+    def arrays(self) -> Arrays:
+        """Return the arrays that a file keeps."""
+        return {
+            **self.policy.arrays(),
+            "actuators.offset": self.actuators.offset,
+            "actuators.scale": self.actuators.scale,
+            "actuators.lower": self.actuators.lower,
+            "actuators.upper": self.actuators.upper,
+            "start.mean": self.start.mean,
+            "start.log_std": self.start.log_std,
+            "rule.mean_step": self.rule.mean_step,
+            "rule.log_std_step": self.rule.log_std_step,
+        }
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the numbers and words that a file keeps."""
+        return {
+            "description": dict(self.description),
+            "num_layers": len(self.policy.weights),
+            "observation_size": self.observation_size,
+            "rule": {
+                "full_steps": self.rule.full_steps,
+                "factor": self.rule.factor,
+                "discount": self.rule.discount,
+                "ridge": self.rule.ridge,
+            },
+        }
+
+    @staticmethod
+    def from_archive(
+        arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any]
+    ) -> "ExportedPolicy":
+        """Return the policy of a file; raises ValueError if the file does not fit together."""
+        start_mean = take(arrays, "start.mean", -1)
+        size = start_mean.shape[0]
+        policy = GaussianPolicy.from_arrays(
+            arrays,
+            input_size=entry(metadata, "observation_size", int) + size,
+            num_layers=entry(metadata, "num_layers", int),
+        )
+        rule = entry(metadata, "rule", dict)
+        return ExportedPolicy(
+            policy=policy,
+            actuators=_actuators(arrays, policy.action_size),
+            start=Latent(start_mean, take(arrays, "start.log_std", size)),
+            rule=LearningRule(
+                mean_step=take(arrays, "rule.mean_step", size),
+                log_std_step=take(arrays, "rule.log_std_step", size),
+                full_steps=entry(rule, "full_steps", int),
+                factor=entry(rule, "factor", float),
+                discount=entry(rule, "discount", float),
+                ridge=entry(rule, "ridge", float),
+            ),
+            description=entry(metadata, "description", dict),
+        )
+
+
+def _actuators(arrays: Mapping[str, NDArray[np.generic]], size: int) -> Actuators:
+    return Actuators(
+        offset=take(arrays, "actuators.offset", size),
+        scale=take(arrays, "actuators.scale", size),
+        lower=take(arrays, "actuators.lower", size, allow_infinite=True),
+        upper=take(arrays, "actuators.upper", size, allow_infinite=True),
+    )

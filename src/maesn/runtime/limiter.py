@@ -1,0 +1,43 @@
+"""From actions to controls that are safe to execute."""
+
+import math
+
+import numpy as np
+
+from maesn.runtime.actuators import Actuators, clipped
+from maesn.runtime.arrays import FloatArray
+from maesn.runtime.safeguards import Safeguards
+
+
+class Limiter:
+    """The actuators' map, narrowed and slowed down by the safeguards.
+
+    Args:
+        actuators: the map that the policy was trained with.
+        safeguards: limits on top of it.
+    """
+
+    def __init__(self, actuators: Actuators, safeguards: Safeguards) -> None:
+        size = actuators.scale.shape[0]
+        self.actuators = actuators.narrowed(
+            safeguards.limit("lower", size, -math.inf), safeguards.limit("upper", size, math.inf)
+        )
+        self._max_change = safeguards.limit("max_change", size, math.inf)
+        self._rest = safeguards.limit("rest", size)
+        low, high = self.actuators.lower, self.actuators.upper
+        outside = (self._rest < low) | (self._rest > high)
+        if (outside & np.isfinite(self._max_change)).any():
+            raise ValueError(
+                f"`rest` must lie within the controls {low} to {high}, got {self._rest}."
+            )
+
+    def control(self, action: FloatArray, before: FloatArray | None) -> FloatArray:
+        """Return what to execute for an action, `[action]`.
+
+        Args:
+            action: of the policy.
+            before: what was executed one step before; None at the first step of an episode.
+        """
+        start = self._rest if before is None else before
+        control = self.actuators.control(action)
+        return clipped(control, start - self._max_change, start + self._max_change)

@@ -1,0 +1,101 @@
+"""The feed-forward Gaussian policy, one observation at a time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.arrays import Arrays, FloatArray, take
+
+Weights: TypeAlias = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class GaussianPolicy:
+    """pi(a | o, z) = N(mlp([o, z]), diag(std^2)), with rectified linear hidden layers.
+
+    Source: appendix "Experimental Details". The weights are of single precision, as trained.
+
+    Attributes:
+        weights: of the layers, `[inputs, outputs]` each; the first layer's inputs are [o, z].
+        biases: of the layers, `[outputs]` each.
+        std: standard deviation of the actions, `[action]`.
+    """
+
+    weights: tuple[Weights, ...]
+    biases: tuple[Weights, ...]
+    std: FloatArray
+
+    @property
+    def action_size(self) -> int:
+        """Number of components of an action."""
+        return int(self.std.shape[0])
+
+    @property
+    def input_size(self) -> int:
+        """Number of components of an observation and a latent together."""
+        return int(self.weights[0].shape[0])
+
+    def given(self, latent: FloatArray) -> "ConditionedPolicy":
+        """Return the policy of an episode in which z is `latent`.
+
+        z is constant during an episode, so its part of the first layer is computed once:
+        [o, z] W + b = o W_o + (z W_z + b).
+        """
+        split = self.input_size - latent.shape[0]
+        first, bias = self.weights[0], self.biases[0]
+        shifted = bias + latent.astype(np.float32) @ first[split:]
+        return ConditionedPolicy(
+            (np.ascontiguousarray(first[:split]), *self.weights[1:]),
+            (shifted, *self.biases[1:]),
+        )
+
+    def arrays(self) -> Arrays:
+        """Return the arrays that a file keeps of this policy."""
+        kept: Arrays = {"policy.std": self.std}
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            kept[f"policy.weight.{index}"] = weight
+            kept[f"policy.bias.{index}"] = bias
+        return kept
+
+    @staticmethod
+    def from_arrays(
+        arrays: Mapping[str, NDArray[np.generic]], input_size: int, num_layers: int
+    ) -> "GaussianPolicy":
+        """Return the policy of a file.
+
+        Args:
+            arrays: the arrays of the file.
+            input_size: components of an observation and a latent together.
+            num_layers: hidden layers and the output layer.
+
+        Raises:
+            ValueError: an array is missing or does not fit the others.
+        """
+        weights: list[Weights] = []
+        biases: list[Weights] = []
+        for index in range(num_layers):
+            weight = take(arrays, f"policy.weight.{index}", input_size, -1)
+            input_size = weight.shape[1]
+            bias = take(arrays, f"policy.bias.{index}", input_size)
+            weights.append(weight.astype(np.float32))
+            biases.append(bias.astype(np.float32))
+        return GaussianPolicy(tuple(weights), tuple(biases), take(arrays, "policy.std", input_size))
+
+
+@dataclass(frozen=True)
+class ConditionedPolicy:
+    """The mean of the policy's action as a function of the observation alone, for one z."""
+
+    weights: tuple[Weights, ...]
+    biases: tuple[Weights, ...]
+
+    def mean(self, observation: FloatArray) -> FloatArray:
+        """Return the mean action in one state, `[action]`."""
+        x = observation.astype(np.float32)
+        last = len(self.weights) - 1
+        for weight, bias in zip(self.weights[:last], self.biases[:last], strict=True):
+            x = np.maximum(np.dot(x, weight) + bias, 0.0)
+        return (np.dot(x, self.weights[last]) + self.biases[last]).astype(np.float64)

@@ -1,0 +1,92 @@
+"""What keeps a robot safe while it explores: limits that the policy does not know."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maesn.runtime.arrays import FloatArray
+
+Limit: TypeAlias = float | Sequence[float] | FloatArray
+"""One number for all actuators, or one for each."""
+
+_LIMITS = ("lower", "upper", "max_change", "rest")
+
+
+@dataclass(frozen=True)
+class Safeguards:
+    """Limits on what is executed and on how far the latent moves. All are off by default.
+
+    Controls are in the actuators' unit (newton metres on `wheeled`). They are first clipped, then
+    their change is limited. What was executed is recorded beside the policy's action. Learning is
+    unaffected by the difference: the latent's gradient needs z and the return alone.
+    """
+
+    lower: Limit | None = None
+    """Smallest control to execute, on top of the limits that the policy was trained with."""
+    upper: Limit | None = None
+    """Largest control to execute."""
+    max_change: Limit | None = None
+    """Largest change of a control from one step to the next (the rate limit)."""
+    rest: Limit = 0.0
+    """What the actuators get before the first step of an episode: `max_change` starts there."""
+    max_latent_norm: float | None = None
+    """Largest Euclidean norm of the latent's mean. An update that would leave the ball ends on
+    its surface; the standard deviation is left alone."""
+    max_return_drop: float | None = None
+    """How far the mean undiscounted return of a batch may fall below that of the batch before the
+    last update. If it falls further, `adapt` takes the last update back instead of making a new
+    one: the latent returns to what it was before that update, the batch is dropped, and `update`
+    still counts on, so that the step sizes keep shrinking. The batch after it is played with the
+    restored latent and always leads to an update. None never takes an update back. The mean of E
+    episodes has a standard error of its own; a drop of two of them is a sensible choice."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_latent_norm", "max_return_drop"):
+            bound = getattr(self, name)
+            if bound is not None and not bound >= 0:
+                raise ValueError(f"`{name}` must be at least 0 or None, got {bound}.")
+        for name in _LIMITS:
+            object.__setattr__(self, name, _plain(name, getattr(self, name)))
+        if self.max_change is not None and not (np.asarray(self.max_change) > 0).all():
+            raise ValueError(f"`max_change` must be positive, got {self.max_change}.")
+
+    def limit(self, name: str, size: int, default: float = 0.0) -> FloatArray:
+        """Return the limit `name` with a number for every one of `size` actuators.
+
+        Args:
+            name: of the field.
+            size: number of actuators.
+            default: stands for None.
+
+        Raises:
+            ValueError: it is neither one number nor `size` numbers.
+        """
+        value = getattr(self, name)
+        array = np.asarray(default if value is None else value, dtype=np.float64)
+        if array.shape not in ((), (size,)):
+            raise ValueError(
+                f"`{name}` must be one number or {size}, one for each actuator, got {value!r}."
+            )
+        return np.broadcast_to(array, (size,)).copy()
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the fields as JSON knows them; `Safeguards(**metadata)` is the way back."""
+        return asdict(self)
+
+    def is_drop(self, mean_return: float, previous_return: float) -> bool:
+        """Whether a batch's mean return is too far below that of the batch before."""
+        allowed = math.inf if self.max_return_drop is None else self.max_return_drop
+        return mean_return < previous_return - allowed
+
+
+def _plain(name: str, limit: Limit | None) -> float | tuple[float, ...] | None:
+    """Return a limit as Python numbers, which can be compared and written to JSON."""
+    if limit is None:
+        return None
+    array = np.asarray(limit, dtype=np.float64)
+    if array.ndim > 1 or np.isnan(array).any():
+        raise ValueError(f"`{name}` must be one number or one for each actuator, got {limit!r}.")
+    return float(array) if array.ndim == 0 else tuple(array.tolist())

@@ -1,0 +1,96 @@
+"""All that changes on a robot while it explores and learns, apart from its random numbers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.archive import entry
+from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.episode import (
+    Episode,
+    RunningEpisode,
+    episodes_from_arrays,
+    episodes_to_arrays,
+)
+from maesn.runtime.exported import ExportedPolicy
+from maesn.runtime.latent import Latent
+
+
+@dataclass(frozen=True)
+class Undo:
+    """What is needed to take the last update back.
+
+    Attributes:
+        latent: before that update.
+        mean_return: mean undiscounted return of the batch that was played with it.
+    """
+
+    latent: Latent
+    mean_return: float
+
+
+@dataclass(frozen=True)
+class ExplorerState:
+    """Where an explorer stands.
+
+    Attributes:
+        latent: that the next z is drawn from.
+        update: number of calls of `adapt` so far.
+        episodes: finished since the last of them.
+        running: the episode that is being played, if any.
+        undo: how to take the last update back; None if there is none to take back.
+    """
+
+    latent: Latent
+    update: int = 0
+    episodes: tuple[Episode, ...] = ()
+    running: RunningEpisode | None = None
+    undo: Undo | None = None
+
+    def arrays(self, exported: ExportedPolicy) -> Arrays:
+        """Return the arrays that a file keeps of this state."""
+        kept: Arrays = {
+            "latent.mean": self.latent.mean,
+            "latent.log_std": self.latent.log_std,
+            **episodes_to_arrays(self.episodes),
+        }
+        if self.running is not None:
+            kept |= self.running.arrays(exported.observation_size, exported.action_size)
+        if self.undo is not None:
+            kept["undo.mean"] = self.undo.latent.mean
+            kept["undo.log_std"] = self.undo.latent.log_std
+            kept["undo.mean_return"] = np.asarray(self.undo.mean_return)
+        return kept
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the numbers that a file keeps beside the arrays."""
+        return {"update": self.update}
+
+    @staticmethod
+    def from_archive(
+        arrays: Mapping[str, NDArray[np.generic]],
+        metadata: Mapping[str, Any],
+        exported: ExportedPolicy,
+    ) -> "ExplorerState":
+        """Return the state of a file; raises ValueError if the file does not fit together."""
+        size = exported.latent_size
+        sizes = (exported.observation_size, exported.action_size, size)
+        running, undo = None, None
+        if "running.latent" in arrays:
+            running = RunningEpisode.from_arrays(arrays, *sizes)
+        if "undo.mean" in arrays:
+            undo = Undo(_latent(arrays, "undo", size), float(take(arrays, "undo.mean_return")))
+        return ExplorerState(
+            latent=_latent(arrays, "latent", size),
+            update=entry(metadata, "update", int),
+            episodes=episodes_from_arrays(arrays, *sizes),
+            running=running,
+            undo=undo,
+        )
+
+
+def _latent(arrays: Mapping[str, NDArray[np.generic]], name: str, size: int) -> Latent:
+    return Latent(take(arrays, f"{name}.mean", size), take(arrays, f"{name}.log_std", size))

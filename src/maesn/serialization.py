@@ -1,0 +1,155 @@
+"""Settings as JSON: a learner goes into `config.json` and comes out the same.
+
+Every object is written with a tag, `"type"`, that names its class. Tags are looked up in a closed
+registry, so a file can ask for nothing but the settings listed here.
+"""
+
+import dataclasses
+import hashlib
+import json
+import types
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+
+from maesn.adaptation import Adaptation, InnerStep, StepSchedule
+from maesn.advantage import AdvantageEstimator
+from maesn.context import BiasContext, LatentContext, NoContext
+from maesn.learners import GradientMetaLearner
+from maesn.policies import GaussianMLP
+from maesn.trust_region import TrustRegion
+
+Settings = TypeVar("Settings")
+
+TAG = "type"
+
+REGISTRY: dict[str, type[eqx.Module]] = {
+    settings.__name__: settings
+    for settings in (
+        Adaptation,
+        AdvantageEstimator,
+        BiasContext,
+        GaussianMLP,
+        GradientMetaLearner,
+        InnerStep,
+        LatentContext,
+        NoContext,
+        StepSchedule,
+        TrustRegion,
+    )
+}
+
+
+def to_json(module: eqx.Module) -> dict[str, Any]:
+    """Return settings as JSON values, each object with its tag.
+
+    Raises:
+        ValueError: an object's class is not in the registry.
+    """
+    tag = type(module).__name__
+    if REGISTRY.get(tag) is not type(module):
+        raise ValueError(
+            f"settings of type `{tag}` cannot be stored: only {', '.join(REGISTRY)} can."
+        )
+    return {TAG: tag, **fields_to_json(module)}
+
+
+def from_json(document: Mapping[str, Any]) -> eqx.Module:
+    """Return the settings that `to_json` has written.
+
+    Raises:
+        ValueError: a tag or a field is unknown, missing, or of the wrong type.
+    """
+    tag = document.get(TAG)
+    if not isinstance(tag, str) or tag not in REGISTRY:
+        raise ValueError(f"`{TAG}` must be one of {', '.join(REGISTRY)}, got {tag!r}.")
+    fields = {name: value for name, value in document.items() if name != TAG}
+    return fields_from_json(REGISTRY[tag], fields)
+
+
+def digest(module: eqx.Module) -> str:
+    """Return a hexadecimal hash of settings: equal if and only if they are."""
+    text = json.dumps(to_json(module), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def fields_to_json(settings: Any) -> dict[str, Any]:
+    """Return the fields of any dataclass of settings as JSON values."""
+    hints = get_type_hints(type(settings))
+    return {
+        field.name: _encode(getattr(settings, field.name), hints[field.name])
+        for field in dataclasses.fields(settings)
+    }
+
+
+def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Settings:
+    """Return the dataclass of settings that `fields_to_json` has written.
+
+    Args:
+        kind: class of the settings.
+        document: exactly the fields of that class.
+
+    Raises:
+        ValueError: a field is unknown, missing, or of the wrong type.
+    """
+    hints = get_type_hints(kind)
+    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    for complaint, wrong in (
+        ("has no field", sorted(document.keys() - set(names))),
+        ("lacks the field", sorted(set(names) - document.keys())),
+    ):
+        if wrong:
+            raise ValueError(f"`{kind.__name__}` {complaint} `{wrong[0]}`; it has {names}.")
+    return kind(
+        **{name: _decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
+    )
+
+
+def _encode(value: Any, hint: Any) -> Any:
+    if isinstance(value, eqx.Module):
+        return to_json(value)
+    if isinstance(value, tuple):
+        return [_encode(item, get_args(hint)[0]) for item in value]
+    # So that 1 and 1.0, which are equal, are the same document.
+    return float(value) if _required(hint) is float and value is not None else value
+
+
+def _decode(value: Any, hint: Any, where: str) -> Any:
+    """Return a JSON value as what a field declares.
+
+    Args:
+        value: from the document.
+        hint: a number, string, `Literal`, homogeneous tuple, settings, or one of these or None.
+        where: `Class.field`, for error messages.
+    """
+    if value is None and type(None) in get_args(hint):
+        return None
+    wanted = _required(hint)
+    if get_origin(wanted) is tuple and isinstance(value, list):
+        item_hint = get_args(wanted)[0]
+        return tuple(_decode(item, item_hint, f"{where}[{i}]") for i, item in enumerate(value))
+    decoded = from_json(value) if isinstance(value, dict) else value
+    decoded = float(decoded) if wanted is float and type(decoded) is int else decoded
+    if not _fits(decoded, wanted):
+        name = wanted.__name__ if isinstance(wanted, type) else wanted
+        raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")
+    return decoded
+
+
+def _required(hint: Any) -> Any:
+    """Return X for "X or None", and any other hint as it is."""
+    if get_origin(hint) not in (Union, types.UnionType):
+        return hint
+    (inner,) = (argument for argument in get_args(hint) if argument is not type(None))
+    return inner
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a decoded value is of the type that a field declares."""
+    if get_origin(hint) is Literal:
+        return value in get_args(hint)
+    if isinstance(value, eqx.Module):
+        return isinstance(value, get_origin(hint) or hint)
+    # Not `isinstance`: True is no number of tasks.
+    return type(value) is hint

@@ -1,0 +1,178 @@
+"""Where tasks come from: families by name, a user's own families, and `.npz` files."""
+
+import importlib
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from maesn.envs import SETS, TaskFamily, TaskSet, find_family
+from maesn.storage import RunError, write_whole
+
+# What NumPy and the ZIP format raise on a file that is damaged, or something else altogether.
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def resolve_family(name: str) -> TaskFamily:
+    """Return a family by its name, or import a user's own. Never call this with what a file says.
+
+    Args:
+        name: of a family that comes with the library, or `module:name`.
+
+    Raises:
+        RunError: there is no such family.
+    """
+    if ":" not in name:
+        try:
+            return find_family(name)
+        except ValueError as error:
+            raise RunError(f"{error}; give your own as `module:name`.") from error
+    module, _, attribute = name.partition(":")
+    try:
+        family = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise RunError(
+            f"`family` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
+            "where it is) and `name` a TaskFamily in it."
+        ) from error
+    if not isinstance(family, TaskFamily):
+        raise RunError(f"`{name}` must be a TaskFamily, got {type(family).__name__}.")
+    return family
+
+
+def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
+    """Return the family of a run. What a file says is looked up, never imported.
+
+    Args:
+        recorded: the family's own name, as the run's file says.
+        given: what the caller says of a family of their own: itself, or `module:name`.
+
+    Raises:
+        RunError: the family is not known, or another one was given.
+    """
+    if given is None:
+        try:
+            return find_family(recorded)
+        except ValueError as error:
+            raise RunError(
+                f"the run's family `{recorded}` does not come with the library: give it again, "
+                "as `module:name` (--family on the command line)."
+            ) from error
+    family = resolve_family(given) if isinstance(given, str) else given
+    if family.name != recorded:
+        raise RunError(f"the run's family is `{recorded}`, but `{family.name}` was given.")
+    return family
+
+
+def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
+    """Return a set of the family, or a user's own.
+
+    Args:
+        name: training, validation, test, or the path of an `.npz` file.
+        family: whose tasks.
+
+    Raises:
+        RunError: there is no such set, or the file cannot be used.
+    """
+    for set_name in SETS:
+        if name == set_name:
+            return family.task_set(set_name)
+    if not Path(name).exists():
+        raise RunError(
+            f"`tasks` must be one of {', '.join(SETS)} or the path of an .npz file, got "
+            f"`{name}`, which is neither: check the spelling."
+        )
+    return load_tasks(name, family)
+
+
+def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
+    """Read tasks of a family from an `.npz` file; nothing in it is executed.
+
+    The file holds the arrays that `family.task_names` lists, each with one row per task: for
+    `wheeled` and `point` the array `goal`, `[row, 2]` in metres.
+
+    Args:
+        path: of the file.
+        family: says which arrays are needed, of which shape.
+
+    Raises:
+        RunError: the file is unreadable, an array is missing or misshapen, or a value not finite.
+    """
+    one_task = family.draw_tasks(np.random.default_rng(0), 1)
+    leaves, structure = jax.tree.flatten(one_task)
+    arrays = _read_arrays(Path(path), family.task_names)
+    rows = {len(array) if array.ndim else 0 for array in arrays.values()}
+    tasks = [
+        _fit(array, np.asarray(leaf), f"array `{name}` of `{path}`")
+        for (name, array), leaf in zip(arrays.items(), leaves, strict=True)
+    ]
+    if len(rows) != 1 or 0 in rows:
+        raise RunError(
+            f"the arrays of `{path}` must all have one row for each task, and at least one; "
+            f"they have {', '.join(map(str, sorted(rows)))} rows."
+        )
+    return TaskSet(jax.tree.unflatten(structure, tasks))
+
+
+def save_tasks(path: Path, tasks: TaskSet, family: TaskFamily) -> None:
+    """Write tasks as `load_tasks` reads them.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    leaves = map(np.asarray, jax.tree.leaves(tasks.tasks))
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **dict(zip(family.task_names, leaves, strict=True)))
+    write_whole(path, content.getvalue())
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    try:
+        # Opened here, because NumPy leaves a file open that turns out to be no archive.
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise ValueError("it holds a single array without a name")
+            found = list(archive.files)
+            return {name: _array(archive[name]) for name in names}
+    except KeyError as error:
+        raise RunError(
+            f"`{path}` must hold the arrays {', '.join(names)}, one row for each task; "
+            f"it holds {', '.join(found) or 'none'}."
+        ) from error
+    except _UNREADABLE as error:
+        raise RunError(
+            f"`{path}` must be an .npz file with the arrays {', '.join(names)}, as "
+            f"numpy.savez writes it, but cannot be read: {error}."
+        ) from error
+
+
+def _array(entry: np.ndarray | bytes) -> np.ndarray:
+    if isinstance(entry, bytes):  # so NumPy hands over what is not in its own format
+        raise ValueError("an entry of it is no array")
+    return entry
+
+
+def _fit(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
+    """Return an array in the family's own type, checked against the family's own tasks."""
+    if array.shape[1:] != like.shape[1:] or array.ndim != like.ndim:
+        wanted = ", ".join(["tasks", *map(str, like.shape[1:])])
+        raise RunError(f"{what} must have the shape [{wanted}], got {list(array.shape)}.")
+    if array.dtype.kind not in "fiu" or not np.can_cast(array.dtype, like.dtype, "same_kind"):
+        raise RunError(f"{what} must hold numbers of type {like.dtype}, got {array.dtype}.")
+    with np.errstate(over="ignore"):  # what overflows is refused in the next line
+        fitted = array.astype(like.dtype)
+    if not np.isfinite(fitted).all():
+        row = int(np.argwhere(~np.isfinite(fitted))[0][0])
+        raise RunError(f"{what} must be finite, got {array[row]} in row {row}.")
+    return fitted

@@ -1,0 +1,230 @@
+"""The training loop: one generator that begins, goes on, and ends well however it is stopped."""
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Generator
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Array, Int
+
+from maesn.agent import Agents
+from maesn.axes import Carry, TaskKeys
+from maesn.checkpoint import Snapshot, named_leaves, restore
+from maesn.compilation import CompileClock
+from maesn.episodes import Collect, Episodes
+from maesn.rollout import Collector
+from maesn.run import Run
+from maesn.run_config import CONFIG, installed_versions, read_config
+from maesn.run_log import Progress, RunLog
+from maesn.storage import RunError, locked
+
+logger = logging.getLogger(__name__)
+
+# Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
+MAX_NONFINITE = 5
+
+
+class TrainingError(RunError):
+    """Training cannot go on; the last good state is on disk."""
+
+
+def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
+    """Train from the latest checkpoint to the last iteration; resuming is the same thing.
+
+    n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
+    included, on the same machine with the same versions and number of threads.
+
+    A checkpoint is written every `checkpoint_every` iterations and at the end, whether that is the
+    last iteration, Ctrl-C, an error, or `close()` of the generator.
+
+    Args:
+        run: what to train.
+        iterations: meta-iterations in total; None for what the run's settings say.
+
+    Yields:
+        One `Progress` for each iteration.
+
+    Raises:
+        RunError: the run cannot be read or written, or another process trains it.
+        TrainingError: losses or gradients were not finite several times in a row.
+        EpisodeError: the physics of an episode blew up.
+    """
+    total = run.settings.iterations if iterations is None else iterations
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(locked(run.directory / CONFIG))
+        start = run.latest()
+        log = RunLog(run.directory, start.iteration, start.environment_steps)
+        stack.callback(log.close)
+        if start.iteration:
+            _compare_versions(run)
+        training = _Training(run, log, start)
+        stack.callback(training.end)
+        while training.snapshot.iteration < total:
+            yield training.advance()
+
+
+class _Training:
+    """A run between two iterations."""
+
+    def __init__(self, run: Run, log: RunLog, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        self._run = run
+        self._log = log
+        self._saved = snapshot.iteration
+        self._nonfinite = 0
+        self._collect = _Counter(Collector(run.world(), run.settings.episodes_per_task))
+
+    def advance(self) -> Progress:
+        """Do one iteration and write it down."""
+        before, run = self.snapshot, self._run
+        self._collect.steps = 0
+        key = run.iteration_key(before.iteration)
+        start = time.perf_counter()
+        with CompileClock() as compiling:
+            state, info = run.learner.step(key, before.state, self._collect)
+            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+        seconds = time.perf_counter() - start
+        after = Snapshot(
+            state, before.iteration + 1, before.environment_steps + self._collect.steps
+        )
+        progress = Progress(
+            iteration=after.iteration,
+            info={name: float(value) for name, value in named_leaves(jax.device_get(info)).items()},
+            seconds=seconds,
+            compile_seconds=compiling.seconds,
+            steps_per_second=self._collect.steps / max(seconds - compiling.seconds, 1e-9),
+            environment_steps=after.environment_steps,
+        )
+        self._log.write(progress)
+        # One assignment, so that Ctrl-C finds either all of this iteration or nothing.
+        self.snapshot = after
+        self._watch(progress)
+        if after.iteration % run.settings.checkpoint_every == 0:
+            self.save()
+        return progress
+
+    def save(self) -> None:
+        """Write a checkpoint unless it is there already."""
+        if self._saved == self.snapshot.iteration:
+            return
+        # The log first: a checkpoint promises that all before it is written down.
+        self._log.sync()
+        self._run.save_state(self.snapshot.state, self.snapshot.environment_steps)
+        self._saved = self.snapshot.iteration
+
+    def end(self) -> None:
+        """Leave log and checkpoint in agreement, whatever was interrupted."""
+        self._log.cut(self.snapshot.iteration)
+        self.save()
+
+    def _watch(self, progress: Progress) -> None:
+        """Say that a step was not finite, and give up after several in a row."""
+        broken = [name for name, value in progress.info.items() if not math.isfinite(value)]
+        tasks = int(progress.info.get("nonfinite_tasks", 0))
+        accepted = bool(progress.info.get("trust_region/accepted", 0.0))
+        if accepted or not (broken or tasks):
+            self._nonfinite = 0
+            return
+        self._nonfinite += 1
+        what = f"the loss of {tasks} tasks" if tasks else f"`{broken[0]}`"
+        logger.warning(
+            "Iteration %d of `%s`: %s is not finite. The step was rejected; the policy is as "
+            "before.",
+            progress.iteration,
+            self._run.directory,
+            what,
+        )
+        if self._nonfinite == MAX_NONFINITE:
+            raise TrainingError(
+                f"`{self._run.directory}`, iteration {progress.iteration}: {what} is not finite, "
+                f"for the {MAX_NONFINITE}th time in a row. The last good state is saved; look at "
+                "`metrics.jsonl`, and start a new run with smaller steps or a smaller penalty."
+            )
+
+
+def _compare_versions(run: Run) -> None:
+    now = installed_versions()
+    for name, version in run.config.versions.items():
+        if now.get(name) != version:
+            logger.warning(
+                "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit "
+                "what it would have become without the interruption.",
+                run.directory,
+                name,
+                version,
+                now.get(name),
+            )
+
+
+class _Counter:
+    """`Collect` that counts the control steps that it plays."""
+
+    def __init__(self, collect: Collect) -> None:
+        self._collect = collect
+        self.steps = 0
+
+    @property
+    def num_tasks(self) -> int:
+        """See `Collect.num_tasks`."""
+        return self._collect.num_tasks
+
+    def __call__(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> Episodes:
+        """See `Collect`."""
+        episodes = self._collect(keys, agents, task_index, carry)
+        self.steps += int(np.asarray(episodes.valid).sum())
+        return episodes
+
+
+def init_from(run: Run, source_directory: str | Path) -> None:
+    """Let a new run begin with what another one has learned, on tasks of its own.
+
+    The policy, the step sizes, and all else that tasks share come from the source. What belongs to
+    single tasks, such as the latents, begins afresh, and so does the count of iterations.
+
+    Args:
+        run: not trained yet.
+        source_directory: of the other run.
+
+    Raises:
+        RunError: the run has been trained already, or the source does not fit.
+    """
+    done = run.latest().iteration
+    if done:
+        raise RunError(
+            f"`{run.directory}` must be a new run to begin with what another one has learned, but "
+            f"has done {done} iterations itself: make a new one."
+        )
+    same_family = read_config(Path(source_directory)).family == run.config.family
+    source = Run.open(source_directory, run.family if same_family else None)
+    _check_sizes(run, source)
+    fresh = run.untrained_state()
+    iteration, rows = run.learner.iteration(fresh), _rows_of_tasks(run)
+    values = named_leaves(source.latest_state())
+    for name, leaf in named_leaves(fresh).items():
+        if name in rows or leaf is iteration:
+            values[name] = leaf
+    run.save_state(restore(fresh, values, source.directory))
+
+
+def _check_sizes(run: Run, source: Run) -> None:
+    ours, theirs = run.env(), source.env()
+    for name in ("observation_size", "action_size"):
+        wanted, found = getattr(ours, name), getattr(theirs, name)
+        if wanted != found:
+            raise RunError(
+                f"`{source.directory}` must have an environment of `{name}` {wanted} as "
+                f"`{run.directory}` has, got {found}: begin with a run in the same environment."
+            )
+
+
+def _rows_of_tasks(run: Run) -> set[str]:
+    """Return the names of the leaves that grow with the number of tasks: one row for each."""
+    shapes = named_leaves(run.structure())
+    larger = named_leaves(run.structure(len(run.training_tasks) + 1))
+    return {name for name, leaf in shapes.items() if leaf.shape != larger[name].shape}

@@ -1,0 +1,48 @@
+"""Families are found by name, and a wrong name is answered helpfully."""
+
+import pytest
+
+from maesn.envs import FAMILIES, PROBES, AnyEnv, find_family
+
+EVERY = FAMILIES | PROBES
+
+
+def test_names_are_unique_and_complete() -> None:
+    assert list(FAMILIES) == ["point", "wheeled"]
+    assert list(PROBES) == ["hidden_target", "delayed_target", "hidden_side", "hidden_end"]
+    assert all(family.name == name for name, family in EVERY.items())
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_family_is_found_by_its_name(name: str) -> None:
+    assert find_family(name) is EVERY[name]
+    assert find_family(name).make_env().name == name
+
+
+@pytest.mark.parametrize(
+    ("wrong", "meant"), [("weeled", "wheeled"), ("Point", "point"), ("hidden_sides", "hidden_side")]
+)
+def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str) -> None:
+    with pytest.raises(ValueError, match=f"got '{wrong}'; did you mean '{meant}'\\?") as error:
+        find_family(wrong)
+    assert all(name in str(error.value) for name in EVERY)
+
+
+def test_a_name_like_no_other_gets_the_list_alone() -> None:
+    with pytest.raises(ValueError, match="`family` must be one of point, wheeled") as error:
+        find_family("xyzzy")
+    assert "did you mean" not in str(error.value)
+    assert all(name in str(error.value) for name in EVERY)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_family_takes_the_same_settings(name: str) -> None:
+    settings = {"variant": "paper", "reward_kind": "sparse", "sparse_radius": 0.125}
+    env: AnyEnv = find_family(name).make_env(**settings)
+    assert {setting: getattr(env, setting) for setting in settings} == settings
+    default = find_family(name).make_env()
+    assert (default.variant, default.reward_kind) == ("reference", "dense")
+    # A compiled program has the environment as a constant: equal ones must share it.
+    assert env == find_family(name).make_env(**settings)
+    assert hash(env) == hash(find_family(name).make_env(**settings))
+    assert env != default

@@ -1,0 +1,109 @@
+"""Every environment: sizes as announced, compiled, mapped and repeated without a difference."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import assert_same
+
+from maesn.envs import FAMILIES, PROBES, AbstractPureEnv, AnyEnv, RewardKind, TaskFamily
+
+EVERY = FAMILIES | PROBES
+BATCH = 3
+
+
+@pytest.fixture(params=EVERY)
+def family(request: pytest.FixtureRequest) -> TaskFamily:
+    return EVERY[request.param]
+
+
+@pytest.fixture(params=["dense", "sparse"])
+def env(family: TaskFamily, request: pytest.FixtureRequest) -> AnyEnv:
+    reward_kind: RewardKind = request.param
+    return family.make_env(reward_kind=reward_kind)
+
+
+def one_step(env: AnyEnv) -> Callable[[jax.Array, Any], dict[str, Any]]:
+    """Everything that an environment computes in one step, as one function of a key and a task."""
+
+    def step(key: jax.Array, task: Any) -> dict[str, Any]:
+        start_key, action_key, drift_key = jax.random.split(key, 3)
+        qpos, qvel = env.initial(start_key, task)
+        readings = {"qpos": qpos, "qvel": qvel}
+        action = 2 * jax.random.normal(action_key, (env.action_size,))
+        control = env.control(action)
+        if isinstance(env, AbstractPureEnv):
+            following = env.advance(readings, control)
+        else:  # what the engine does is tested with the engine
+            drift = jax.random.normal(drift_key, qpos.shape)
+            following = {"qpos": qpos + drift, "qvel": qvel - drift}
+        observation = jnp.concatenate([env.observe(following), env.instruction(task)])
+        return {
+            "readings": readings,
+            "control": control,
+            "following": following,
+            "observation": observation,
+            "reward": env.reward(readings, action, following, task),
+            "terminated": env.terminated(following),
+            "solved": env.solved(following, task),
+            "position": env.position(observation),
+            "goal": env.goal(task),
+            "model_fields": env.model_fields(task),
+        }
+
+    return step
+
+
+def arguments(family: TaskFamily) -> tuple[jax.Array, Any]:
+    tasks = jax.tree.map(jnp.asarray, family.task_set("training")[:BATCH])
+    return jax.random.split(jax.random.key(4), BATCH), tasks
+
+
+def assert_close(first: Any, second: Any) -> None:
+    """Up to the rounding of fused operations; integers and truth values exactly."""
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6), first, second)
+
+
+@functools.cache
+def compiled_step(env: AnyEnv) -> Callable[[jax.Array, Any], dict[str, Any]]:
+    return jax.jit(one_step(env))
+
+
+def test_sizes_are_as_announced(family: TaskFamily, env: AnyEnv) -> None:
+    keys, tasks = arguments(family)
+    step = compiled_step(env)(keys[0], tasks[0])
+    assert step["observation"].shape == (env.observation_size,)
+    assert jax.tree.map(jnp.shape, step["following"]) == jax.tree.map(jnp.shape, step["readings"])
+    assert step["position"].shape == step["goal"].shape == (2,)
+    assert step["reward"].goal.shape == step["reward"].other.shape == ()
+    assert (step["terminated"].dtype, step["solved"].dtype) == (bool, bool)
+    floats = [x for x in jax.tree.leaves(step) if x.dtype != bool]
+    assert all(x.dtype == jnp.float32 for x in floats)
+    assert env.horizon >= 1
+    assert env.control_period > 0
+
+
+def test_compiled_equals_interpreted(family: TaskFamily, env: AnyEnv) -> None:
+    keys, tasks = arguments(family)
+    assert_close(compiled_step(env)(keys[0], tasks[0]), one_step(env)(keys[0], tasks[0]))
+
+
+def test_mapped_equals_one_by_one(family: TaskFamily, env: AnyEnv) -> None:
+    keys, tasks = arguments(family)
+    mapped = jax.jit(jax.vmap(one_step(env)))(keys, tasks)
+    singles = [compiled_step(env)(key, task) for key, task in zip(keys, tasks, strict=True)]
+    assert_close(mapped, jax.tree.map(lambda *leaves: np.stack(leaves), *singles))
+
+
+def test_repeatable(family: TaskFamily, env: AnyEnv) -> None:
+    keys, tasks = arguments(family)
+    assert_same(compiled_step(env)(keys[0], tasks[0]), jax.jit(one_step(env))(keys[0], tasks[0]))
+    drawn = [compiled_step(env)(key, tasks[0]) for key in keys]
+    distinct = {np.concatenate([x["control"], x["following"]["qpos"]]).tobytes() for x in drawn}
+    # Blind agents know their left from their right and no more.
+    assert len(distinct) == (2 if family.name == "hidden_side" else BATCH)

@@ -1,0 +1,113 @@
+"""Task sets: finite, disjoint, the same everywhere, and drawn as the paper says."""
+
+import subprocess
+import sys
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from maesn.envs import FAMILIES, PROBES, SETS, TaskFamily, TaskSet
+
+# Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest.
+DIGESTS = {
+    "point": ("c0b923e309759804", "a5247b9d79e53d9c", "13be3c6b430e52c1"),
+    "wheeled": ("e16cc188bb14fa38", "2aca6d26ad7350a1", "70ca09ac6fbf6f4a"),
+    "hidden_target": ("3f458746bd8cda41", "6949cd45f3af2c07", "20c90ceed05bf3b2"),
+    "delayed_target": ("69fa2bdb67b07d9b", "7f48ff567830c7ab", "98b709a63514ff8f"),
+    "hidden_side": ("65f36e1fab92d587", "47496002fa4aaa11", "92de92291e3add07"),
+    "hidden_end": ("3136b90393464204", "bf4ca2295beabf0f", "5a924b5e47b4976e"),
+}
+ON_HALF_CIRCLES = {"point": 2.0, "wheeled": 2.0, "hidden_target": 1.0, "delayed_target": 1.0}
+EVERY = FAMILIES | PROBES
+
+
+def rows(family: TaskFamily, name: str) -> np.ndarray:
+    return np.asarray(family.task_set(name).tasks).reshape(100, -1)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_three_sets_of_a_hundred_tasks_that_never_change(name: str) -> None:
+    sets = [EVERY[name].task_set(which) for which in SETS]
+    assert [len(tasks) for tasks in sets] == [100, 100, 100]
+    assert tuple(tasks.digest() for tasks in sets) == DIGESTS[name]
+
+
+@pytest.mark.parametrize("name", sorted(set(EVERY) - {"hidden_side"}))
+def test_no_task_comes_twice(name: str) -> None:
+    tasks = np.concatenate([rows(EVERY[name], which) for which in SETS])
+    assert len(np.unique(tasks, axis=0)) == 300
+
+
+@pytest.mark.parametrize("which", SETS)
+def test_the_family_of_two_tasks_is_balanced(which: str) -> None:
+    assert np.unique(rows(PROBES["hidden_side"], which), return_counts=True)[1].tolist() == [50, 50]
+
+
+def test_families_have_seeds_of_their_own() -> None:
+    assert len({family.seed for family in EVERY.values()}) == len(EVERY)
+
+
+def test_the_sets_are_the_same_in_another_process() -> None:
+    program = "from maesn.envs import wheeled; print(wheeled.task_set('test').digest())"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == DIGESTS["wheeled"][2]
+
+
+@pytest.mark.parametrize("which", SETS)
+@pytest.mark.parametrize(("name", "radius"), ON_HALF_CIRCLES.items())
+def test_goals_are_uniform_on_the_upper_half_circle(name: str, radius: float, which: str) -> None:
+    goals = rows(EVERY[name], which).astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(goals, axis=1), radius, rtol=1e-6)
+    angles = np.degrees(np.arctan2(goals[:, 1], goals[:, 0]))
+    assert angles.min() >= 0
+    assert angles.max() < 180
+    # Kolmogorov-Smirnov. The sets are fixed, so this holds for good or not at all; of twelve draws
+    # from the right distribution, one in eighty would fail here.
+    assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("name", ON_HALF_CIRCLES)
+def test_many_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
+    goals = EVERY[name].draw_tasks(np.random.default_rng(3), 20_000).astype(np.float64)
+    angles = np.degrees(np.arctan2(goals[:, 1], goals[:, 0]))
+    assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
+
+
+def test_lifetimes_are_uniform_up_to_beyond_the_horizon() -> None:
+    lifetimes = PROBES["hidden_end"].draw_tasks(np.random.default_rng(0), 20_000)
+    assert stats.kstest(lifetimes.astype(np.float64), stats.uniform(0, 12).cdf).pvalue > 1e-3
+
+
+class Pair(NamedTuple):
+    goal: np.ndarray
+    mass: np.ndarray
+
+
+def test_a_set_of_structured_tasks_is_indexed_leaf_by_leaf() -> None:
+    tasks = TaskSet(Pair(np.arange(6.0).reshape(3, 2), np.arange(3.0)))
+    assert len(tasks) == 3
+    assert tasks[1].mass == 1
+    np.testing.assert_array_equal(tasks[jnp.array([2, 0, 2])].goal, [[4, 5], [0, 1], [4, 5]])
+    np.testing.assert_array_equal(tasks[1:].mass, [1, 2])
+
+
+def test_the_digest_tells_values_shapes_types_and_structures_apart() -> None:
+    goal, mass = np.arange(6, dtype=np.float32).reshape(3, 2), np.zeros(3, np.float32)
+    changed = goal.copy()
+    changed[2, 1] = np.nextafter(changed[2, 1], np.float32(9))
+    variations = [
+        Pair(goal, mass),
+        Pair(changed, mass),
+        Pair(goal.reshape(3, 2, 1), mass),
+        Pair(goal.view(np.int32), mass),
+        Pair(mass, goal),
+        {"goal": goal, "mass": mass},
+    ]
+    assert len({TaskSet(tasks).digest() for tasks in variations}) == len(variations)
+    assert TaskSet(jnp.asarray(goal)).digest() == TaskSet(goal).digest()
+    assert TaskSet(np.asfortranarray(goal)).digest() == TaskSet(goal).digest()

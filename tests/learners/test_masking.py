@@ -1,0 +1,126 @@
+"""What must change nothing: steps after an episode's end, and outer steps that are rejected."""
+
+from functools import cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.prepared import ROWS, UNEQUAL, PreparedCollect, Problem, make_problem
+from learning_problems.translation import META_BATCH, learner_for, to_library
+from reference.maesn import Settings
+from reference.parameters import flatten, unflatten
+
+from maesn.episodes import Episodes
+from maesn.learners import GradientInfo, GradientState
+from maesn.learners.objective import MetaParameters
+
+KEY = 4
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+@cache
+def problem() -> Problem:
+    """Latents and theta both move in the inner update: every path of a gradient is there."""
+    return make_problem(2, UNEQUAL, Settings(theta_step=0.1))
+
+
+def parameters() -> MetaParameters:
+    return to_library(problem().parameters)
+
+
+def step(collect: PreparedCollect, start: MetaParameters) -> tuple[GradientState, GradientInfo]:
+    state = GradientState(start, jnp.zeros((), int))
+    return learner_for(problem()).step(jax.random.key(KEY), state, collect)
+
+
+def bits(tree: Any) -> list[bytes]:
+    return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(tree)]
+
+
+@pytest.mark.parametrize("garbage", [1e30, np.nan, np.inf, -np.inf])
+def test_garbage_after_the_end_of_episodes_changes_no_bit(garbage: float) -> None:
+    clean, clean_info = step(PreparedCollect(problem()), parameters())
+    dirty, dirty_info = step(PreparedCollect(problem(), garbage), parameters())
+    assert clean_info.trust_region.accepted
+    assert bits(dirty) == bits(clean)
+    # The loss, the norm of the gradient, the KL, returns, and all else that is reported.
+    assert jax.tree.structure(dirty_info) == jax.tree.structure(clean_info)
+    for (path, dirty_leaf), clean_leaf in zip(
+        jax.tree_util.tree_leaves_with_path(dirty_info), jax.tree.leaves(clean_info), strict=True
+    ):
+        np.testing.assert_array_equal(
+            dirty_leaf, clean_leaf, err_msg=jax.tree_util.keystr(path), strict=True
+        )
+
+
+class Spoiled(PreparedCollect):
+    """Puts something into the first valid step of the first task slot, in one collection."""
+
+    phase = 1
+    reward: float | None = None
+    action: float | None = None
+
+    def __call__(self, *arguments: Any) -> Episodes:
+        episodes = super().__call__(*arguments)
+        if len(self.asked) - 1 != self.phase:
+            return episodes
+        if self.reward is not None:
+            spoiled = episodes.reward.at[0, 0, 0].set(self.reward)
+            episodes = eqx.tree_at(lambda e: e.reward, episodes, spoiled)
+        if self.action is not None:
+            spoiled = episodes.action.at[0, 0, 0, 0].set(self.action)
+            episodes = eqx.tree_at(lambda e: e.action, episodes, spoiled)
+        return episodes
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("phase", [0, 1])
+@pytest.mark.parametrize("where", ["reward", "action"])
+def test_a_task_that_is_not_finite_is_counted_and_the_step_rejected(
+    where: str, phase: int, value: float
+) -> None:
+    collect = Spoiled(problem())
+    collect.phase = phase
+    setattr(collect, where, value)
+    before = parameters()
+    after, info = step(collect, before)
+    assert not info.trust_region.accepted
+    assert info.nonfinite_tasks == 1
+    assert bits(after.parameters) == bits(before)
+    assert after.iteration == 1
+
+
+def test_a_healthy_step_counts_no_task() -> None:
+    _, info = step(Spoiled(problem()), parameters())
+    assert info.trust_region.accepted
+    assert info.nonfinite_tasks == 0
+
+
+def test_a_step_outside_the_trust_region_is_rejected() -> None:
+    # These parameters did not play: their KL is too large before they have moved at all.
+    flat = flatten(problem().parameters)
+    noise = 0.1 * np.random.default_rng(1).normal(size=flat.shape)
+    elsewhere = to_library(unflatten(flat + noise, problem().parameters))
+    after, info = step(PreparedCollect(problem()), elsewhere)
+    assert not info.trust_region.accepted
+    assert info.nonfinite_tasks == 0
+    assert info.trust_region.loss_after == info.trust_region.loss_before
+    assert info.trust_region.kl == 0.0
+    assert [float(share) for share in jax.tree.leaves(info.shares)] == [0.0, 0.0, 0.0]
+    assert bits(after.parameters) == bits(elsewhere)
+
+
+def test_only_the_latents_of_the_tasks_that_played_move() -> None:
+    collect = PreparedCollect(problem())
+    before = parameters()
+    after, _ = step(collect, before)
+    left_out = np.setdiff1d(np.arange(ROWS), collect.index[0])
+    assert len(left_out) == ROWS - META_BATCH
+    old, new = before.context, after.parameters.context
+    assert bits((new.mean[left_out], new.log_std[left_out])) == bits(
+        (old.mean[left_out], old.log_std[left_out])
+    )
+    assert (new.mean != old.mean).any(-1).sum() == META_BATCH

@@ -1,0 +1,241 @@
+"""Every preset against the protocol of meta-learners, on a tiny analytic world."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
+
+from maesn.adaptation import Adaptation, InnerStep
+from maesn.agent import Agents
+from maesn.learners import PRESETS, GradientFastState, GradientInfo, GradientState
+from maesn.learners.presets import POLICY_STEP
+from maesn.policies import GaussianMLP
+
+TASKS, META_BATCH, STEPS = 7, 3, 4
+# A linear policy, because it compiles faster.
+SMALL = {"policy": GaussianMLP(()), "meta_batch_size": META_BATCH, "curvature_stride": 2}
+# The presets' own settings, but for the stage of `maesn_theta`: it must begin within the run.
+SECOND_STAGE = 2
+STAGED = Adaptation(InnerStep(POLICY_STEP, first_iteration=SECOND_STAGE), InnerStep(1.0))
+SETTINGS = {"maesn_theta": {"adaptation": STAGED}}
+every_preset = pytest.mark.parametrize("preset", PRESETS)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+@contextmanager
+def compilations() -> Iterator[list[str]]:
+    """Collect the names of all programs that JAX compiles meanwhile."""
+    names: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            message = record.getMessage()
+            if message.startswith("Compiling "):
+                names.append(message.split()[1])
+
+    listener, logger = Listener(), logging.getLogger("jax")
+    logger.addHandler(listener)
+    try:
+        with jax.log_compiles(True):
+            yield names
+    finally:
+        logger.removeHandler(listener)
+
+
+class Run(NamedTuple):
+    """A few meta-iterations and one adaptation of one preset."""
+
+    collect: AnalyticCollect
+    states: list[GradientState]
+    infos: list[GradientInfo]
+    compiled: list[list[str]]
+    """Programs that were compiled in each meta-iteration, and in each fast update."""
+    fast_states: list[GradientFastState]
+    fast_compiled: list[list[str]]
+
+
+@cache
+def run(preset: str) -> Run:
+    learner = PRESETS[preset](**SMALL, **SETTINGS.get(preset, {}))
+    result = Run(AnalyticCollect(TASKS), [], [], [], [], [])
+    result.states.append(learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS))
+    for step in range(STEPS):
+        with compilations() as names:
+            state, info = learner.step(jax.random.key(step), result.states[-1], result.collect)
+        result.states.append(state)
+        result.infos.append(info)
+        result.compiled.append(names)
+    fast = learner.fast_learner(result.states[-1])
+    result.fast_states.append(fast.init(TASKS))
+    unseen = AnalyticCollect(TASKS)
+    for step in range(STEPS):
+        keys = jax.random.split(jax.random.key(step), TASKS)
+        with compilations() as names:
+            agents = fast.agents(result.fast_states[-1])
+            episodes = unseen(keys, agents, jnp.arange(TASKS))
+            result.fast_states.append(fast.update(result.fast_states[-1], episodes))
+        result.fast_compiled.append(names)
+    return result
+
+
+def shapes(tree: object) -> list[tuple[tuple[int, ...], jnp.dtype]]:
+    return [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
+
+
+@every_preset
+def test_states_and_agents_hold_arrays_only(preset: str) -> None:
+    done = run(preset)
+    leaves = jax.tree.leaves((done.states, done.infos, done.fast_states))
+    assert all(isinstance(leaf, jax.Array) for leaf in leaves)
+
+
+@every_preset
+def test_states_keep_structure_shapes_and_types(preset: str) -> None:
+    done = run(preset)
+    for states in (done.states, done.fast_states[1:]):
+        assert len({jax.tree.structure(state) for state in states}) == 1
+        assert all(shapes(state) == shapes(states[0]) for state in states)
+
+
+@every_preset
+def test_parameters_stay_finite_and_change(preset: str) -> None:
+    done = run(preset)
+    for before, after, info in zip(done.states, done.states[1:], done.infos, strict=False):
+        new, old = (jax.tree.leaves(state.parameters) for state in (after, before))
+        assert all(np.isfinite(leaf).all() for leaf in new)
+        changed = any((x != y).any() for x, y in zip(new, old, strict=True))
+        assert changed == bool(info.trust_region.accepted)
+    assert any(info.trust_region.accepted for info in done.infos)
+
+
+@every_preset
+def test_infos_are_finite_scalars(preset: str) -> None:
+    for info in run(preset).infos:
+        leaves = jax.tree.leaves(info)
+        assert all(leaf.shape == () for leaf in leaves)
+        assert all(np.isfinite(leaf) for leaf in leaves)
+
+
+@every_preset
+def test_accepted_steps_lower_the_loss_within_the_trust_region(preset: str) -> None:
+    steps = [info.trust_region for info in run(preset).infos if info.trust_region.accepted]
+    assert steps
+    for step in steps:
+        assert step.loss_after < step.loss_before
+        assert 0 < step.kl < 0.01
+
+
+@every_preset
+def test_shares_of_the_step_sum_to_one(preset: str) -> None:
+    for info in run(preset).infos:
+        total = info.shares.policy + info.shares.context + info.shares.step_sizes
+        np.testing.assert_allclose(total, 1.0 if info.trust_region.accepted else 0.0, rtol=1e-5)
+
+
+@every_preset
+def test_the_iteration_is_counted(preset: str) -> None:
+    assert [int(state.iteration) for state in run(preset).states] == list(range(STEPS + 1))
+    assert [int(state.update) for state in run(preset).fast_states] == list(range(STEPS + 1))
+
+
+@every_preset
+def test_nothing_is_compiled_after_the_first_step(preset: str) -> None:
+    done = run(preset)
+    later = list(range(1, STEPS))
+    assert "jit(_improve)" in done.compiled[0]
+    if preset == "maesn_theta":
+        assert "jit(_improve)" in done.compiled[SECOND_STAGE]
+        later.remove(SECOND_STAGE)
+    assert not [name for step in later for name in done.compiled[step]]
+
+
+@every_preset
+def test_fast_updates_are_compiled_once(preset: str) -> None:
+    done = run(preset)
+    assert "jit(update)" in done.fast_compiled[0]
+    # Adapting theta gives each task its own copy in the first update: one program more.
+    shared = [state.agents.shares_policy for state in done.fast_states[:2]]
+    first = 1 if shared[0] == shared[1] else 2
+    assert not [name for names in done.fast_compiled[first:] for name in names]
+
+
+@every_preset
+def test_tasks_are_drawn_without_replacement(preset: str) -> None:
+    index = np.stack(run(preset).collect.index)
+    assert index.shape == (2 * STEPS, META_BATCH)
+    assert all(len(set(row)) == META_BATCH for row in index)
+    assert index.min() >= 0
+    assert index.max() < TASKS
+    # Both collections of a meta-iteration play the same tasks, and the next one plays others.
+    np.testing.assert_array_equal(index[::2], index[1::2])
+    assert len({tuple(row) for row in index}) > 1
+
+
+@pytest.mark.parametrize("preset", ["maesn", "maesn_theta", "latent_space"])
+def test_latents_that_were_not_played_stay(preset: str) -> None:
+    done = run(preset)
+    played = done.collect.index[0]
+    left_out = np.setdiff1d(np.arange(TASKS), played)
+    before, after = (state.parameters.context for state in done.states[:2])
+    for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(old[left_out], new[left_out])
+        assert (old[played] != new[played]).any(axis=-1).all()
+
+
+def test_theta_steps_wait_for_their_stage() -> None:
+    states = run("maesn_theta").states
+    sizes = [jax.tree.leaves(state.parameters.step_sizes.policy) for state in states]
+    for old, new in zip(sizes[0], sizes[SECOND_STAGE], strict=True):
+        np.testing.assert_array_equal(old, new)
+    for old, new in zip(sizes[0], sizes[SECOND_STAGE + 1], strict=True):
+        assert (old != new).any()
+
+
+def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"`meta_batch_size` is 20, .* only 19 tasks"):
+        PRESETS["maesn"]().init(jax.random.key(0), OBSERVATION, ACTION, 19)
+
+
+class Asked(Exception):
+    """Ends a step at its first collection."""
+
+
+def test_a_whole_training_set_is_a_permutation() -> None:
+    learner = PRESETS["maesn"](**SMALL | {"meta_batch_size": 20})
+    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, 20)
+    index = []
+
+    class Recorder:
+        num_tasks = 20
+
+        def __call__(self, keys: jax.Array, agents: Agents, task_index: jax.Array) -> None:
+            index.extend(np.asarray(task_index).tolist())
+            raise Asked
+
+    with pytest.raises(Asked):
+        learner.step(jax.random.key(1), state, Recorder())
+    assert sorted(index) == list(range(20))
+    assert index != sorted(index)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("meta_batch_size", 0), ("outer_batches", 0), ("curvature_stride", 0), ("inner_updates", -1)],
+)
+def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> None:
+    with pytest.raises(ValueError, match=f"`{setting}` must be at least .*, got {value}"):
+        PRESETS["maesn"](**{setting: value})
+
+
+def test_agents_of_new_tasks_are_one_per_task() -> None:
+    state = run("maesn").fast_states[0]
+    assert isinstance(state.agents, Agents)
+    np.testing.assert_array_equal(state.agents.context.mean, np.zeros((TASKS, 2)))
+    np.testing.assert_array_equal(state.agents.context.log_std, np.zeros((TASKS, 2)))

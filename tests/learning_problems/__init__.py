@@ -1,0 +1,1 @@
+"""Experience without worlds: what floors 4 and 5 are tested on."""

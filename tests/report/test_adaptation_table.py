@@ -1,0 +1,116 @@
+"""Adaptation tables: what is written is read, and what is wrong is said."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
+
+from maesn.report import ReportError
+from maesn.report.adaptation_table import COLUMNS, MEASURES, read_adaptation, stack_seeds
+
+HEADER = ",".join(COLUMNS)
+ROW = "0,0,0,-396.0,-390.0,0.1,0.1,0.02"
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "validation-dense.csv"
+    written = adaptation_table()
+    write_adaptation(path, written)
+    table = read_adaptation(path)
+    for name in MEASURES:
+        np.testing.assert_array_equal(table.measure(name), written.measure(name))
+    assert (table.tasks, table.reward) == ("validation", "dense")
+    assert table.episodes.tolist() == [0, 50, 100, 150]
+    assert table.updates.tolist() == [0, 1, 2, 3]
+    assert table.num_tasks == NUM_TASKS
+
+
+def test_the_order_of_the_rows_does_not_matter(tmp_path: Path) -> None:
+    path = tmp_path / "my-goals-sparse.csv"
+    write_adaptation(path, adaptation_table())
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *rows[::-1]]))
+    table = read_adaptation(path)
+    np.testing.assert_array_equal(table.mean_return, adaptation_table().mean_return)
+    assert (table.tasks, table.reward) == ("my-goals", "sparse")
+
+
+def test_an_adaptation_that_went_on_starts_later(tmp_path: Path) -> None:
+    path = tmp_path / "test-sparse.csv"
+    written = adaptation_table()
+    write_adaptation(path, replace(written, first_update=10, episodes=written.episodes + 500))
+    table = read_adaptation(path)
+    assert table.updates.tolist() == [10, 11, 12, 13]
+    assert table.episodes_per_update == 50
+    # Its first column is not played from the prior.
+    assert table.prior_reach is None
+
+
+def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:
+    rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
+    rates[:2, 0] = 0.02, 1.0
+    rates[:, 1] = 1.0
+    reach = replace(adaptation_table(), success_rate=rates).prior_reach
+    assert reach is not None
+    assert (reach.share, reach.episodes) == (2 / NUM_TASKS, 50)
+
+
+def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
+    table = adaptation_table()
+    column = {name: table.measure(name)[:, :1] for name in MEASURES}
+    single = replace(table, episodes=table.episodes[:1], **column)
+    assert single.episodes_per_update is None
+    assert single.prior_reach is None
+
+
+def test_seeds_are_stacked() -> None:
+    tables = [adaptation_table(seed=seed) for seed in range(3)]
+    stacked = stack_seeds(tables, "goal_return")
+    assert stacked.shape == (3, NUM_TASKS, NUM_UPDATES + 1)
+    np.testing.assert_array_equal(stacked[2], tables[2].goal_return)
+
+
+def test_seeds_with_different_tasks_are_refused() -> None:
+    with pytest.raises(
+        ReportError,
+        match=r"got 5 tasks, updates 0 to 3 and 8 tasks, updates 0 to 3.*same `--tasks`",
+    ):
+        stack_seeds([adaptation_table(), adaptation_table(num_tasks=5)], "mean_return")
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("", "the column `task` .* got an empty file"),
+        ("task,update\n0,0\n", "the column `episodes` .* got task, update"),
+        (f"{HEADER}\n", "one row for each task and update .* got 0 rows"),
+        (f"{HEADER}\n{ROW}\n{ROW}\n", "one row for each .* got 2 rows"),
+        (f"{HEADER}\n{ROW}\n1,1,50,1,1,1,1,1\n", "tasks 0 to 1 and 2 updates, got 2 rows"),
+        (
+            f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
+            "number for `goal_return` in .*line 2.*good",
+        ),
+        (f"{HEADER}\n0,0,0,-396.0\n", "number for `goal_return` in .*line 2, got nothing"),
+        (f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n", "finite number for `mean_return`.*got nan"),
+        (f"{HEADER}\n{ROW}\n1,0,7,1,1,1,1,1\n", "the same `episodes` for every task"),
+    ],
+)
+def test_a_broken_table_is_refused_in_one_sentence(
+    tmp_path: Path, content: str, complaint: str
+) -> None:
+    path = tmp_path / "test-sparse.csv"
+    path.write_text(content)
+    with pytest.raises(ReportError, match=complaint) as caught:
+        read_adaptation(path)
+    assert "maesn adapt" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_or_unreadable_table_is_refused(tmp_path: Path) -> None:
+    missing, binary = tmp_path / "test-sparse.csv", tmp_path / "test-dense.csv"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path in (missing, binary, tmp_path):
+        with pytest.raises(ReportError, match=r"Expected a table at .*maesn adapt"):
+            read_adaptation(path)

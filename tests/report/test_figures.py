@@ -1,0 +1,355 @@
+"""Every figure: what is drawn is the data, with units, legends and shared limits."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from synthetic_runs import (
+    NUM_EPISODES,
+    NUM_TASKS,
+    RADIUS,
+    adaptation_table,
+    exploration,
+    fan,
+    half_circle,
+    latents,
+    learning_curve,
+    run,
+    series,
+)
+
+from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
+from maesn.report.figures.exploration import ExploringSeries, plot_exploration
+from maesn.report.figures.latents import plot_latents
+from maesn.report.figures.learning import TrainedSeries, moving_mean, plot_learning_curves
+from maesn.report.figures.plane import (
+    direction_scale,
+    directions,
+    final_positions,
+    reached,
+    shared_limits,
+)
+from maesn.report.figures.structured_noise import plot_structured_noise
+from maesn.report.figures.task_distribution import plot_task_distribution
+from maesn.report.published import published_curve
+from maesn.report.series import Series, group_series
+from maesn.report.statistics import mean_interval
+from maesn.report.style import METHOD_STYLES, save_figure
+
+
+def learning_figure() -> Figure:
+    maesn, maml = series("maesn", "maml")
+    seeds = (learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20))
+    return plot_learning_curves(
+        [TrainedSeries(maesn, seeds), TrainedSeries(maml, (learning_curve(),))], "dense"
+    )
+
+
+def adaptation_figure() -> Figure:
+    maesn, maml = series("maesn", "maml")
+    seeds = tuple(adaptation_table(seed=seed) for seed in range(3))
+    return plot_adaptation_curves(
+        [
+            AdaptedSeries(maesn, seeds, published_curve("wheeled", "maesn")),
+            AdaptedSeries(maml, (adaptation_table(gain=5.0),), None),
+        ]
+    )
+
+
+def exploration_figure() -> Figure:
+    maesn, maml = series("maesn", "maml")
+    return plot_exploration(
+        [
+            ExploringSeries(maesn, exploration(), adaptation_table()),
+            ExploringSeries(maml, exploration(has_latents=False), None),
+        ]
+    )
+
+
+def crowd() -> list[Series]:
+    """All methods, and two experiments that need long names."""
+    wide, narrow = ({"context": {"initial_spread": spread}} for spread in (1.0, 0.0))
+    variants = [run(learner=wide, episodes_per_task=50), run(learner=narrow, episodes_per_task=20)]
+    return group_series([*variants, *(run(name) for name in METHOD_STYLES if name != "maesn")])
+
+
+def crowded_adaptation_figure() -> Figure:
+    seeds = (adaptation_table(), adaptation_table(seed=1))
+    first, *others = crowd()
+    lines = [AdaptedSeries(one, (adaptation_table(),)) for one in others]
+    return plot_adaptation_curves([AdaptedSeries(first, seeds), *lines])
+
+
+def crowded_exploration_figure() -> Figure:
+    return plot_exploration(
+        [ExploringSeries(one, exploration(), adaptation_table()) for one in crowd()]
+    )
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "learning": learning_figure,
+    "adaptation": adaptation_figure,
+    "exploration": exploration_figure,
+    "crowded adaptation": crowded_adaptation_figure,
+    "crowded exploration": crowded_exploration_figure,
+    "tasks": lambda: plot_task_distribution(exploration()),
+    "latents": lambda: plot_latents(latents(), half_circle(NUM_TASKS)),
+    "noise": lambda: plot_structured_noise(exploration()),
+}
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def note(figure: Figure) -> str:
+    return figure.legends[0].get_title().get_text()
+
+
+def segments(axes: Axes) -> list[np.ndarray]:
+    (lines,) = (child for child in axes.collections if isinstance(child, LineCollection))
+    return [np.asarray(segment) for segment in lines.get_segments()]
+
+
+def ellipses(axes: Axes) -> EllipseCollection:
+    (found,) = (child for child in axes.collections if isinstance(child, EllipseCollection))
+    return found
+
+
+def line(axes: Axes, label: str) -> np.ndarray:
+    (found,) = (one for one in axes.lines if one.get_label() == label)
+    return np.asarray(found.get_xydata())
+
+
+@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
+def test_every_figure_is_saved_with_nothing_cut_off(
+    tmp_path: Path, make: Callable[[], Figure]
+) -> None:
+    figure = make()
+    png, pdf = save_figure(figure, tmp_path, "figure")
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert min(file.stat().st_size for file in (png, pdf)) > 5000
+    # In inches; the file ends where the figure does.
+    drawn = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    assert drawn.x0 >= -0.01
+    assert drawn.y0 >= -0.01
+    assert drawn.x1 <= width + 0.01
+    assert drawn.y1 <= height + 0.01
+
+
+def test_learning_curves() -> None:
+    figure = learning_figure()
+    before, after, success = figure.axes
+    assert before.get_ylabel() == "mean dense return"
+    assert {axes.get_xlabel() for axes in figure.axes} == {"meta-iteration"}
+    assert before.get_ylim() == after.get_ylim()
+    assert success.get_ylim()[0] <= 0.0 < 1.0 <= success.get_ylim()[1]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML"]
+    assert "bands: range over the seeds" in note(figure)
+    drawn = line(before, "MAESN, 3 seeds")
+    # As far as all seeds got; constant curves at -420, -400 and -400.
+    assert len(drawn) == 20
+    np.testing.assert_allclose(drawn[:, 1], -1220 / 3)
+    band = before.collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(-420.0), pytest.approx(-400.0))
+
+
+def test_a_method_without_a_metric_has_no_line_for_it() -> None:
+    (maesn,) = series("maesn")
+    curve = replace(learning_curve(), return_before=np.full(30, np.nan))
+    before, after, _ = plot_learning_curves([TrainedSeries(maesn, (curve,))], "sparse").axes
+    assert not before.lines
+    assert len(after.lines) == 2  # the average, and what it is the average of
+
+
+def test_moving_mean_is_brute_force() -> None:
+    values = np.random.default_rng(0).normal(size=(2, 9))
+    expected = [[row[max(0, i - 2) : i + 3].mean() for i in range(9)] for row in values]
+    np.testing.assert_allclose(moving_mean(values, 5), expected)
+    np.testing.assert_array_equal(moving_mean(values, 1), values)
+
+
+def test_adaptation_curves() -> None:
+    figure = adaptation_figure()
+    returns, success, time = figure.axes
+    assert returns.get_ylabel() == "mean sparse return"
+    assert {axes.get_xlabel() for axes in (returns, success, time)} == {"update"}
+    assert [top.get_xlabel() for top in returns.child_axes] == ["episodes learned from"]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML", "MAESN, published"]
+    assert note(figure).splitlines() == [
+        "bands of MAESN: 95 % interval, resampling 8 tasks and 3 seeds",
+        "bands of MAML: 95 % interval, resampling 8 tasks; 1 seed",
+    ]
+    np.testing.assert_array_equal(line(returns, "MAESN, published")[:, 0], [0, 1, 2, 3])
+    assert line(returns, "MAESN, published")[0, 1] == -395.7
+    assert not any(one.get_label() == "MAESN, published" for one in success.lines)
+
+
+def test_the_band_is_the_interval() -> None:
+    (maesn,) = series("maesn")
+    table = adaptation_table()
+    figure = plot_adaptation_curves([AdaptedSeries(maesn, (table,))])
+    interval = mean_interval(table.mean_return[None, :, -1])
+    band = figure.axes[0].collections[0].get_paths()[0].vertices
+    at_end = band[band[:, 0] == 3.0, 1]
+    assert {at_end.min(), at_end.max()} == {interval.low, interval.high}
+    assert line(figure.axes[0], "MAESN")[-1, 1] == pytest.approx(interval.mean)
+    assert note(figure) == "bands: 95 % interval, resampling 8 tasks; 1 seed"
+
+
+def test_two_numbers_of_episodes_share_no_axis() -> None:
+    maesn, maml = series("maesn", "maml")
+    other = replace(adaptation_table(), episodes=20 * np.arange(4))
+    lines = [AdaptedSeries(maesn, (adaptation_table(),)), AdaptedSeries(maml, (other,))]
+    assert not plot_adaptation_curves(lines).axes[0].child_axes
+
+
+def test_exploration() -> None:
+    figure = exploration_figure()
+    maesn, maml, untrained = figure.axes
+    share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
+    assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
+    assert maml.get_title() == "MAML"
+    assert untrained.get_title() == "untrained policy\n0% of the goals in 5 episodes"
+    np.testing.assert_array_equal(segments(maesn), exploration().prior_paths)
+    np.testing.assert_array_equal(segments(untrained), exploration().untrained_paths)
+    for axes in figure.axes:
+        assert axes.get_aspect() == 1.0
+        assert axes.get_xlabel() == "x (m)"
+        assert (axes.get_xlim(), axes.get_ylim()) == (maesn.get_xlim(), maesn.get_ylim())
+        np.testing.assert_array_equal(ellipses(axes).get_offsets(), half_circle(NUM_TASKS))
+        assert set(ellipses(axes).get_widths()) == {2 * RADIUS}
+    assert maesn.get_ylabel() == "y (m)"
+
+
+@pytest.mark.parametrize("number", [1, 3, 6])
+def test_lower_left_panels_keep_their_labels(number: int) -> None:
+    methods = series("maesn", "maml", "latent_space", "maml_bias", "maml_bias_only", "maesn_theta")
+    panels = [ExploringSeries(one, exploration(), None) for one in methods[:number]]
+    axes = plot_exploration(panels).axes
+    assert len(axes) == number + 1
+    assert axes[-1].get_xlabel() == "x (m)"
+    assert axes[0].get_ylabel() == "y (m)"
+
+
+def test_the_share_of_the_untrained_policy_is_counted() -> None:
+    goals = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+    paths = fan(np.array([0.0, np.pi / 2]), 0.5)
+    paths[1, -3:] = np.nan  # an episode that ended early
+    # The second episode got as far as 17/20 of 0.5 m, 0.575 m from the second goal.
+    assert reached(goals, paths, 0.49).tolist() == [False, False, False]
+    assert reached(goals, paths, 0.57).tolist() == [True, False, False]
+    assert reached(goals, paths, 0.58).tolist() == [True, True, False]
+
+
+def test_final_positions_are_the_last_that_were_played() -> None:
+    paths = fan(np.array([0.0, np.pi / 2]), 1.0, num_steps=10)
+    paths[1, 6:] = np.nan
+    np.testing.assert_allclose(final_positions(paths), [[1.0, 0.0], [0.0, 0.5]], atol=1e-12)
+
+
+def test_limits_hold_discs_and_paths() -> None:
+    goals, paths = np.array([[0.0, 2.0]]), fan(np.array([0.0]), 3.0)
+    limits = shared_limits([goals, paths], radius=0.5)
+    assert (limits.low < [-0.5, 0.0]).all()
+    assert (limits.high > [3.0, 2.5]).all()
+    assert limits.aspect < 1.0
+
+
+def test_directions_are_degrees_and_colours_cover_them() -> None:
+    goals = np.array([[1.0, 0.0], [0.0, 2.0], [-3.0, 0.0]])
+    np.testing.assert_allclose(directions(goals), [0.0, 90.0, 180.0])
+    assert direction_scale(goals[:2]).get_clim() == (0.0, 90.0)
+    assert direction_scale(goals[:1]).get_clim() == (0.0, 30.0)
+
+
+def test_task_distribution() -> None:
+    figure = plot_task_distribution(exploration())
+    (axes,) = figure.axes
+    assert legend(figure) == [
+        "10 training goals",
+        "8 goals adapted to",
+        "goal region (0.8 m)",
+        "start",
+    ]
+    np.testing.assert_array_equal(line(axes, "10 training goals"), half_circle(10))
+    np.testing.assert_array_equal(line(axes, "8 goals adapted to"), half_circle(NUM_TASKS))
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("x (m)", "y (m)", 1.0)
+    (disc,) = axes.patches
+    assert isinstance(disc, Circle)
+    assert disc.get_radius() == RADIUS
+
+
+def test_latents() -> None:
+    figure = plot_latents(latents(), half_circle(NUM_TASKS))
+    before, after, bar = figure.axes
+    assert (before.get_title(), after.get_title()) == ("before adaptation", "after 3 updates")
+    assert legend(figure) == ["prior N(0, I), 1σ", "a task's latent distribution, 1σ"]
+    assert bar.get_ylabel() == "direction of the goal (°)"
+    np.testing.assert_allclose(ellipses(before).get_widths(), 2.0)  # 1 sigma of the prior
+    np.testing.assert_allclose(ellipses(after).get_heights(), 1.0)
+    np.testing.assert_array_equal(ellipses(after).get_offsets(), latents().mean[-1])
+    colours = ellipses(after).get_edgecolor()
+    assert len({tuple(colour) for colour in colours}) == NUM_TASKS
+    for axes in (before, after):
+        assert (axes.get_xlim(), axes.get_ylim()) == (after.get_xlim(), after.get_ylim())
+        (prior,) = axes.patches
+        assert isinstance(prior, Circle)
+        assert (prior.get_radius(), tuple(prior.center)) == (1.0, (0.0, 0.0))
+
+
+def test_latents_show_the_components_that_spread_most() -> None:
+    axes = plot_latents(latents(num_components=4)).axes
+    assert len(axes) == 2  # without goals there is no scale of directions
+    assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == (
+        "latent component 3",
+        "latent component 4",
+    )
+
+
+def test_latents_that_went_on_have_another_beginning() -> None:
+    axes = plot_latents(replace(latents(), first_update=1)).axes
+    assert [one.get_title() for one in axes] == ["after 1 update", "after 4 updates"]
+
+
+def test_one_component_makes_no_ellipse() -> None:
+    with pytest.raises(ValueError, match=r"`latents` must have at least 2 components .* got 1"):
+        plot_latents(latents(num_components=1))
+
+
+def test_structured_noise() -> None:
+    figure = plot_structured_noise(exploration())
+    drawn, sampled, fixed, bar = figure.axes
+    assert sampled.get_title().startswith("z sampled from the prior\n")
+    # All episodes with the fixed latent end in one place.
+    assert fixed.get_title() == "z fixed\nfinal positions spread 0.00 m"
+    assert (sampled.get_xlim(), sampled.get_ylim()) == (fixed.get_xlim(), fixed.get_ylim())
+    assert sampled.get_aspect() == fixed.get_aspect() == drawn.get_aspect() == 1.0
+    np.testing.assert_array_equal(segments(sampled), exploration().prior_paths)
+    assert len(segments(fixed)) == NUM_EPISODES
+    assert bar.get_ylabel() == "final direction (°)"
+    np.testing.assert_array_equal(drawn.collections[0].get_offsets(), exploration().prior_latents)
+
+
+def test_structured_noise_without_known_latents_has_two_panels() -> None:
+    assert len(plot_structured_noise(replace(exploration(), prior_latents=None)).axes) == 3
+
+
+def test_structured_noise_needs_a_latent() -> None:
+    with pytest.raises(ValueError, match=r"`exploration.fixed_paths` must be given"):
+        plot_structured_noise(exploration(has_latents=False))
+
+
+def test_methods_are_drawn_in_their_own_style() -> None:
+    axes = adaptation_figure().axes[0]
+    (drawn,) = (one for one in axes.lines if one.get_label() == "MAML")
+    style = METHOD_STYLES["maml"]
+    assert (drawn.get_color(), drawn.get_marker()) == (style.colour, style.marker)

@@ -1,0 +1,142 @@
+"""All figures of run directories: what is drawn, what is said, what is refused."""
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from synthetic_runs import write_run
+
+from maesn.plot import plot_run_directories
+from maesn.report import ReportError
+
+LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
+
+
+def draw(directories: list[Path], out: Path) -> tuple[set[str], str]:
+    """Draw, check that the files are there in pairs, and return their names and what was said."""
+    console = Console(file=io.StringIO(), width=40)
+    written = plot_run_directories(directories, out, console)
+    assert len(written) == len(set(written))
+    assert {file for file in out.rglob("*") if file.is_file()} >= set(written)
+    names = {str(file.relative_to(out).with_suffix("")) for file in written}
+    assert len(written) == 2 * len(names)
+    output = console.file
+    assert isinstance(output, io.StringIO)
+    return names, output.getvalue()
+
+
+def test_one_run_gives_every_figure(tmp_path: Path) -> None:
+    names, said = draw([write_run(tmp_path / "run")], tmp_path / "run" / "figures")
+    assert names == {
+        "learning-curves-dense",
+        "adaptation-curves-test-sparse",
+        "task-distribution",
+        "exploration",
+        "structured-noise-maesn",
+        "latents-maesn-test-sparse",
+    }
+    (sentence,) = said.splitlines()  # not broken at the console's width
+    assert sentence.startswith("MAESN: ")
+    assert sentence.endswith("of the 8 goals (test tasks) are reached within 50 prior episodes.")
+
+
+def test_several_runs_share_figures(tmp_path: Path) -> None:
+    runs = [
+        write_run(tmp_path / "a", seed=0, without=["exploration"]),
+        write_run(tmp_path / "b", seed=1, without=["exploration"]),
+        write_run(tmp_path / "c", method="maml", without=["metrics"]),
+        tmp_path / "a" / ".." / "a",  # given twice
+    ]
+    names, said = draw(runs, tmp_path / "out")
+    assert names == {
+        "learning-curves-dense",
+        "adaptation-curves-test-sparse",
+        "latents-maesn-test-sparse",
+        "task-distribution",
+        "exploration",
+    }
+    assert f"No exploration trajectories in `{runs[0]}`: " in said
+    assert f"No metrics in `{runs[2]}`: " in said
+
+
+def test_worlds_and_rewards_are_kept_apart(tmp_path: Path) -> None:
+    without = ["adaptation", "exploration"]
+    runs = [
+        write_run(tmp_path / "a", without=without),
+        write_run(tmp_path / "b", without=without, reward="sparse"),
+        write_run(tmp_path / "c", without=without, family="point"),
+    ]
+    names, _ = draw(runs, tmp_path / "out")
+    assert names == {
+        "wheeled/learning-curves-dense",
+        "wheeled/learning-curves-sparse",
+        "point/learning-curves-dense",
+    }
+
+
+def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) -> None:
+    bare = write_run(tmp_path / "bare", without=["metrics", "adaptation", "exploration"])
+    names, said = draw([bare], tmp_path / "out")
+    assert names == set()
+    assert said.splitlines() == [
+        f"No metrics in `{bare}`: `maesn train` or `maesn resume DIR` writes them.",
+        f"No adaptation in `{bare}`: `maesn adapt DIR` writes it.",
+        f"No exploration trajectories in `{bare}`: `maesn plot DIR` records them.",
+    ]
+
+
+def test_a_method_that_was_not_adapted_is_named(tmp_path: Path) -> None:
+    whole = write_run(tmp_path / "whole", without=["exploration", "metrics"])
+    bare = write_run(tmp_path / "bare", "maml", without=["adaptation", "exploration", "metrics"])
+    names, said = draw([whole, bare], tmp_path / "out")
+    assert names == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
+    assert (
+        f"No adaptation to the test tasks with sparse reward in `{bare}`: `maesn adapt DIR "
+        "--tasks test --reward sparse` writes it."
+    ) in said
+
+
+def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", without=["metrics"])
+    file = run / "figures" / "exploration.npz"
+    arrays = dict(np.load(file))
+    np.savez(file, **{**arrays, "goals": arrays["goals"][:3]})
+    names, said = draw([run], tmp_path / "out")
+    assert "latents-maesn-test-sparse" in names
+    assert "prior episodes" not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [
+        ("metrics.jsonl", "Expected a JSON object in .*metrics.jsonl`, line 1"),
+        ("adaptation/test-sparse.csv", "Expected the column `task`"),
+        ("adaptation/test-sparse.latents.npz", "Expected arrays at .*latents.npz"),
+        ("figures/exploration.npz", "Expected arrays at .*exploration.npz"),
+        ("config.json", "Expected a JSON file at .*config.json"),
+    ],
+)
+def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: str) -> None:
+    run = write_run(tmp_path / "run", without=["metrics"])
+    (run / name).write_text("broken\n")
+    with pytest.raises(ReportError, match=complaint):
+        plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
+
+
+def test_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match="at least one run directory in `directories`"):
+        plot_run_directories([], tmp_path)
+    with pytest.raises(ReportError, match=r"config.json`, got no such file; .*maesn train METHOD"):
+        plot_run_directories([tmp_path], tmp_path)
+
+
+def test_plotting_loads_no_learner_and_no_physics() -> None:
+    program = "import sys, maesn.plot; print(*{name.partition('.')[0] for name in sys.modules})"
+    command = [sys.executable, "-c", program]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert not set(output.split()) & LEARNER_AND_PHYSICS
+    assert "matplotlib" in output.split()

@@ -1,0 +1,57 @@
+"""The published curves, against numbers read off the table's source by eye."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_runs import adaptation_table, run
+
+from maesn.report.published import is_comparable, published_curve
+
+
+@pytest.mark.parametrize(
+    ("family", "method", "name", "start", "end"),
+    [
+        ("wheeled", "maesn", "MAESN", -395.7, -357.5),
+        ("wheeled", "latent_space", "LatentSpace", -400.8, -396.8),
+        ("wheeled", "maml_bias_only", "MAML", -404.8, -411.4),
+        ("ant", "maesn", "MAESN", 309.3, 374.9),
+        ("ant", "rl2", "RL2", 291.0, 290.7),
+        ("blockpush", "maesn", "MAESN", -376.7, -278.6),
+        ("blockpush", "trpo", "TRPO", -439.3, -305.4),
+        ("blockpush", "reinforce", "VPG", -439.3, -422.3),
+    ],
+)
+def test_ends_of_the_curves(family: str, method: str, name: str, start: float, end: float) -> None:
+    curve = published_curve(family, method)
+    assert curve is not None
+    assert curve.name == name
+    assert (curve.mean_return[0], curve.mean_return[-1]) == (start, end)
+    assert (curve.update[0], curve.update[-1]) == (0, 99)
+
+
+def test_what_could_not_be_read_is_absent() -> None:
+    curve = published_curve("blockpush", "vime")
+    assert curve is not None
+    assert curve.update[0] == 6
+    assert len(curve.update) == 93
+    assert (np.diff(curve.update) > 0).all()
+
+
+@pytest.mark.parametrize(("family", "method"), [("point", "maesn"), ("wheeled", "mine")])
+def test_what_the_paper_does_not_show(family: str, method: str) -> None:
+    assert published_curve(family, method) is None
+
+
+def test_only_the_same_protocol_is_comparable() -> None:
+    table, settings = adaptation_table(), run().settings
+    assert is_comparable(settings, table)
+    assert is_comparable({**settings, "sparse_radius": 0.8}, table)
+    assert not is_comparable({**settings, "sparse_radius": 1.0}, table)
+    assert not is_comparable({**settings, "variant": "paper"}, table)
+    assert not is_comparable({**settings, "family": "point"}, table)
+    assert not is_comparable(settings, replace(table, reward="dense"))
+    assert not is_comparable(settings, replace(table, episodes=20 * np.arange(4)))
+    assert is_comparable(
+        {**settings, "family": "blockpush"}, replace(table, episodes=20 * np.arange(4))
+    )

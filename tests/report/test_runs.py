@@ -1,0 +1,182 @@
+"""Run directories: what is read, and one sentence about what cannot be."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_runs import (
+    NUM_EPISODES,
+    RADIUS,
+    exploration,
+    latents,
+    learning_curve,
+    write_exploration,
+    write_metrics,
+    write_run,
+)
+
+from maesn.report import ReportError
+from maesn.report.runs import read_exploration, read_latents, read_learning_curve, read_run
+
+
+def refused(call: Callable[[], object]) -> str:
+    with pytest.raises(ReportError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.endswith(".")
+    return message
+
+
+def test_settings_are_read(tmp_path: Path) -> None:
+    run = read_run(write_run(tmp_path / "a", "maml", seed=3, learner={"meta_batch_size": 20}))
+    assert (run.method, run.family, run.variant, run.seed) == ("maml", "wheeled", "reference", 3)
+    assert run.settings["iterations"] == 30
+    assert run.learner == {"meta_batch_size": 20}
+    assert [file.name for file in run.adaptation_files()] == ["test-sparse.csv"]
+    assert run.adaptation("validation", "sparse") is None
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (None, "got no such file"),
+        ("{", "got something else that cannot be read"),
+        ("[1]", "Expected an object .* got list"),
+        ('{"schema": 1}', "Expected `settings` .* got none"),
+        ('{"settings": {"method": "maesn"}}', "Expected `family` of type str .* got None"),
+    ],
+)
+def test_what_is_no_run_is_refused(tmp_path: Path, content: str | None, complaint: str) -> None:
+    if content is not None:
+        (tmp_path / "config.json").write_text(content)
+    with pytest.raises(ReportError, match=complaint + ".*maesn train"):
+        read_run(tmp_path)
+
+
+def test_metrics_are_read(tmp_path: Path) -> None:
+    write_metrics(tmp_path / "metrics.jsonl", learning_curve(5))
+    curve = read_learning_curve(tmp_path)
+    assert curve is not None
+    for name, expected in vars(learning_curve(5)).items():
+        np.testing.assert_array_equal(getattr(curve, name), expected)
+
+
+def test_a_metric_that_a_method_lacks_is_nan(tmp_path: Path) -> None:
+    lines = [{"iteration": 1, "return_after": -3}, {"iteration": 2, "return_after": None}]
+    (tmp_path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    curve = read_learning_curve(tmp_path)
+    assert curve is not None
+    np.testing.assert_array_equal(curve.return_after, [-3.0, np.nan])
+    assert np.isnan(curve.return_before).all()
+
+
+def test_the_line_that_is_being_written_is_left_out(tmp_path: Path) -> None:
+    file = tmp_path / "metrics.jsonl"
+    write_metrics(file, learning_curve(3))
+    file.write_text(file.read_text() + '{"iteration": 4, "ret')
+    curve = read_learning_curve(tmp_path)
+    assert curve is not None
+    assert curve.iteration.tolist() == [1, 2, 3]
+
+
+def test_a_run_without_an_iteration_has_no_curve(tmp_path: Path) -> None:
+    assert read_learning_curve(tmp_path) is None
+    (tmp_path / "metrics.jsonl").write_text("")
+    assert read_learning_curve(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("{\n", "line 1, got '{'"),
+        ('{"iteration": 1}\n[]\n', "line 2, got '\\[\\]'"),
+        ('{"return_after": 1}\n', "an increasing `iteration`"),
+        ('{"iteration": 2}\n{"iteration": 2}\n', "an increasing `iteration`"),
+    ],
+)
+def test_broken_metrics_are_refused(tmp_path: Path, content: str, complaint: str) -> None:
+    (tmp_path / "metrics.jsonl").write_text(content)
+    with pytest.raises(ReportError, match=complaint):
+        read_learning_curve(tmp_path)
+
+
+@pytest.mark.parametrize("has_latents", [True, False])
+def test_exploration_is_read(tmp_path: Path, *, has_latents: bool) -> None:
+    written = exploration(has_latents=has_latents)
+    write_exploration(tmp_path / "figures" / "exploration.npz", written)
+    read = read_exploration(tmp_path)
+    assert read is not None
+    assert read.sparse_radius == RADIUS
+    for name, expected in vars(written).items():
+        np.testing.assert_array_equal(getattr(read, name), expected)
+
+
+def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
+    """A recorder may write the (empty) context of every method."""
+    file = tmp_path / "figures" / "exploration.npz"
+    write_exploration(file, exploration(has_latents=False))
+    np.savez(file, **np.load(file), prior_latents=np.zeros((NUM_EPISODES, 0)))
+    read = read_exploration(tmp_path)
+    assert read is not None
+    assert read.prior_latents is None
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"goals": None}, r"`goals` \[task, 2\] .* got fixed_paths, prior_latents"),
+        ({"goals": np.zeros((3, 3))}, r"`goals` \[task, 2\] .* got float64 \[3, 3\]"),
+        ({"prior_paths": np.zeros((0, 5, 2))}, r"`prior_paths` .* got float64 \[0, 5, 2\]"),
+        ({"prior_paths": np.array(["x"])}, r"`prior_paths` \[episode, time, 2\] .* got <U1 \[1\]"),
+        ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, context\] .* got float64 \[2"),
+        ({"sparse_radius": np.zeros(2)}, r"`sparse_radius` \[\] .* got float64 \[2\]"),
+        ({"goals": np.array([None])}, "something else that cannot be read"),
+    ],
+)
+def test_misshapen_exploration_is_refused(
+    tmp_path: Path, change: dict[str, np.ndarray | None], complaint: str
+) -> None:
+    file = tmp_path / "figures" / "exploration.npz"
+    write_exploration(file, exploration())
+    arrays = {**np.load(file), **change}
+    np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(ReportError, match=complaint + ".*delete it, and `maesn plot DIR`"):
+        read_exploration(tmp_path)
+
+
+def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "figures" / "exploration.npz"
+    file.parent.mkdir()
+    for content in (b"", b"PK\x03\x04 truncated", b"text"):
+        file.write_bytes(content)
+        assert "something else that cannot be read" in refused(lambda: read_exploration(tmp_path))
+    with file.open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    assert "something else that cannot be read" in refused(lambda: read_exploration(tmp_path))
+
+
+def test_latents_are_read(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "a", "maesn")
+    read = read_latents(run, "test", "sparse")
+    assert read is not None
+    np.testing.assert_array_equal(read.mean, latents().mean)
+    assert (read.num_tasks, read.num_components, read.first_update, read.last_update) == (
+        8,
+        2,
+        0,
+        3,
+    )
+    assert read_latents(write_run(tmp_path / "b", "maml"), "test", "sparse") is None
+
+
+def test_latents_of_two_shapes_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "adaptation" / "test-sparse.latents.npz"
+    file.parent.mkdir()
+    np.savez(file, mean=np.zeros((4, 8, 2)), log_std=np.zeros((4, 8, 3)), first_update=0)
+    message = refused(lambda: read_latents(tmp_path, "test", "sparse"))
+    assert "Expected `log_std` [4, 8, 2]" in message
+    assert "got float64 [4, 8, 3]" in message
+    assert "maesn adapt" in message

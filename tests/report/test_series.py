@@ -1,0 +1,68 @@
+"""Which runs share a line, and which share a figure."""
+
+import pytest
+from synthetic_runs import run
+
+from maesn.report import ReportError
+from maesn.report.series import group_series, group_worlds
+from maesn.report.style import METHOD_STYLES
+
+
+def test_seeds_of_one_experiment_are_one_series() -> None:
+    runs = [run(seed=seed, num_threads=seed, checkpoint_every=1 + seed) for seed in range(3)]
+    (series,) = group_series(runs)
+    assert series.runs == tuple(runs)
+    assert (series.name, series.label, series.method) == ("maesn", "MAESN", "maesn")
+    assert series.style == METHOD_STYLES["maesn"]
+
+
+def test_methods_come_in_the_order_of_their_styles() -> None:
+    runs = [run("maml"), run("mine"), run("latent_space"), run("maesn")]
+    labels = [series.label for series in group_series(runs)]
+    assert labels == ["MAESN", "LatentSpace", "MAML", "mine"]
+
+
+def test_experiments_of_one_method_are_told_apart_by_what_differs() -> None:
+    wide = {"context": {"initial_spread": 1.0, "size": 2}}
+    narrow = {"context": {"initial_spread": 0.0, "size": 2}}
+    runs = [
+        run(learner=wide, episodes_per_task=20),
+        run(learner=wide, episodes_per_task=50),
+        run(learner=narrow, episodes_per_task=20),
+    ]
+    series = group_series(runs)
+    assert [one.label for one in series] == [
+        "MAESN (episodes per task 20, initial spread 1.0)",
+        "MAESN (episodes per task 50, initial spread 1.0)",
+        "MAESN (episodes per task 20, initial spread 0.0)",
+    ]
+    assert [one.name for one in series] == ["maesn", "maesn-2", "maesn-3"]
+    assert len({(one.style.colour, one.style.line, one.style.marker) for one in series}) == 3
+
+
+def test_a_difference_between_methods_is_no_part_of_the_label() -> None:
+    first, second = group_series([run("maesn", iterations=300), run("maml", iterations=500)])
+    assert (first.label, second.label) == ("MAESN", "MAML")
+
+
+def test_one_seed_given_twice_is_refused() -> None:
+    with pytest.raises(ReportError, match=r"got seed 0 in both `.*maesn-0` and `.*maesn-0`"):
+        group_series([run(), run()])
+
+
+def test_worlds_are_named_as_shortly_as_possible() -> None:
+    runs = [run(), run("maml"), run(family="point")]
+    assert {name: len(members) for name, members in group_worlds(runs).items()} == {
+        "wheeled": 2,
+        "point": 1,
+    }
+    runs = [run(), run(variant="paper"), run(sparse_radius=1.0)]
+    assert set(group_worlds(runs)) == {
+        "wheeled-reference-radius-null",
+        "wheeled-paper-radius-null",
+        "wheeled-reference-radius-1.0",
+    }
+
+
+def test_the_name_of_a_world_is_a_file_name() -> None:
+    assert list(group_worlds([run(family="my.module:Maze")])) == ["my.module-Maze"]

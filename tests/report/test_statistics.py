@@ -1,0 +1,154 @@
+"""Intervals against closed forms, and their coverage against what theory predicts."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from maesn.report.statistics import (
+    NUM_RESAMPLES,
+    difference_interval,
+    mean_interval,
+    mean_intervals,
+)
+
+# Relative standard error of a standard deviation that is estimated from R normal draws.
+RELATIVE_ERROR = 1.0 / math.sqrt(2 * NUM_RESAMPLES)
+SIGMAS = 4.0
+TOLERANCE = SIGMAS * RELATIVE_ERROR
+
+
+def draw(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def crossed_variance(values: np.ndarray) -> float:
+    """Variance of the mean when rows and columns are resampled independently; closed form.
+
+    Given row weights a, the mean over columns has variance Σ_t (y_t - ȳ)²/T², y = xᵀa/S; the
+    multinomial a has E[a aᵀ] = I + (1 - 1/S) 1 1ᵀ.
+    """
+    num_rows, num_columns = values.shape
+    between = values.mean(1).var() / num_rows
+    centred = values - values.mean(1, keepdims=True)
+    second_moment = np.eye(num_rows) + (1 - 1 / num_rows)
+    within = np.trace(centred @ centred.T @ second_moment) / num_rows**2 / num_columns**2
+    return float(between + within)
+
+
+def test_one_seed_is_the_textbook_bootstrap_of_a_mean() -> None:
+    values = draw(1, 100)
+    interval = mean_interval(values)
+    assert interval.mean == pytest.approx(values.mean(), abs=1e-12)
+    assert interval.standard_error == pytest.approx(values.std() / 10, rel=TOLERANCE)
+    half = scipy.stats.norm.ppf(0.975) * values.std() / 10
+    assert interval.low == pytest.approx(values.mean() - half, abs=0.1 * half)
+    assert interval.high == pytest.approx(values.mean() + half, abs=0.1 * half)
+
+
+@pytest.mark.parametrize(("num_seeds", "num_tasks"), [(2, 30), (3, 100), (6, 2), (5, 1)])
+def test_seeds_and_tasks_are_resampled_as_crossed_factors(num_seeds: int, num_tasks: int) -> None:
+    values = (
+        draw(num_seeds, num_tasks) + 2 * draw(1, num_tasks, seed=1) + draw(num_seeds, 1, seed=2)
+    )
+    expected = math.sqrt(crossed_variance(values))
+    # Few levels make the bootstrap distribution lumpy, which only helps: its tails are shorter.
+    assert mean_interval(values).standard_error == pytest.approx(expected, rel=TOLERANCE)
+
+
+def test_identical_seeds_add_no_certainty_about_the_tasks() -> None:
+    tasks = draw(1, 40)
+    repeated = mean_interval(np.repeat(tasks, 5, axis=0))
+    assert repeated.standard_error == pytest.approx(tasks.std() / math.sqrt(40), rel=TOLERANCE)
+
+
+def test_a_paired_difference_keeps_only_what_differs() -> None:
+    hard, first, second = 10 * draw(1, 50), draw(1, 50, seed=1), draw(1, 50, seed=2)
+    interval = difference_interval(hard + first, hard + second)
+    difference = first - second
+    assert interval.mean == pytest.approx(difference.mean(), abs=1e-12)
+    assert interval.standard_error == pytest.approx(difference.std() / math.sqrt(50), rel=TOLERANCE)
+
+
+def test_the_seeds_of_a_difference_are_independent() -> None:
+    """With one task, nothing but the seeds varies, and variances of the two means add."""
+    first, second = draw(4, 1), 2 * draw(6, 1, seed=1)
+    expected = math.sqrt(first.var() / 4 + second.var() / 6)
+    interval = difference_interval(first, second)
+    assert interval.standard_error == pytest.approx(expected, rel=TOLERANCE)
+
+
+def test_a_constant_difference_is_certain() -> None:
+    values = draw(1, 20)
+    interval = difference_interval(values + 3.0, values)
+    assert (interval.low, interval.high) == (pytest.approx(3.0), pytest.approx(3.0))
+    assert interval.excludes_zero
+    assert not difference_interval(values, values).excludes_zero
+
+
+def test_coverage_is_what_theory_predicts() -> None:
+    """For normal data the interval is mean ± 1.96 s √((n-1)/n)/√n, whose coverage is Student's."""
+    num_tasks, repetitions = 30, 400
+    values = draw(repetitions, 1, num_tasks, seed=3)
+    hits = sum(i.low <= 0.0 <= i.high for i in map(mean_interval, values))
+    reach = scipy.stats.norm.ppf(0.975) * math.sqrt((num_tasks - 1) / num_tasks)
+    expected = 1 - 2 * scipy.stats.t.sf(reach, num_tasks - 1)
+    sigma = math.sqrt(expected * (1 - expected) / repetitions)
+    assert abs(hits / repetitions - expected) < SIGMAS * sigma
+
+
+def test_confidence_is_an_argument() -> None:
+    values = draw(1, 100)
+    wide, narrow = mean_interval(values), mean_interval(values, confidence=0.5)
+    ratio = (narrow.high - narrow.low) / (wide.high - wide.low)
+    assert ratio == pytest.approx(0.6745 / 1.96, rel=0.1)
+    assert narrow.label.startswith("50 % interval")
+
+
+@pytest.mark.parametrize(
+    ("shape", "label"),
+    [
+        ((1, 100), "95 % interval, resampling 100 tasks; 1 seed"),
+        ((3, 100), "95 % interval, resampling 100 tasks and 3 seeds"),
+        ((3, 1), "95 % interval, resampling 3 seeds; 1 task"),
+        ((1, 1), "no interval: 1 task and 1 seed"),
+    ],
+)
+def test_the_label_says_what_is_resampled(shape: tuple[int, int], label: str) -> None:
+    assert mean_interval(draw(*shape)).label == label
+
+
+@pytest.mark.parametrize(
+    ("seeds", "resampled"),
+    [
+        ((1, 1), "100 tasks; 1 seed each"),
+        ((3, 3), "100 tasks and 3 seeds each"),
+        ((1, 3), "100 tasks and 1 against 3 seeds"),
+    ],
+)
+def test_the_label_of_a_difference(seeds: tuple[int, int], resampled: str) -> None:
+    label = difference_interval(draw(seeds[0], 100), draw(seeds[1], 100)).label
+    assert label == f"95 % interval of the paired difference, resampling {resampled}"
+
+
+def test_one_number_has_no_interval() -> None:
+    interval = mean_interval(np.array([[2.0]]))
+    assert interval.mean == 2.0
+    assert not interval.is_known
+    assert not interval.excludes_zero
+
+
+def test_curves_are_intervals_of_each_update() -> None:
+    values = draw(3, 10, 4)
+    assert mean_intervals(values) == [mean_interval(values[..., k]) for k in range(4)]
+
+
+def test_other_tasks_cannot_be_paired() -> None:
+    with pytest.raises(ValueError, match=r"the same tasks, got 10 and 9; compare"):
+        difference_interval(draw(1, 10), draw(1, 9))
+
+
+def test_no_tasks_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"`values` must hold at least one seed and one task"):
+        mean_interval(np.zeros((1, 0)))

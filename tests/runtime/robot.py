@@ -1,0 +1,77 @@
+"""A cast for the tests of the runtime: a learner with odd numbers, and episodes of a mock robot."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from maesn.context import Latent
+from maesn.envs import AnyEnv, Point
+from maesn.export import export_policy
+from maesn.learners import GradientFastLearner
+from maesn.learners import maesn as maesn_preset
+from maesn.policies import GaussianMLP
+from maesn.runtime import Explorer
+
+LATENT_SIZE = 2
+STEPS = 5
+
+Paid = Callable[[np.ndarray, int], Sequence[float]]
+
+
+def fast_learner(env: AnyEnv | None = None, **settings: Any) -> GradientFastLearner:
+    """A fast learner with random weights and another step size for every parameter."""
+    env = Point() if env is None else env
+    settings = {"policy": GaussianMLP((16, 12), initial_std=0.3), "meta_batch_size": 1, **settings}
+    learner = maesn_preset(**settings)
+    state = learner.init(jax.random.key(3), env.observation_size, env.action_size, 1)
+    sizes = Latent(jnp.asarray([1.3, 0.4]), jnp.asarray([0.7, -0.2]))
+    return eqx.tree_at(lambda fast: fast.step_sizes.context, learner.fast_learner(state), sizes)
+
+
+def policy_file(directory: Path, env: AnyEnv | None = None, **settings: Any) -> Path:
+    """An exported policy."""
+    env = Point() if env is None else env
+    path = directory / "policy.npz"
+    export_policy(fast_learner(env, **settings), env, path, {"run": "a test"})
+    return path
+
+
+def observations(explorer: Explorer, num_steps: int, seed: int = 0) -> np.ndarray:
+    """What a mock robot would see, `[time, observation]`."""
+    shape = (num_steps, explorer.exported.observation_size)
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def play(explorer: Explorer, num_episodes: int, paid: Paid, steps: int = STEPS) -> None:
+    """Play episodes; `paid(z, number)` returns the rewards of one."""
+    for number in range(num_episodes):
+        z = explorer.begin_episode()
+        for observation in observations(explorer, steps, seed=number):
+            explorer.act(observation)
+        explorer.end_episode(paid(z, number))
+
+
+def towards(target: Sequence[float], steps: int = STEPS) -> Paid:
+    """Rewards that are higher the nearer z is to a target."""
+    return lambda z, number: [-float(np.linalg.norm(z - np.asarray(target)))] * steps
+
+
+def constant(reward: float, steps: int = STEPS) -> Paid:
+    """Rewards around a constant."""
+    return lambda z, number: [reward + 0.01 * (-1.0) ** number] * steps
+
+
+def contents(explorer: Explorer) -> dict[str, Any]:
+    """All that an explorer holds, in a form that can be compared."""
+    arrays = explorer._state.arrays(explorer.exported) | explorer.exported.arrays()
+    return {
+        **{name: array.tolist() for name, array in arrays.items()},
+        **explorer._state.metadata(),
+        "random_state": explorer._generator.bit_generator.state,
+        "safeguards": explorer.safeguards,
+    }

@@ -1,0 +1,185 @@
+"""Acting and adapting, and what an explorer says to calls that make no sense."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runtime.robot import STEPS, constant, contents, observations, play, towards
+
+from maesn.runtime import Explorer
+
+OBSERVATION = np.asarray([0.1, -0.2])
+
+
+def test_a_new_task_starts_from_the_prior(policy: Path) -> None:
+    explorer = Explorer.load(policy)
+    assert explorer.latent_mean.tolist() == [0.0, 0.0]
+    assert explorer.latent_std.tolist() == [1.0, 1.0]
+    assert (explorer.update, explorer.episodes, explorer.is_running) == (0, (), False)
+
+
+def test_z_and_actions_are_the_draws_that_the_seed_says(policy: Path) -> None:
+    explorer, stream = Explorer.load(policy, seed=5), np.random.default_rng(5)
+    z = explorer.begin_episode()
+    np.testing.assert_array_equal(z, stream.standard_normal(2))
+    explorer.act(OBSERVATION)
+    episode = explorer.end_episode([0.0])
+    mean = explorer.exported.policy.given(z).mean(OBSERVATION)
+    expected = mean + explorer.exported.policy.std * stream.standard_normal(2)
+    np.testing.assert_array_equal(episode.actions, [expected])
+
+
+def test_without_exploration_the_action_is_the_policy_s_mean(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=1)
+    mean = explorer.exported.policy.given(explorer.begin_episode()).mean(OBSERVATION)
+    control = explorer.act(OBSERVATION, explore=False)
+    np.testing.assert_array_equal(control, np.clip(mean, -1, 1))  # the point's own limits
+    np.testing.assert_array_equal(control, explorer.control(mean))
+
+
+def test_z_is_drawn_from_the_present_latent(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=2)
+    play(explorer, 20, towards([1.0, 0.5]))
+    explorer.adapt()
+    mean, std = explorer.latent_mean, explorer.latent_std
+    drawn = []
+    for _ in range(1000):
+        drawn.append(explorer.begin_episode())
+        explorer.discard()
+    error = (np.mean(drawn, axis=0) - mean) / (std / np.sqrt(1000))
+    assert (abs(error) < 4.5).all()
+    assert (abs(np.std(drawn, axis=0) / std - 1) < 4.5 / np.sqrt(2 * 1000)).all()
+
+
+def test_episodes_keep_what_was_seen_and_done(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=3)
+    z = explorer.begin_episode()
+    seen = observations(explorer, 3)
+    done = [explorer.act(observation) for observation in seen]
+    episode = explorer.end_episode([1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(episode.latent, z)
+    np.testing.assert_array_equal(episode.observations, seen)
+    np.testing.assert_array_equal(episode.controls, done)
+    assert episode.rewards.tolist() == [1.0, 2.0, 3.0]
+    assert explorer.episodes[0] is episode
+
+
+def test_buffers_may_be_reused_and_answers_changed(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=3)
+    z, buffer = explorer.begin_episode(), np.asarray([0.5, 0.5])
+    control = explorer.act(buffer)
+    kept = control.copy()
+    for array in (z, buffer, control, explorer.latent_mean, explorer.latent_std):
+        array[:] = 99.0
+    episode = explorer.end_episode([0.0])
+    assert episode.observations.tolist() == [[0.5, 0.5]]
+    np.testing.assert_array_equal(episode.controls, [kept])
+    assert 99.0 not in [*episode.latent, *explorer.latent_mean, *explorer.latent_std]
+
+
+def test_exploration_finds_a_rewarded_latent(policy: Path) -> None:
+    explorer, target = Explorer.load(policy, seed=4), np.asarray([1.0, 0.5])
+    for _ in range(6):
+        play(explorer, 50, towards(target))
+        explorer.adapt()
+    # Beyond the first updates the schedule stops the latent. A wrong sign leads away from 1.1.
+    assert np.linalg.norm(explorer.latent_mean - target) < 0.4
+
+
+def test_adapt_tells_what_it_did_and_forgets_the_episodes(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=5)
+    play(explorer, 4, constant(2.0))
+    info = explorer.adapt()
+    assert info.mean_return == pytest.approx(2.0 * STEPS)
+    assert (info.num_episodes, info.rolled_back, info.shortened) == (4, False, False)
+    assert (explorer.update, explorer.episodes) == (1, ())
+
+
+def test_discarded_episodes_teach_nothing(policy: Path) -> None:
+    explorer, undisturbed = Explorer.load(policy, seed=6), Explorer.load(policy, seed=6)
+    for each in (explorer, undisturbed):
+        play(each, 4, towards([1.0, 0.0]))
+    explorer.begin_episode()
+    explorer.act(OBSERVATION)
+    explorer.discard()
+    for each in (explorer, undisturbed):
+        each.adapt()
+    np.testing.assert_array_equal(explorer.latent_mean, undisturbed.latent_mean)
+
+
+def begin(explorer: Explorer, steps: int) -> None:
+    explorer.begin_episode()
+    for observation in observations(explorer, steps):
+        explorer.act(observation)
+
+
+MISUSE: dict[str, tuple[int | None, Callable[[Explorer], object], str]] = {
+    # steps of the running episode (None: none runs), the call, and what its message says
+    "act too early": (None, lambda e: e.act(OBSERVATION), "call `begin_episode"),
+    "end too early": (None, lambda e: e.end_episode([1.0]), "call `begin_episode"),
+    "discard nothing": (None, lambda e: e.discard(), "call `begin_episode"),
+    "begin twice": (2, lambda e: e.begin_episode(), "episode of 2 steps is running"),
+    "adapt in an episode": (2, lambda e: e.adapt(), "episode of 2 steps is running"),
+    "end without a step": (0, lambda e: e.end_episode([]), "at least one step"),
+    "observation too long": (2, lambda e: e.act(np.zeros(3)), r"shape \(2,\).*\(3,\)"),
+    "observation as a batch": (2, lambda e: e.act(np.zeros((1, 2))), r"shape \(2,\).*\(1, 2\)"),
+    "observation of words": (2, lambda e: e.act(["a", "b"]), "`observation` must hold 2 numbers"),
+    "observation NaN": (2, lambda e: e.act([0.0, np.nan]), "component 1 is nan"),
+    "observation infinite": (2, lambda e: e.act([np.inf, 0.0]), "component 0 is inf"),
+    "too few rewards": (2, lambda e: e.end_episode([1.0]), "one for each call of `act`"),
+    "too many rewards": (2, lambda e: e.end_episode([1.0] * 3), "one for each call of `act`"),
+    "reward NaN": (2, lambda e: e.end_episode([1.0, np.nan]), "component 1 is nan"),
+    "action too long": (2, lambda e: e.control([1.0, 2.0, 3.0]), "`action` must have shape"),
+}
+
+
+@pytest.mark.parametrize("name", MISUSE)
+def test_misuse_is_refused_and_loses_nothing(policy: Path, name: str) -> None:
+    steps, call, message = MISUSE[name]
+    explorer = Explorer.load(policy, seed=7)
+    play(explorer, 3, towards([1.0, 0.0]))
+    if steps is not None:
+        begin(explorer, steps)
+    before = contents(explorer)
+    with pytest.raises((RuntimeError, ValueError), match=message):
+        call(explorer)
+    assert contents(explorer) == before
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value")
+def test_an_observation_beyond_single_precision_is_refused(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=7)
+    begin(explorer, 1)
+    before = contents(explorer)
+    with pytest.raises(ValueError, match="so large that the policy's answer is"):
+        explorer.act([1e39, -1e39])
+    assert contents(explorer) == before
+
+
+@pytest.mark.parametrize("num_episodes", [0, 1])
+def test_adapt_needs_episodes_to_compare(policy: Path, num_episodes: int) -> None:
+    explorer = Explorer.load(policy, seed=8)
+    play(explorer, num_episodes, constant(1.0))
+    before = contents(explorer)
+    with pytest.raises(RuntimeError, match=f"at least 2 finished episodes.*got {num_episodes}"):
+        explorer.adapt()
+    assert contents(explorer) == before
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value")
+def test_an_update_that_is_not_finite_is_refused(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=9)
+    play(explorer, 3, lambda z, number: [1e308 * (-1.0) ** number] * STEPS)
+    before = contents(explorer)
+    with pytest.raises(RuntimeError, match="not finite"):
+        explorer.adapt()
+    assert contents(explorer) == before
+
+
+def test_after_a_refusal_the_episode_goes_on(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=10)
+    begin(explorer, 2)
+    with pytest.raises(ValueError, match="`rewards`"):
+        explorer.end_episode([1.0])
+    assert explorer.end_episode([1.0, 2.0]).undiscounted_return == 3.0

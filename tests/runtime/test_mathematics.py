@@ -1,0 +1,125 @@
+"""Baseline, latent and policy of the runtime against closed forms and finite differences."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+import scipy.stats
+from runtime.robot import fast_learner
+
+from maesn.envs import Point
+from maesn.export import exported_policy
+from maesn.policies import PolicyInput
+from maesn.runtime import Latent, LearningRule, baseline
+
+
+def rule(full_steps: int = 2, factor: float = 0.5) -> LearningRule:
+    ones = np.ones(2)
+    return LearningRule(ones, ones, full_steps, factor, discount=0.99, ridge=1e-5)
+
+
+def test_discounted_returns_are_those_of_a_filter() -> None:
+    reward = np.random.default_rng(0).standard_normal(50)
+    expected = scipy.signal.lfilter([1.0], [1.0, -0.9], reward[::-1])[::-1]
+    np.testing.assert_allclose(baseline.discounted_returns(reward, 0.9), expected, rtol=1e-12)
+
+
+def test_features_of_a_short_episode() -> None:
+    found = baseline.features(np.asarray([[3.0, -20.0], [-1.0, 11.0]]))
+    t = 0.01
+    np.testing.assert_allclose(
+        found, [[3, -10, 9, 100, 0, 0, 0, 1], [-1, 10, 1, 100, t, t**2, t**3, 1]], rtol=1e-14
+    )
+
+
+def test_ridge_regression_solves_the_normal_equations() -> None:
+    generator = np.random.default_rng(1)
+    rows, target = generator.standard_normal((40, 6)), generator.standard_normal(40)
+    expected = np.linalg.solve(rows.T @ rows + 0.3 * np.eye(6), rows.T @ target)
+    np.testing.assert_allclose(baseline.ridge_regression(rows, target, 0.3), expected, rtol=1e-10)
+
+
+def test_ridge_regression_gives_nothing_to_a_column_of_zeros() -> None:
+    rows = np.zeros((5, 2))
+    rows[:, 0] = 1.0
+    found = baseline.ridge_regression(rows, np.full(5, 2.0), 1e-5)
+    np.testing.assert_allclose(found, [2.0, 0.0], atol=1e-5)
+
+
+def test_a_return_that_the_baseline_explains_has_no_advantage() -> None:
+    # Equal observations at equal times: V(o_0) is the mean of the first returns, so the advantage
+    # is the standardised first return.
+    generator = np.random.default_rng(2)
+    observations = [np.ones((4, 3))] * 30
+    rewards = [generator.standard_normal(4) for _ in range(30)]
+    found = baseline.episode_advantages(observations, rewards, 0.5, 1e-5)
+    first = np.asarray([reward @ 0.5 ** np.arange(4) for reward in rewards])
+    np.testing.assert_allclose(found, scipy.stats.zscore(first), atol=1e-6)
+
+
+def test_equal_values_are_standardised_to_zero() -> None:
+    assert not baseline.standardize(np.full(7, 0.1)).any()
+
+
+def test_a_step_follows_the_gradient_of_the_surrogate() -> None:
+    generator = np.random.default_rng(3)
+    latent = Latent(np.asarray([0.3, -1.0]), np.asarray([0.2, -0.5]))
+    drawn, advantage = generator.standard_normal((9, 2)), generator.standard_normal(9)
+
+    def surrogate(parameters: np.ndarray) -> float:
+        log_prob = scipy.stats.norm.logpdf(drawn, parameters[:2], np.exp(parameters[2:])).sum(-1)
+        return float(np.mean(log_prob * advantage))
+
+    at = np.concatenate([latent.mean, latent.log_std])
+    nudges = 1e-5 * np.eye(4)
+    slope = [(surrogate(at + nudge) - surrogate(at - nudge)) / 2e-5 for nudge in nudges]
+    moved = rule().step(latent, drawn, advantage, update=0)
+    np.testing.assert_allclose(np.concatenate([moved.mean, moved.log_std]) - at, slope, rtol=1e-7)
+
+
+def test_step_sizes_act_component_by_component() -> None:
+    generator = np.random.default_rng(4)
+    latent = Latent(np.zeros(2), np.zeros(2))
+    drawn, advantage = generator.standard_normal((9, 2)), generator.standard_normal(9)
+    sizes = LearningRule(np.asarray([2.0, 0.0]), np.asarray([-1.0, 3.0]), 2, 0.5, 0.99, 1e-5)
+    unit = rule().step(latent, drawn, advantage, 0)
+    moved = sizes.step(latent, drawn, advantage, update=2)
+    np.testing.assert_allclose(moved.mean, 0.5 * np.asarray([2.0, 0.0]) * unit.mean)
+    np.testing.assert_allclose(moved.log_std, 0.5 * np.asarray([-1.0, 3.0]) * unit.log_std)
+
+
+@pytest.mark.parametrize(
+    ("full_steps", "expected"), [(2, [1, 1, 0.5, 0.25]), (3, [1, 1, 1, 0.5]), (1, [1, 0.5, 0.25])]
+)
+def test_the_schedule(full_steps: int, expected: list[float]) -> None:
+    assert [rule(full_steps).scale(update) for update in range(len(expected))] == expected
+
+
+def test_a_latent_is_shortened_to_its_bound_and_keeps_its_direction() -> None:
+    latent = Latent(np.asarray([3.0, -4.0]), np.asarray([0.1, 0.2]))
+    np.testing.assert_allclose(latent.within(2.0).mean, [1.2, -1.6])
+    assert latent.within(2.0).log_std is latent.log_std
+    assert latent.within(5.0) is latent
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_policy_s_mean_is_the_library_s(seed: int) -> None:
+    learner = fast_learner()
+    policy = exported_policy(learner, Point(), {}).policy
+    observation, z = np.random.default_rng(seed).standard_normal((2, 2))
+    wanted, _ = learner.policy(
+        PolicyInput(
+            jnp.asarray(observation, jnp.float32), jnp.zeros(2), jnp.zeros(()), jnp.asarray(False)
+        ),
+        jnp.asarray(z, jnp.float32),
+        None,
+    )
+    np.testing.assert_allclose(policy.given(z).mean(observation), wanted.mean, atol=1e-6)
+    np.testing.assert_allclose(policy.std, np.exp(wanted.log_std), rtol=1e-6)
+
+
+def test_a_policy_without_hidden_layers() -> None:
+    learner = fast_learner()
+    layers = exported_policy(learner, Point(), {}).policy
+    linear = type(layers)((np.eye(4, 2, dtype=np.float32),), (np.ones(2, np.float32),), layers.std)
+    np.testing.assert_allclose(linear.given(np.full(2, 9.0)).mean(np.asarray([1.0, 2.0])), [2, 3])

@@ -1,0 +1,155 @@
+"""Limits on what is executed, the bound on the latent, and taking updates back."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from runtime.robot import STEPS, constant, observations, play, policy_file, towards
+
+from maesn.envs import Wheeled
+from maesn.runtime import Actuators, Explorer, Safeguards
+
+
+def executed(policy: Path, safeguards: Safeguards | None, steps: int = 60) -> Any:
+    """One episode of the same explorer under different safeguards."""
+    explorer = Explorer.load(policy, seed=0, safeguards=safeguards)
+    explorer.begin_episode()
+    for observation in observations(explorer, steps):
+        explorer.act(3.0 * observation)
+    return explorer.end_episode([0.0] * steps)
+
+
+def test_controls_stay_within_the_limits_and_actions_are_recorded_as_they_were(
+    policy: Path,
+) -> None:
+    free = executed(policy, None)
+    held = executed(policy, Safeguards(lower=(-0.2, -2.0), upper=0.1))
+    np.testing.assert_array_equal(held.actions, free.actions)
+    np.testing.assert_array_equal(held.controls, np.clip(free.controls, [-0.2, -1.0], 0.1))
+    assert (free.controls != held.controls).any()
+
+
+def test_the_policy_s_own_range_is_the_widest(policy: Path) -> None:
+    free, wide = executed(policy, None), executed(policy, Safeguards(lower=-5.0, upper=5.0))
+    np.testing.assert_array_equal(free.controls, wide.controls)
+    assert abs(free.actions).max() > 1.0 >= abs(free.controls).max()
+
+
+def test_controls_change_no_faster_than_they_may(policy: Path) -> None:
+    free = executed(policy, None)
+    held = executed(policy, Safeguards(max_change=(0.1, 0.05), rest=0.3))
+    change = np.diff(np.concatenate([np.full((1, 2), 0.3), held.controls]), axis=0)
+    assert (abs(change) <= np.asarray([0.1, 0.05]) * (1 + 1e-12)).all()
+    np.testing.assert_array_equal(held.actions, free.actions)
+    # Each control is the one nearest to what was wanted.
+    before = np.concatenate([np.full((1, 2), 0.3), held.controls[:-1]])
+    wanted = np.clip(free.controls - before, [-0.1, -0.05], [0.1, 0.05])
+    np.testing.assert_allclose(held.controls, before + wanted, atol=1e-15)
+
+
+def test_the_next_episode_starts_at_rest_again(policy: Path) -> None:
+    explorer = Explorer.load(
+        policy, seed=0, safeguards=Safeguards(max_change=1e-3, rest=(0.5, 0.0))
+    )
+    for _ in range(2):
+        explorer.begin_episode()
+        first, *_ = [explorer.act(observation) for observation in observations(explorer, STEPS)]
+        explorer.discard()
+        assert (abs(first - np.asarray([0.5, 0.0])) <= 1e-3 + 1e-15).all()
+
+
+def test_the_latent_s_norm_is_bounded(policy: Path) -> None:
+    free, held = (
+        Explorer.load(policy, seed=1, safeguards=Safeguards(max_latent_norm=bound))
+        for bound in (None, 0.2)
+    )
+    infos = []
+    for explorer in (free, held):
+        play(explorer, 20, towards([2.0, 1.0]))
+        infos.append(explorer.adapt())
+    assert [info.shortened for info in infos] == [False, True]
+    norm = np.linalg.norm(free.latent_mean)
+    assert norm > 0.2
+    np.testing.assert_allclose(held.latent_mean, 0.2 * free.latent_mean / norm, rtol=1e-12)
+    np.testing.assert_array_equal(held.latent_std, free.latent_std)
+
+
+def falling(policy: Path, drop: float | None, returns: list[float]) -> list[Any]:
+    """Latents and reports of batches with the given mean rewards per step."""
+    explorer = Explorer.load(policy, seed=2, safeguards=Safeguards(max_return_drop=drop))
+    seen = [(explorer.latent_mean.tolist(), False, 0)]
+    for reward in returns:
+        play(explorer, 4, constant(reward))
+        info = explorer.adapt()
+        assert explorer.episodes == ()
+        seen.append((explorer.latent_mean.tolist(), info.rolled_back, explorer.update))
+    return seen
+
+
+def test_rollback_restores_the_latent_and_counts_on(policy: Path) -> None:
+    start, first, second, third = falling(policy, 1.0, [1.0, 0.5, 0.0])
+    assert [entry[1] for entry in (first, second, third)] == [False, True, False]
+    assert first[0] != start[0]
+    assert second[0] == start[0]
+    assert third[0] != start[0]  # after a restored latent there is always an update
+    assert [entry[2] for entry in (first, second, third)] == [1, 2, 3]
+
+
+def test_rollback_goes_one_update_back_only(policy: Path) -> None:
+    _, first, second, third = falling(policy, 1.0, [1.0, 2.0, 0.0])
+    assert [entry[1] for entry in (first, second, third)] == [False, False, True]
+    assert third[0] == first[0] != second[0]
+
+
+@pytest.mark.parametrize(("drop", "rolls_back"), [(None, False), (2.6, False), (2.4, True)])
+def test_rollback_tolerates_a_drop(policy: Path, drop: float | None, rolls_back: bool) -> None:
+    fallen = falling(policy, drop, [1.0, 0.5])[-1]  # the returns are 5 and 2.5
+    assert fallen[1] == rolls_back
+
+
+def test_a_taken_back_update_is_not_the_same_again(policy: Path) -> None:
+    # The schedule has moved on: with full steps 1, 1 and then halves, the retry is no longer.
+    explorer = Explorer.load(policy, seed=3, safeguards=Safeguards(max_return_drop=0.0))
+    for reward in (1.0, 0.0):
+        play(explorer, 4, constant(reward))
+        explorer.adapt()
+    assert explorer.exported.rule.scale(explorer.update) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"lower": 0.5, "upper": -0.5}, "leave no control"),
+        ({"lower": 3.0}, "leave no control"),
+        ({"upper": (1.0, 1.0, 1.0)}, "`upper` must be one number or 2"),
+        ({"max_change": 0.0}, "`max_change` must be positive"),
+        ({"max_change": 0.1, "rest": 7.0}, "`rest` must lie within"),
+        ({"lower": float("nan")}, "`lower` must be one number"),
+        ({"max_latent_norm": -1.0}, "`max_latent_norm` must be at least 0"),
+        ({"max_return_drop": float("nan")}, "`max_return_drop` must be at least 0"),
+    ],
+)
+def test_senseless_safeguards_are_refused(
+    policy: Path, fields: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        Explorer.load(policy, safeguards=Safeguards(**fields))
+
+
+def test_limits_may_be_arrays() -> None:
+    limits = Safeguards(lower=np.asarray([-1.0, 0.0]), rest=np.float64(0.5))
+    assert limits == Safeguards(lower=(-1.0, 0.0), rest=0.5)
+
+
+def test_actuators_scale_shift_and_clip() -> None:
+    actuators = Actuators(
+        np.asarray([0.5, 0.0]), np.asarray([2.0, -1.0]), np.full(2, -1.0), np.full(2, np.inf)
+    )
+    assert actuators.control(np.asarray([-3.0, -7.0])).tolist() == [-1.0, 7.0]
+    assert actuators.control(np.asarray([1.0, 7.0])).tolist() == [2.5, -1.0]
+
+
+def test_the_wheeled_robot_s_controls(tmp_path: Path) -> None:
+    explorer = Explorer.load(policy_file(tmp_path, Wheeled()))
+    assert explorer.control([0.3, -4.0]).tolist() == [0.6, -2.0]

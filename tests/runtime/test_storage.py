@@ -1,0 +1,221 @@
+"""Files: exact continuation, whole or not at all, and what damaged ones are told."""
+
+import errno
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from runtime.robot import contents, observations, play, towards
+
+from maesn.runtime import Explorer, Safeguards
+
+SAFEGUARDS = Safeguards(
+    lower=(-0.5, -0.4), max_change=0.3, max_latent_norm=0.7, max_return_drop=50.0
+)
+
+
+def in_the_middle(policy: Path) -> Explorer:
+    """An explorer with an update behind it, finished episodes, and one running."""
+    explorer = Explorer.load(policy, seed=11, safeguards=SAFEGUARDS)
+    play(explorer, 6, towards([1.0, 0.0]))
+    explorer.adapt()
+    play(explorer, 2, towards([1.0, 0.0]), steps=5)
+    play(explorer, 1, towards([1.0, 0.0], steps=3), steps=3)
+    explorer.begin_episode()
+    for observation in observations(explorer, 2):
+        explorer.act(observation)
+    return explorer
+
+
+def go_on(explorer: Explorer) -> list[Any]:
+    """All that an explorer shows from here to the next but one update."""
+    shown: list[Any] = [explorer.act(observation) for observation in observations(explorer, 3)]
+    shown.append(explorer.end_episode([0.5] * 5).latent)
+    play(explorer, 3, towards([0.0, 1.0]))
+    shown.append(explorer.adapt())
+    play(explorer, 4, towards([0.0, 90.0]))
+    shown.append(explorer.adapt())
+    return [*map(np.asarray, shown), explorer.latent_mean, explorer.latent_std]
+
+
+def assert_equal(first: list[Any], second: list[Any]) -> None:
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_saving_in_the_middle_of_an_episode_changes_nothing(policy: Path, tmp_path: Path) -> None:
+    explorer = in_the_middle(policy)
+    before = contents(explorer)
+    explorer.save(tmp_path / "saved.npz")
+    assert contents(explorer) == before
+    assert_equal(go_on(explorer), go_on(in_the_middle(policy)))
+
+
+def test_a_loaded_explorer_goes_on_exactly(policy: Path, tmp_path: Path) -> None:
+    explorer = in_the_middle(policy)
+    explorer.save(tmp_path / "saved.npz")
+    loaded = Explorer.load(tmp_path / "saved.npz")
+    assert contents(loaded) == contents(explorer)
+    assert loaded.safeguards == SAFEGUARDS
+    shown = go_on(explorer)
+    assert shown[5][2]  # the last update was a rollback, so that its memory was needed
+    assert_equal(go_on(loaded), shown)
+
+
+@pytest.mark.parametrize("num_steps", [None, 0, 1])
+def test_every_stage_survives(policy: Path, tmp_path: Path, num_steps: int | None) -> None:
+    explorer = Explorer.load(policy, seed=12)
+    if num_steps is not None:
+        explorer.begin_episode()
+        for observation in observations(explorer, num_steps):
+            explorer.act(observation)
+    explorer.save(tmp_path / "saved.npz")
+    assert contents(Explorer.load(tmp_path / "saved.npz")) == contents(explorer)
+
+
+def test_loading_may_change_seed_and_safeguards(policy: Path, tmp_path: Path) -> None:
+    in_the_middle(policy).save(tmp_path / "saved.npz")
+    others = Safeguards(upper=0.2)
+    first, second, third = (
+        Explorer.load(tmp_path / "saved.npz", seed=seed, safeguards=others) for seed in (1, 1, 2)
+    )
+    assert first.safeguards == others
+    draws = []
+    for explorer in (first, second, third):
+        explorer.discard()
+        draws.append(explorer.begin_episode().tolist())
+    assert draws[0] == draws[1] != draws[2]
+
+
+def test_a_new_task_without_a_seed_is_random(policy: Path) -> None:
+    draws = {tuple(Explorer.load(policy).begin_episode()) for _ in range(3)}
+    assert len(draws) == 3
+
+
+def test_a_failed_save_keeps_the_file_that_was_there(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, explorer = tmp_path / "saved.npz", in_the_middle(policy)
+    explorer.save(path)
+    content = path.read_bytes()
+
+    def full(file: Any, **arrays: Any) -> None:
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match="No space left"):
+        explorer.save(path)
+    assert path.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_directory_is_named(policy: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        Explorer.load(policy).save(tmp_path / "nowhere" / "saved.npz")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nothing\.npz"):
+        Explorer.load(tmp_path / "nothing.npz")
+
+
+def test_a_truncated_file_is_recognised(policy: Path, tmp_path: Path) -> None:
+    in_the_middle(policy).save(tmp_path / "saved.npz")
+    content = (tmp_path / "saved.npz").read_bytes()
+    for length in [*range(0, len(content), 997), len(content) - 1]:
+        (tmp_path / "cut.npz").write_bytes(content[:length])
+        with pytest.raises(ValueError, match=r"cut\.npz: .*something else or damaged"):
+            Explorer.load(tmp_path / "cut.npz")
+
+
+def test_a_flipped_bit_is_recognised_or_harmless(policy: Path, tmp_path: Path) -> None:
+    explorer = in_the_middle(policy)
+    explorer.save(tmp_path / "saved.npz")
+    content, expected = (tmp_path / "saved.npz").read_bytes(), contents(explorer)
+    messages = []
+    for position in np.random.default_rng(0).integers(len(content), size=300):
+        damaged = bytearray(content)
+        damaged[position] ^= 1 << int(position % 8)
+        (tmp_path / "damaged.npz").write_bytes(damaged)
+        try:
+            loaded = Explorer.load(tmp_path / "damaged.npz")
+        except ValueError as error:
+            messages.append(str(error))
+        else:  # a byte that means nothing, such as the time in the archive's directory
+            assert contents(loaded) == expected
+    assert len(messages) > 150
+    assert all("damaged.npz: " in message for message in messages)
+
+
+def test_a_hidden_array_is_missed(policy: Path, tmp_path: Path) -> None:
+    # Arrays that a state may or may not have must not vanish unnoticed.
+    in_the_middle(policy).save(tmp_path / "saved.npz")
+    path = rewritten(tmp_path / "saved.npz", tmp_path / "less.npz", **{"running.latent": None})
+    with pytest.raises(ValueError, match=r"`running.latent` is missing"):
+        Explorer.load(path)
+
+
+def rewritten(policy: Path, path: Path, **changes: Any) -> Path:
+    """The policy's file with some entries changed, or left out where the change is None."""
+    with np.load(policy) as archive:
+        entries = {name: archive[name] for name in archive.files} | changes
+    np.savez(path, **{name: value for name, value in entries.items() if value is not None})
+    return path
+
+
+def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
+    with np.load(policy) as archive:
+        names = [name for name in archive.files if name != "metadata"]
+    for name in names:
+        path = rewritten(policy, tmp_path / "lacking.npz", **{name: None})
+        with pytest.raises(ValueError, match=f"`{name}` is missing"):
+            Explorer.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("policy.bias.1", np.zeros(5), r"`policy.bias.1` must have the shape \(12,\)"),
+        ("start.mean", np.asarray([0.0, np.nan]), "`start.mean` must hold finite numbers"),
+        ("actuators.lower", np.full(2, np.nan), "`actuators.lower` must hold finite numbers"),
+        ("rule.mean_step", np.asarray(["a", "b"]), "`rule.mean_step` must hold finite numbers"),
+        ("metadata", np.array('{"format": "maesn-policy", "version": 99}'), "version must be 1"),
+        ("metadata", np.array('{"format": "other"}'), "format must be 'maesn-policy'"),
+        ("metadata", np.array("[1, 2]"), "format must be"),
+        ("metadata", np.array("{"), "something else or damaged"),
+        ("metadata", np.array('{"format": "maesn-policy", "version": 1}'), "entry `"),
+    ],
+)
+def test_senseless_entries_are_refused(
+    policy: Path, tmp_path: Path, name: str, value: np.ndarray, message: str
+) -> None:
+    path = rewritten(policy, tmp_path / "odd.npz", **{name: value})
+    with pytest.raises(ValueError, match=message):
+        Explorer.load(path)
+
+
+class Trap:
+    """Makes a directory when it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> Any:
+        return (os.mkdir, (str(self.marker),))
+
+
+def test_loading_executes_nothing(policy: Path, tmp_path: Path) -> None:
+    marker = tmp_path / "executed"
+    trap = np.empty(1, dtype=object)
+    trap[0] = Trap(marker)
+    rewritten(policy, tmp_path / "trap.npz", **{"start.mean": trap})
+    (tmp_path / "plain.npz").write_bytes(pickle.dumps(Trap(marker)))
+    np.save(tmp_path / "array.npy", np.zeros(2))
+    for name in ("trap.npz", "plain.npz", "array.npy"):
+        with pytest.raises(ValueError, match="something else or damaged"):
+            Explorer.load(tmp_path / name)
+    assert not marker.exists()

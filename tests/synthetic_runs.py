@@ -1,0 +1,149 @@
+"""Small synthetic runs whose numbers are known, as records and as run directories."""
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maesn.report.adaptation_table import COLUMNS, AdaptationTable
+from maesn.report.runs import Exploration, Latents, LearningCurve, Run
+from maesn.report.series import Series, group_series
+
+NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
+RADIUS = 0.8
+
+
+def half_circle(num_goals: int) -> np.ndarray:
+    angle = np.linspace(0.1, np.pi - 0.1, num_goals)
+    return 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def fan(directions: np.ndarray, length: float, num_steps: int = 20) -> np.ndarray:
+    """Straight paths from the origin, `[episode, time_plus_1, 2]`."""
+    ends = length * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+    return np.linspace(0.0, 1.0, num_steps + 1)[:, None] * ends[:, None]
+
+
+def adaptation_table(
+    num_tasks: int = NUM_TASKS, seed: int = 0, gain: float = 50.0
+) -> AdaptationTable:
+    noise = np.random.default_rng(seed).normal(size=(num_tasks, NUM_UPDATES + 1))
+    progress = 1.0 - 0.5 ** np.arange(NUM_UPDATES + 1)
+    rate = np.clip(0.1 + 0.6 * progress + 0.05 * noise, 0.0, 1.0)
+    return AdaptationTable(
+        tasks="test",
+        reward="sparse",
+        episodes=50 * np.arange(NUM_UPDATES + 1),
+        mean_return=-396.0 + gain * progress + noise,
+        goal_return=-390.0 + gain * progress + noise,
+        success_rate=rate,
+        final_success_rate=0.8 * rate,
+        time_in_region=0.3 * rate,
+    )
+
+
+def exploration(*, has_latents: bool = True) -> Exploration:
+    directions = np.linspace(0.2, np.pi - 0.2, NUM_EPISODES)
+    return Exploration(
+        training_goals=half_circle(10),
+        goals=half_circle(NUM_TASKS),
+        sparse_radius=RADIUS,
+        prior_paths=fan(directions, 2.0),
+        untrained_paths=fan(directions, 0.3),
+        fixed_paths=fan(np.full(NUM_EPISODES, 1.0), 2.0) if has_latents else None,
+        prior_latents=np.random.default_rng(0).normal(size=(NUM_EPISODES, 2))
+        if has_latents
+        else None,
+    )
+
+
+def latents(num_components: int = 2) -> Latents:
+    """The prior, then means on a circle; each component's spread is its number, from 1."""
+    mean = np.zeros((NUM_UPDATES + 1, NUM_TASKS, num_components))
+    angle = np.linspace(0.0, np.pi, NUM_TASKS)
+    mean[-1] = np.cos(angle)[:, None] * np.arange(1, num_components + 1)
+    log_std = np.zeros_like(mean)
+    log_std[-1] = np.log(0.5)
+    return Latents(mean, log_std)
+
+
+def learning_curve(num_iterations: int = 30, level: float = -400.0) -> LearningCurve:
+    iteration = np.arange(1.0, num_iterations + 1)
+    return LearningCurve(
+        iteration=iteration,
+        return_before=np.full(num_iterations, level),
+        return_after=level + iteration,
+        success_after=iteration / num_iterations,
+    )
+
+
+def run(
+    method: str = "maesn", seed: int = 0, learner: dict[str, Any] | None = None, **settings: Any
+) -> Run:
+    everything = {
+        "method": method,
+        "family": "wheeled",
+        "variant": "reference",
+        "reward": "dense",
+        "sparse_radius": None,
+        "seed": seed,
+        "iterations": 30,
+        **settings,
+    }
+    named = {name: everything[name] for name in ("method", "family", "variant", "seed")}
+    path = Path(f"runs/{method}-{seed}")
+    return Run(path=path, settings=everything, learner=learner or {}, **named)
+
+
+def series(*methods: str) -> list[Series]:
+    return group_series([run(method) for method in methods])
+
+
+def write_adaptation(path: Path, table: AdaptationTable) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for task in range(table.num_tasks):
+            for column, update in enumerate(table.updates):
+                measures = [table.measure(name)[task, column] for name in COLUMNS[3:]]
+                writer.writerow([task, update, table.episodes[column], *map(float, measures)])
+
+
+def write_metrics(path: Path, curve: LearningCurve) -> None:
+    names = ("iteration", "return_before", "return_after", "success_after")
+    rows = zip(*(getattr(curve, name) for name in names), strict=True)
+    lines = [json.dumps(dict(zip(names, row, strict=True))) for row in rows]
+    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+
+
+def write_exploration(path: Path, content: Exploration) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {name: value for name, value in vars(content).items() if value is not None}
+    np.savez(path, **arrays)
+
+
+def write_run(
+    directory: Path, method: str = "maesn", without: Sequence[str] = (), **settings: Any
+) -> Path:
+    """Write a whole run directory, except for what `without` names."""
+    directory.mkdir()
+    record = run(method, **settings)
+    config = {"schema": 1, "settings": record.settings, "learner": record.learner}
+    (directory / "config.json").write_text(json.dumps(config), encoding="utf-8")
+    has_latents = method in ("maesn", "latent_space")
+    if "metrics" not in without:
+        write_metrics(directory / "metrics.jsonl", learning_curve())
+    if "adaptation" not in without:
+        table = directory / "adaptation" / "test-sparse.csv"
+        write_adaptation(table, adaptation_table(seed=record.seed))
+        if has_latents:
+            np.savez(table.with_suffix(".latents.npz"), **vars(latents()))
+    if "exploration" not in without:
+        write_exploration(
+            directory / "figures" / "exploration.npz", exploration(has_latents=has_latents)
+        )
+    return directory

@@ -1,0 +1,81 @@
+"""Advantages against the reference: a linear baseline per task, and GAE."""
+
+from dataclasses import asdict
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.prepared import EQUAL, UNEQUAL, make_problem, stack
+from learning_problems.translation import advantages_of
+from reference.advantage import AdvantageSettings, Episode, experience
+
+from maesn.advantage import AdvantageEstimator, Advantages
+from maesn.episodes import Episodes
+
+REFERENCE, SHORT_SIGHTED = AdvantageSettings(), AdvantageSettings(0.9, 0.5, 0.1)
+
+
+def batch_of(lengths: tuple[int, ...]) -> list[list[Episode]]:
+    """Three tasks; some observations lie beyond the range that the features are clipped to."""
+    batch = make_problem(0, lengths).batches(0)[:3]
+    for episodes in batch:
+        for episode in episodes:
+            episode.observation[:, 2] *= 8
+    assert max(np.abs(episode.observation).max() for episode in batch[0]) > 10
+    return batch
+
+
+def estimate(settings: AdvantageSettings, episodes: Episodes) -> Advantages:
+    return advantages_of(AdvantageEstimator(**asdict(settings)), episodes)
+
+
+def assert_equal_to_reference(
+    actual: Advantages, batch: list[list[Episode]], settings: AdvantageSettings, atol: float
+) -> None:
+    for slot, episodes in enumerate(batch):
+        expected = experience(episodes, settings)
+        np.testing.assert_allclose(actual.episode[slot], expected.episode_advantages, atol=atol)
+        for played, advantage in zip(actual.step[slot], expected.step_advantages, strict=True):
+            steps = len(advantage)
+            np.testing.assert_allclose(played[:steps], advantage, atol=atol)
+            np.testing.assert_array_equal(played[steps:], 0.0)
+
+
+@pytest.mark.parametrize("lengths", [EQUAL, UNEQUAL])
+@pytest.mark.parametrize("settings", [REFERENCE, SHORT_SIGHTED])
+@pytest.mark.usefixtures("x64")
+def test_advantages(settings: AdvantageSettings, lengths: tuple[int, ...]) -> None:
+    batch = batch_of(lengths)
+    assert_equal_to_reference(estimate(settings, stack(batch)), batch, settings, atol=1e-9)
+
+
+@pytest.mark.parametrize("lengths", [EQUAL, UNEQUAL])
+def test_advantages_in_single_precision(lengths: tuple[int, ...]) -> None:
+    batch = batch_of(lengths)
+    assert_equal_to_reference(estimate(REFERENCE, stack(batch)), batch, REFERENCE, atol=2e-3)
+
+
+@pytest.mark.parametrize("garbage", [1e30, np.nan, np.inf, -np.inf])
+def test_garbage_after_the_end_changes_no_bit(garbage: float) -> None:
+    batch = batch_of(UNEQUAL)
+    clean, dirty = (estimate(REFERENCE, stack(batch, filler)) for filler in (0.0, garbage))
+    np.testing.assert_array_equal(dirty.step, clean.step)
+    np.testing.assert_array_equal(dirty.episode, clean.episode)
+
+
+def test_each_task_is_standardized_over_its_valid_steps_and_over_its_episodes() -> None:
+    episodes = stack(batch_of(UNEQUAL))
+    advantages = estimate(REFERENCE, episodes)
+    for step, episode, valid in zip(
+        advantages.step, advantages.episode, episodes.valid, strict=True
+    ):
+        for values in (step[valid], episode):
+            np.testing.assert_allclose(jnp.mean(values), 0.0, atol=1e-5)
+            np.testing.assert_allclose(jnp.std(values), 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("setting", ["discount", "trace"])
+@pytest.mark.parametrize("value", [-0.1, 1.1])
+def test_impossible_settings_are_refused_by_name(setting: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"`{setting}` must lie in \[0, 1\], got {value}"):
+        AdvantageEstimator(**{setting: value})

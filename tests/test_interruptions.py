@@ -1,0 +1,224 @@
+"""However training is interrupted, what comes out is what would have come out."""
+
+import itertools
+import json
+import logging
+import os
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
+
+from maesn import run_log
+from maesn.run import Run
+from maesn.storage import RunError
+from maesn.train import train
+from maesn.worlds import EpisodeError
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> tuple[bytes, dict[str, bytes]]:
+    """Outcome of the six iterations that other tests interrupt."""
+    return outcome(finish(create(tmp_path / "whole")))
+
+
+@pytest.mark.parametrize("first", range(7))
+@pytest.mark.parametrize("every", [1, 4])
+def test_leaving_the_loop_saves(
+    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], first: int, every: int
+) -> None:
+    run = create(tmp_path / "run", checkpoint_every=every)
+    steps = train(run)
+    list(itertools.islice(steps, first))
+    steps.close()
+    assert run.latest().iteration == first
+    assert len(metrics(run)) == first if first else not (run.directory / "metrics.jsonl").exists()
+    assert outcome(finish(reopened(run))) == whole
+
+
+class Crash(BaseException):
+    """The process is gone."""
+
+
+class Death:
+    """Lets a process die at its n-th write: that one is half done, and nothing follows."""
+
+    def __init__(self, moment: int) -> None:
+        self._left = moment
+        self.dead = False
+
+    def before(self, call: Callable[..., Any], half: Callable[..., Any] | None = None) -> Any:
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            if not self.dead and self._left > 0:
+                self._left -= 1
+                return call(*arguments, **options)
+            if half is not None and not self.dead:
+                half(*arguments)
+            self.dead = True
+            raise Crash
+
+        return wrapped
+
+
+def half_a_line(file: run_log.JsonLines, record: Any) -> None:
+    file._file.write(json.dumps(dict(record)).encode()[:20])  # unbuffered
+
+
+def test_death_at_any_write_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: tuple[bytes, dict[str, bytes]]
+) -> None:
+    for moment in range(1000):
+        run, death = create(tmp_path / str(moment)), Death(moment)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", death.before(os.fsync))
+            patch.setattr(Path, "replace", death.before(Path.replace))
+            # The clean-up after an exception, which a dead process does not do.
+            patch.setattr(Path, "unlink", death.before(Path.unlink))
+            patch.setattr(
+                run_log.JsonLines, "append", death.before(run_log.JsonLines.append, half_a_line)
+            )
+            patch.setattr(run_log.JsonLines, "cut", death.before(run_log.JsonLines.cut))
+            try:
+                finish(run)
+            except Crash:
+                assert death.dead
+        assert outcome(finish(reopened(run))) == whole
+        if not death.dead:
+            break
+    # Three checkpoints of five writes, six iterations of two lines, and the files' beginnings.
+    assert moment > 27
+
+
+@pytest.mark.parametrize("place", ["learner", "log", "checkpoint"])
+def test_control_c_saves_and_leaves_no_loose_ends(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    whole: tuple[bytes, dict[str, bytes]],
+    place: str,
+) -> None:
+    run = create(tmp_path / "run", checkpoint_every=3)
+    owner, name = {
+        "learner": (Drift, "step"),
+        "log": (run_log.RunLog, "write"),
+        "checkpoint": (Run, "save_state"),
+    }[place]
+    original, calls = getattr(owner, name), itertools.count()
+
+    def interrupted(*arguments: Any) -> Any:
+        result = original(*arguments)
+        if next(calls) == (0 if place == "checkpoint" else 4):
+            signal.raise_signal(signal.SIGINT)
+        return result
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            finish(run)
+    assert run.latest().iteration == (3 if place == "checkpoint" else 4)
+    assert len(metrics(run)) == run.latest().iteration
+    assert outcome(finish(reopened(run))) == whole
+
+
+def test_an_episode_that_goes_wrong_stops_the_run_and_saves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: tuple[bytes, dict[str, bytes]]
+) -> None:
+    run, step = create(tmp_path / "run", checkpoint_every=100), Drift.step
+
+    def failing(learner: Drift, key: Any, state: Any, collect: Any) -> Any:
+        if int(state.iteration) == 3:
+            raise EpisodeError("point", task=3, episode=1, step=7, reason="it blew up")
+        return step(learner, key, state, collect)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Drift, "step", failing)
+        with pytest.raises(EpisodeError, match="point, task 3, episode 1, step 7: it blew up"):
+            finish(run)
+    assert run.latest().iteration == len(metrics(run)) == 3
+    assert outcome(finish(reopened(run))) == whole
+
+
+def test_a_damaged_checkpoint_sends_the_run_back(
+    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], caplog: pytest.LogCaptureFixture
+) -> None:
+    run = finish(create(tmp_path / "run"), iterations=4)
+    last, before = run.checkpoints()[-1], run.checkpoints()[-2]
+    last.write_bytes(last.read_bytes()[:-5])
+    with caplog.at_level(logging.WARNING):
+        steps = train(reopened(run))
+        assert next(steps).iteration == 3
+    assert f"Using `{before}` instead" in caplog.text
+    assert [line["iteration"] for line in metrics(run)] == [1, 2, 3]
+    steps.close()
+    assert outcome(finish(reopened(run))) == whole
+
+
+def test_lines_that_are_lost_are_missed(
+    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], caplog: pytest.LogCaptureFixture
+) -> None:
+    run = finish(create(tmp_path / "run"), iterations=4)
+    path = run.directory / "metrics.jsonl"
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:3]))
+    with caplog.at_level(logging.WARNING):
+        finish(reopened(run))
+    assert "holds only 3 of the 4 iterations" in caplog.text
+    assert tensors(run.checkpoints()[-1]) == whole[1]
+
+
+def test_two_processes_cannot_train_one_run(tmp_path: Path) -> None:
+    run = create(tmp_path / "run")
+    steps = train(run)
+    next(steps)
+    with pytest.raises(RunError, match="another process is at work in"):
+        next(train(reopened(run)))
+    steps.close()
+    assert next(train(reopened(run))).iteration == 2
+
+
+def test_other_versions_are_mentioned(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run = finish(create(tmp_path / "run"), iterations=2)
+    path = run.directory / "config.json"
+    document = json.loads(path.read_text())
+    document["versions"]["jax"] = "0.1"
+    path.write_text(json.dumps(document))
+    with caplog.at_level(logging.WARNING):
+        finish(reopened(run))
+    assert f"was begun with jax 0.1 and goes on with {jax.__version__}" in caplog.text
+    assert len(caplog.records) == 1
+
+
+@contextmanager
+def files_no_larger_than(size: int) -> Iterator[None]:
+    """Let writes fail as they do on a full disk, some of them half done."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_is_one_sentence_and_loses_nothing(
+    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]]
+) -> None:
+    failed = set()
+    for size in range(10, 2500, 130):
+        run = create(tmp_path / str(size))
+        try:
+            with files_no_larger_than(size):
+                finish(run)
+        except RunError as error:
+            place, _, rest = (
+                str(error).removeprefix(f"cannot write `{run.directory}/").partition("` ")
+            )
+            assert rest == (
+                "(File too large): free some space there, or raise the limit on the size of files."
+            )
+            failed.add(Path(place).name)
+        assert outcome(finish(reopened(run))) == whole
+    assert failed >= {"metrics.jsonl", "tensorboard", "iteration-000002.safetensors"}

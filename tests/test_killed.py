@@ -1,0 +1,77 @@
+"""Real processes are really killed, and what they resume is the same bit for bit."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from small_runs import create, metrics, outcome, tiny_maesn
+
+from maesn.run import Run
+
+KILLED = """
+import sys
+from maesn.compilation import enable_compilation_cache
+from maesn.run import Run
+from maesn.train import train
+enable_compilation_cache()
+for _ in train(Run.open(sys.argv[1])):
+    pass
+"""
+
+
+def num_lines(run: Run) -> int:
+    log = run.directory / "metrics.jsonl"
+    return log.read_bytes().count(b"\n") if log.exists() else 0
+
+
+class Killer:
+    """Starts real training processes, and ends them at random moments."""
+
+    def __init__(self, directory: Path) -> None:
+        self._stream = random.Random(1)
+        self._environment = os.environ | {"MAESN_CACHE": str(directory / "cache")}
+        self._errors = directory / "errors"
+
+    def start(self, run: Run) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-W", "error", "-c", KILLED, str(run.directory)]
+        with self._errors.open("ab") as errors:
+            return subprocess.Popen(command, env=self._environment, stderr=errors)
+
+    def said(self) -> str:
+        """What all processes have written to their standard error."""
+        return self._errors.read_text()
+
+    def stop(self, run: Run, process: subprocess.Popen[bytes], number: signal.Signals) -> int:
+        """Send a signal a random number of lines and milliseconds later."""
+        target = num_lines(run) + self._stream.randint(1, 12)
+        deadline = time.monotonic() + 120
+        while num_lines(run) < target:
+            assert process.poll() is None, self.said()
+            assert time.monotonic() < deadline, "it never got there"
+        time.sleep(self._stream.uniform(0, 0.01))
+        process.send_signal(number)
+        return process.wait(timeout=60)
+
+
+def test_a_killed_process_resumes_bit_for_bit(tmp_path: Path) -> None:
+    runs = [
+        create(tmp_path / name, tiny_maesn(), iterations=80, checkpoint_every=3)
+        for name in ("whole", "killed")
+    ]
+    killer = Killer(tmp_path)
+    assert killer.start(runs[0]).wait(timeout=300) == 0
+    for _ in range(3):
+        process = killer.start(runs[1])
+        assert killer.stop(runs[1], process, signal.SIGKILL) == -signal.SIGKILL
+    process = killer.start(runs[1])
+    assert killer.stop(runs[1], process, signal.SIGINT) != 0
+    assert "KeyboardInterrupt" in killer.said()
+    # Ctrl-C has saved the very last iteration, whatever `checkpoint_every` says.
+    assert runs[1].latest().iteration == len(metrics(runs[1])) < 80
+    assert killer.start(runs[1]).wait(timeout=300) == 0
+    assert outcome(runs[0]) == outcome(runs[1])
+    assert metrics(runs[1])[-1]["environment_steps"] == 80 * 2 * 4 * 3 * 40

@@ -1,0 +1,44 @@
+"""What is shown while training runs."""
+
+import io
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from small_runs import Drift, create
+
+from maesn.progress import train_live
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_is_shown(tmp_path: Path, terminal: bool) -> None:
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=terminal, width=120)
+    run = create(tmp_path / "run")
+    last = train_live(run, console=console)
+    assert last is not None
+    assert last.iteration == 6
+    assert "6/6" in text.getvalue()
+    assert "steps/s" in text.getvalue()
+    assert "left" in text.getvalue()
+    assert ("\x1b[" in text.getvalue()) == terminal
+    assert train_live(run, console=console) is None
+    assert f"{run.directory} has done its 6 iterations already" in text.getvalue()
+
+
+def test_control_c_tells_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, step = create(tmp_path / "run"), Drift.step
+
+    def interrupted(learner: Drift, key: Any, state: Any, collect: Any) -> Any:
+        if int(state.iteration) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return step(learner, key, state, collect)
+
+    monkeypatch.setattr(Drift, "step", interrupted)
+    text = io.StringIO()
+    with pytest.raises(KeyboardInterrupt):
+        train_live(run, console=Console(file=text, width=40))
+    assert f"Stopped, and saved. To go on: maesn resume {run.directory}\n" in text.getvalue()
+    assert run.latest().iteration == 3

@@ -1,0 +1,89 @@
+"""What a policy with memory is told at each step, and what becomes of its memory."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import agents, keys
+
+from maesn.agent import Agents
+from maesn.axes import Carry
+from maesn.envs import AnyEnv, Point, Wheeled, point, wheeled
+from maesn.episodes import Episodes
+from maesn.numerics import DiagonalGaussian
+from maesn.policies import AbstractPolicy, PolicyInput
+from maesn.rollout import Collector
+from maesn.worlds import make_world
+
+HORIZON, EPISODES = 8, 3
+
+
+class Witness(AbstractPolicy):
+    """Writes what it is told into the distribution of its actions, and counts its steps."""
+
+    def __call__(
+        self, policy_input: PolicyInput, context: jnp.ndarray, carry: Carry
+    ) -> tuple[DiagonalGaussian, Carry]:
+        mean = jnp.stack([policy_input.previous_reward, policy_input.previous_action[0]])
+        log_std = jnp.stack([0.01 * carry, policy_input.episode_start.astype(float)])
+        return DiagonalGaussian(mean, log_std), carry + 1
+
+    def initial_carry(self) -> Carry:
+        return jnp.zeros(())
+
+
+@pytest.fixture(scope="module", params=["point", "wheeled"])
+def collect(request: pytest.FixtureRequest) -> Collector:
+    env: AnyEnv = {"point": Point(horizon=HORIZON), "wheeled": Wheeled(horizon=HORIZON)}[
+        request.param
+    ]
+    tasks = {"point": point, "wheeled": wheeled}[request.param].task_set("training")
+    return Collector(make_world(env, tasks), EPISODES)
+
+
+@pytest.fixture(scope="module")
+def first(collect: Collector) -> Episodes:
+    return collect(keys(2), witnesses(collect), jnp.array([0, 1]))
+
+
+def witnesses(collect: Collector) -> Agents:
+    return Agents(Witness(), agents(collect.world.env, 2).context, shares_policy=True)
+
+
+def shifted(values: np.ndarray) -> np.ndarray:
+    """Each step's value one step later; zero at the start."""
+    return np.concatenate([np.zeros_like(values[..., :1]), values[..., :-1]], axis=-1)
+
+
+def test_the_previous_reward_and_action_are_told(first: Episodes) -> None:
+    told = np.asarray(first.behaviour.mean)
+    np.testing.assert_allclose(told[..., 0], shifted(np.asarray(first.reward)), rtol=1e-5)
+    np.testing.assert_array_equal(told[..., 1], shifted(np.asarray(first.action[..., 0])))
+
+
+def test_the_start_of_an_episode_is_told(first: Episodes) -> None:
+    starts = np.arange(HORIZON) == 0
+    expected = np.broadcast_to(starts, (2, EPISODES, HORIZON))
+    np.testing.assert_array_equal(first.behaviour.log_std[..., 1], expected)
+
+
+def test_memory_goes_from_step_to_step(first: Episodes) -> None:
+    counts = np.broadcast_to(np.arange(HORIZON), (2, EPISODES, HORIZON))
+    np.testing.assert_allclose(first.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
+    np.testing.assert_array_equal(first.carry, np.full((2, EPISODES), HORIZON))
+
+
+def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
+    collect: Collector, first: Episodes
+) -> None:
+    second = collect(keys(2, 1), witnesses(collect), jnp.array([0, 1]), first.carry)
+    counts = np.broadcast_to(np.arange(HORIZON, 2 * HORIZON), (2, EPISODES, HORIZON))
+    np.testing.assert_allclose(second.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
+    np.testing.assert_array_equal(second.carry, np.full((2, EPISODES), 2 * HORIZON))
+    # A new episode starts: what was done and paid in the last one is not told again.
+    np.testing.assert_array_equal(second.behaviour.mean[:, :, 0], np.zeros((2, EPISODES, 2)))
+    np.testing.assert_array_equal(second.behaviour.log_std[:, :, 0, 1], np.ones((2, EPISODES)))
+
+
+def test_memory_starts_afresh_otherwise(collect: Collector, first: Episodes) -> None:
+    again = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
+    np.testing.assert_array_equal(again.carry, first.carry)

@@ -1,0 +1,186 @@
+"""Run directories: what they hold, and where they can be made."""
+
+import errno
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+from small_runs import tensors, tiny_maesn, tiny_settings
+
+from maesn.checkpoint import MismatchError
+from maesn.context import BiasContext, LatentContext
+from maesn.envs import FAMILIES
+from maesn.learners import maml
+from maesn.policies import GaussianMLP
+from maesn.run import Run
+from maesn.storage import RunError
+from maesn.worlds import DeviceWorld, NativeWorld
+
+POINT = FAMILIES["point"]
+
+
+def create(directory: Path, **settings: Any) -> Run:
+    return Run.create(directory, tiny_maesn(), tiny_settings(**settings))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory that tests copy instead of making their own."""
+    return create(tmp_path_factory.mktemp("runs") / "run").directory
+
+
+@pytest.fixture
+def directory(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:
+    learner = tiny_maesn(context=LatentContext(kl_weight=0.3))
+    settings = tiny_settings(variant="paper", reward="sparse", sparse_radius=0.25, seed=5)
+    made = Run.create(tmp_path / "a" / "run", learner, settings)
+    opened = Run.open(str(tmp_path / "a" / "run"))
+    assert opened.learner == made.learner == learner
+    assert opened.settings == made.settings == settings
+    assert opened.family is made.family is POINT
+    assert opened.directory == tmp_path / "a" / "run"
+    assert opened.training_tasks.digest() == POINT.task_set("training").digest()
+
+
+def test_the_configuration_says_what_took_part(finished: Path) -> None:
+    document = json.loads((finished / "config.json").read_text())
+    assert document["schema"] == 1
+    assert document["engine"] == "jax"
+    assert document["family"] == "point"
+    assert document["task_digest"] == POINT.task_set("training").digest()
+    assert document["learner"]["context"]["type"] == "LatentContext"
+    assert document["versions"]["jax"] == jax.__version__
+    assert document["versions"].keys() >= {"maesn", "python", "equinox", "mujoco"}
+
+
+def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
+    runs = [create(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2))]
+    assert [path.name for path in runs[0].checkpoints()] == ["iteration-000000.safetensors"]
+    first, same, other = (tensors(run.checkpoints()[0]) for run in runs)
+    assert first == same != other
+    assert runs[0].latest().iteration == runs[0].latest().environment_steps == 0
+    assert runs[0].latest_state().parameters.context.mean.shape == (100, 2)
+
+
+def test_all_keys_of_a_run_differ(finished: Path) -> None:
+    run = Run.open(finished)
+    iterations = [0, 1, 2, 3, 299, 300, 2**32 - 1]
+    keys = [jax.random.key_data(run.iteration_key(n)).tolist() for n in iterations]
+    # Those that the untrained state splits its key into belong to no iteration either.
+    split = jax.random.key_data(jax.random.split(run.iteration_key(2**32 - 1))).tolist()
+    assert len({tuple(key) for key in [*keys, *split]}) == len(iterations) + 2
+
+
+def test_a_run_makes_its_environment(tmp_path: Path, finished: Path) -> None:
+    own = create(tmp_path / "a", variant="paper", sparse_radius=0.125).env()
+    assert (own.variant, own.reward_kind, own.sparse_radius) == ("paper", "dense", 0.125)
+    run = Run.open(finished)
+    default = run.env("sparse")
+    assert (default.variant, default.reward_kind) == ("reference", "sparse")
+    assert default.sparse_radius == POINT.make_env().sparse_radius
+
+
+def test_a_run_makes_its_world(finished: Path, tmp_path: Path) -> None:
+    run = Run.open(finished)
+    world = run.world()
+    assert isinstance(world, DeviceWorld)
+    assert world.tasks is run.training_tasks
+    assert world.env.reward_kind == "dense"
+    adapting = run.world(run.task_set("test"), "sparse")
+    assert adapting.tasks.digest() == POINT.task_set("test").digest()
+    assert adapting.env.reward_kind == "sparse"
+    wheeled = create(tmp_path / "wheeled", family="wheeled", num_threads=1)
+    assert isinstance(wheeled.world(), NativeWorld)
+    assert wheeled.config.engine == "mujoco.batch"
+
+
+def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
+    run = create(tmp_path / "a", tasks="validation")
+    assert run.training_tasks.digest() == POINT.task_set("validation").digest()
+    assert Run.open(run.directory).task_set("training").digest() == run.training_tasks.digest()
+
+
+def test_a_directory_in_use_is_left_alone(directory: Path) -> None:
+    before = {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+    with pytest.raises(RunError, match=r"must be a new or an empty directory.*maesn resume"):
+        create(directory)
+    assert {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()} == before
+
+
+def test_an_empty_directory_may_exist(tmp_path: Path) -> None:
+    assert create(tmp_path).directory == tmp_path
+
+
+@pytest.mark.parametrize("below", ["", "sub", "sub/sub"])
+def test_a_directory_that_cannot_be_made(tmp_path: Path, below: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match=r"cannot make `.*file.*`.*: .* choose another directory"):
+        create(tmp_path / "file" / below)
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "No space left on device.*free some space"),
+        (errno.EROFS, "Read-only file system.*can be written to"),
+        (errno.EACCES, "Permission denied.*ask for the permission"),
+    ],
+)
+@pytest.mark.parametrize("call", ["os.fsync", "pathlib.Path.mkdir", "pathlib.Path.replace"])
+def test_a_directory_that_cannot_be_filled_is_removed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str, call: str
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(call, fail)
+        with pytest.raises(RunError, match=said):
+            create(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_no_run_there(tmp_path: Path) -> None:
+    for place in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(RunError, match=r"no run in `.*`: `config.json` is missing"):
+            Run.open(place)
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"tasks": "validation"}, "for the task set `.*task set is `"),
+        ({"family": "wheeled"}, "for the family `wheeled`, .*family is `point`"),
+        ({"method": "other"}, "for the method `other`, .*method is `maesn`"),
+        ({"learner": maml(policy=GaussianMLP((8,)), meta_batch_size=4)}, "for the learner `"),
+        ({"learner": tiny_maesn(context=BiasContext(2))}, "for the learner `"),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused_by_name(
+    directory: Path, tmp_path: Path, other: dict[str, Any], said: str
+) -> None:
+    learner = other.pop("learner", tiny_maesn()) if "learner" in other else tiny_maesn()
+    foreign = Run.create(tmp_path / "other", learner, tiny_settings(**other))
+    run = Run.open(directory)
+    shutil.copy(foreign.checkpoints()[0], run.checkpoints()[0])
+    with pytest.raises(MismatchError, match=said):
+        run.latest()
+
+
+def test_saved_states_come_back(directory: Path) -> None:
+    run = Run.open(directory)
+    moved = jax.tree.map(lambda x: x + 1, run.latest_state())
+    path = run.save_state(moved, environment_steps=123)
+    assert path.name == "iteration-000001.safetensors"
+    snapshot = run.latest()
+    assert (snapshot.iteration, snapshot.environment_steps) == (1, 123)
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), snapshot.state, moved))
+    assert run.load(run.checkpoints()[0]).iteration == 0

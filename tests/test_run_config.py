@@ -1,0 +1,160 @@
+"""What `config.json` says: believed if it is ours, never executed."""
+
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_runs import tiny_maesn, tiny_settings
+
+from maesn.context import LatentContext
+from maesn.envs import FAMILIES, TaskFamily
+from maesn.run import Run
+from maesn.run_config import RunSettings
+from maesn.storage import RunError
+
+POINT = FAMILIES["point"]
+
+
+def create(directory: Path, **settings: Any) -> Run:
+    return Run.create(directory, tiny_maesn(), tiny_settings(**settings))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory that tests copy instead of making their own."""
+    return create(tmp_path_factory.mktemp("runs") / "run").directory
+
+
+@pytest.fixture
+def directory(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def edit(directory: Path, **changes: Any) -> None:
+    path = directory / "config.json"
+    document = json.loads(path.read_text()) | changes
+    kept = {name: value for name, value in document.items() if value != "drop"}
+    path.write_text(json.dumps(kept))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"schema": 2}, "has schema 2, but this version of maesn reads schema 1"),
+        ({"schema": "drop"}, "has schema None"),
+        ({"learner": "drop"}, "`learner` must be of type dict, got None"),
+        ({"task_digest": "drop"}, "`task_digest` must be of type str, got None"),
+        ({"learner": {"type": "Trojan"}}, "got 'Trojan'"),
+        (
+            {"learner": {"type": "NoContext"}},
+            "cannot be understood: `learner` must be a meta-learner, got NoContext",
+        ),
+        ({"learner": 3}, "`learner` must be of type dict, got 3"),
+        ({"settings": {}}, "`RunSettings` lacks the field"),
+        ({"settings": []}, "`settings` must be of type dict"),
+        ({"versions": 1}, "`versions` must be of type dict"),
+        ({"family": "points"}, "family `points` does not come with the library"),
+        (
+            {"task_digest": "0123"},
+            "task set 0123, but its tasks `training` of family `point` are now",
+        ),
+    ],
+)
+def test_a_configuration_that_is_not_ours(
+    directory: Path, changes: dict[str, Any], said: str
+) -> None:
+    edit(directory, **changes)
+    with pytest.raises(RunError, match=said):
+        Run.open(directory)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe"])
+def test_a_configuration_that_is_no_document(directory: Path, content: bytes) -> None:
+    (directory / "config.json").write_bytes(content)
+    with pytest.raises(RunError, match=r"config.json` must hold a JSON"):
+        Run.open(directory)
+
+
+def test_settings_that_do_not_fit_the_tasks(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"`meta_batch_size` is 101, .* only 100 tasks"):
+        Run.create(tmp_path / "run", tiny_maesn(meta_batch_size=101), tiny_settings())
+    assert not (tmp_path / "run").exists()
+
+
+def test_numbers_that_are_not_finite_are_no_settings(tmp_path: Path) -> None:
+    learner = tiny_maesn(context=LatentContext(kl_weight=float("nan")))
+    with pytest.raises(RunError, match="must hold finite numbers"):
+        Run.create(tmp_path / "run", learner, tiny_settings())
+
+
+def test_settings_are_documented_for_the_command_line() -> None:
+    # tyro reads the strings under the fields; an option without help text is not acceptable.
+    source = Path(sys.modules[RunSettings.__module__].__file__).read_text()
+    for name in RunSettings.__dataclass_fields__:
+        assert f"    {name}: " in source
+        assert source.split(f"\n    {name}: ", 1)[1].splitlines()[1].startswith('    """')
+
+
+MODULE = """
+from maesn.envs import FAMILIES
+own = FAMILIES["point"]._replace(name="own", seed=77)
+other = own._replace(name="other")
+reseeded = own._replace(seed=78)
+number = 3
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Name of a module with a user's own family."""
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "own_families.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(str(tmp_path / "modules"))
+    yield "own_families"
+    sys.modules.pop("own_families", None)
+
+
+def test_a_family_of_ones_own_is_given_again(tmp_path: Path, own_module: str) -> None:
+    made = create(tmp_path / "run", family=f"{own_module}:own")
+    assert made.family.name == "own"
+    # A fresh start: whatever opens the run now must not import what the file names.
+    del sys.modules[own_module]
+    with pytest.raises(RunError, match="`own` does not come with the library: give it again"):
+        Run.open(tmp_path / "run")
+    assert own_module not in sys.modules
+    opened = Run.open(tmp_path / "run", family=f"{own_module}:own")
+    assert opened.training_tasks.digest() == made.training_tasks.digest()
+    assert Run.open(tmp_path / "run", family=made.family).family is made.family
+    with pytest.raises(RunError, match="family is `own`, but `other` was given"):
+        Run.open(tmp_path / "run", family=f"{own_module}:other")
+    with pytest.raises(RunError, match="family is `own`, but `point` was given"):
+        Run.open(tmp_path / "run", family="point")
+    with pytest.raises(RunError, match="its tasks `training` of family `own` are now"):
+        Run.open(tmp_path / "run", family=f"{own_module}:reseeded")
+
+
+def test_a_family_can_be_given_as_an_object(tmp_path: Path) -> None:
+    own: TaskFamily = POINT._replace(name="own", seed=77)
+    run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), own)
+    assert run.settings.family == run.config.family == "own"
+    assert Run.open(tmp_path / "run", own).settings == run.settings
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("wheelde", "got 'wheelde'; did you mean 'wheeled'"),
+        ("nowhere:own", "No module named 'nowhere'"),
+        ("own_families:missing", "no attribute 'missing'"),
+        ("own_families:number", "must be a TaskFamily, got int"),
+        (":own", "`family` is `:own`"),
+    ],
+)
+def test_an_unknown_family(tmp_path: Path, own_module: str, name: str, said: str) -> None:
+    with pytest.raises(RunError, match=said):
+        create(tmp_path / "run", family=name)
+    assert not (tmp_path / "run").exists()

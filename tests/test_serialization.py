@@ -1,0 +1,159 @@
+"""Settings as JSON: what goes in comes out, and nothing else does."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import pytest
+
+from maesn.adaptation import Adaptation, InnerStep, StepSchedule
+from maesn.context import AbstractContext, BiasContext, LatentContext
+from maesn.learners import PRESETS, AbstractMetaLearner, maesn
+from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.run_config import RunSettings
+from maesn.serialization import (
+    REGISTRY,
+    digest,
+    fields_from_json,
+    fields_to_json,
+    from_json,
+    to_json,
+)
+from maesn.trust_region import TrustRegion
+
+OTHERS = {
+    "sizes": maesn(policy=GaussianMLP(hidden_sizes=(), initial_std=0.5)),
+    "bias": maesn(context=BiasContext(size=0)),
+    "pathwise": maesn(context=LatentContext(gradient="reparameterized", kl_weight=1e-30)),
+    "thirds": maesn(trust_region=TrustRegion(max_kl=1 / 3), schedule=StepSchedule(5, 0.1)),
+}
+LEARNERS = {name: preset() for name, preset in PRESETS.items()} | OTHERS
+
+
+def through_a_file(module: eqx.Module) -> eqx.Module:
+    return from_json(json.loads(json.dumps(to_json(module), allow_nan=False)))
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_learner_comes_back_equal(name: str) -> None:
+    learner = LEARNERS[name]
+    back = through_a_file(learner)
+    assert type(back) is type(learner)
+    assert back == learner
+    assert digest(back) == digest(learner)
+
+
+def test_different_settings_have_different_digests() -> None:
+    assert len({digest(learner) for learner in LEARNERS.values()}) == len(LEARNERS)
+
+
+def test_one_and_one_point_zero_are_the_same_setting() -> None:
+    decimal = maesn(adaptation=Adaptation(context=InnerStep(1.0)))
+    # As a user may write it: nothing checks the type of a setting outside of these tests.
+    whole = eqx.tree_at(lambda learner: learner.adaptation.context.initial_size, decimal, 1)
+    assert digest(whole) == digest(decimal)
+    document = to_json(decimal)
+    document["adaptation"]["context"]["initial_size"] = 1
+    back = from_json(document)
+    assert back == decimal
+    assert type(back.adaptation.context.initial_size) is float
+
+
+def concrete_subclasses(parent: type) -> Iterator[type]:
+    for child in parent.__subclasses__():
+        yield from concrete_subclasses(child)
+        if child.__module__.startswith("maesn.") and "[" not in child.__name__:
+            yield child
+
+
+@pytest.mark.parametrize("slot", [AbstractContext, AbstractPolicySettings, AbstractMetaLearner])
+def test_every_filling_of_a_slot_can_be_stored(slot: type) -> None:
+    fillings = {child.__name__ for child in concrete_subclasses(slot)}
+    assert fillings
+    assert fillings <= REGISTRY.keys()
+
+
+class Foreign(AbstractPolicySettings):
+    def init(self, *_: Any) -> Any:
+        raise NotImplementedError
+
+
+def test_settings_outside_of_the_registry_are_not_stored() -> None:
+    with pytest.raises(ValueError, match="`Foreign` cannot be stored"):
+        to_json(maesn(policy=Foreign()))
+
+
+def test_an_impostor_of_a_registered_name_is_not_stored() -> None:
+    impostor = type("TrustRegion", (TrustRegion,), {})
+    with pytest.raises(ValueError, match="`TrustRegion` cannot be stored"):
+        to_json(impostor())
+
+
+def altered(**changes: Any) -> dict[str, Any]:
+    document = to_json(maesn()) | changes
+    return {name: value for name, value in document.items() if value != "drop"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"type": "os.system"}, "`type` must be one of .*, got 'os.system'"),
+        ({"type": "drop"}, "`type` must be one of .*, got None"),
+        ({"type": ["Adaptation"]}, "`type` must be one of"),
+        ({"context": {"type": "Unheard"}}, "got 'Unheard'"),
+        ({"context": {"type": "NoContext", "size": 2}}, "`NoContext` has no field `size`"),
+        ({"schedule": {"type": "StepSchedule", "factor": 0.5}}, "lacks the field `full_steps`"),
+        ({"schedule": "drop"}, "`GradientMetaLearner` lacks the field `schedule`"),
+        ({"lr": 0.1}, "`GradientMetaLearner` has no field `lr`"),
+        ({"meta_batch_size": "20"}, r"`GradientMetaLearner.meta_batch_size` must be of type int"),
+        ({"meta_batch_size": 20.0}, r"meta_batch_size` must be of type int, got 20.0"),
+        ({"meta_batch_size": True}, r"meta_batch_size` must be of type int, got True"),
+        ({"meta_batch_size": None}, r"meta_batch_size` must be of type int, got None"),
+        ({"meta_batch_size": 0}, r"`meta_batch_size` must be at least 1, got 0"),
+        ({"context": {"type": "TrustRegion"}}, "`TrustRegion` lacks the field"),
+        ({"context": to_json(TrustRegion())}, r"`GradientMetaLearner.context` must be of type"),
+        ({"policy": "GaussianMLP"}, r"`GradientMetaLearner.policy` must be of type"),
+        (
+            {"policy": {"type": "GaussianMLP", "hidden_sizes": [8, "8"], "initial_std": 1.0}},
+            r"`GaussianMLP.hidden_sizes\[1\]` must be of type int, got '8'",
+        ),
+        (
+            {"policy": {"type": "GaussianMLP", "hidden_sizes": 8, "initial_std": 1.0}},
+            r"`GaussianMLP.hidden_sizes` must be of type tuple",
+        ),
+        (
+            {"context": to_json(LatentContext()) | {"gradient": "exact"}},
+            r"`LatentContext.gradient` must be of type .*reparameterized.*, got 'exact'",
+        ),
+    ],
+)
+def test_a_document_that_is_not_ours_is_refused_by_name(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        from_json(altered(**changes))
+
+
+@pytest.mark.parametrize("radius", [None, 0.25])
+def test_settings_of_a_run_come_back_equal(radius: float | None) -> None:
+    settings = RunSettings(method="maml", sparse_radius=radius, reward="sparse", seed=3)
+    document = json.loads(json.dumps(fields_to_json(settings)))
+    back = fields_from_json(RunSettings, document)
+    assert back == settings
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"iterations": -1}, "`iterations` must be at least 0, got -1"),
+        ({"seed": -1}, "`seed` must be at least 0"),
+        ({"seed": 2**32}, "`seed` must be below"),
+        ({"episodes_per_task": 0}, "`episodes_per_task` must be at least 1"),
+        ({"checkpoint_every": 0}, "`checkpoint_every` must be at least 1"),
+        ({"num_threads": -2}, "`num_threads` must be at least 0"),
+        ({"sparse_radius": 0.0}, "`sparse_radius` must be positive"),
+        ({"sparse_radius": float("nan")}, "`sparse_radius` must be positive"),
+    ],
+)
+def test_a_wrong_setting_of_a_run_is_refused_by_name(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        RunSettings(**changes)

@@ -1,0 +1,138 @@
+"""A user's own tasks: kept with the run, or refused for a reason."""
+
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_runs import create, goals, tiny_maesn
+
+from maesn.envs import FAMILIES
+from maesn.run import Run
+from maesn.storage import RunError
+from maesn.task_sources import load_tasks
+
+POINT = FAMILIES["point"]
+
+
+def write_goals(path: Path, **arrays: Any) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_run_keeps_the_tasks_of_its_user(tmp_path: Path) -> None:
+    file = write_goals(tmp_path / "mine.npz", goal=goals(5).astype(float), more=np.zeros(2))
+    made = create(tmp_path / "run", tiny_maesn(), tasks=str(file))
+    file.unlink()
+    opened = Run.open(tmp_path / "run")
+    np.testing.assert_array_equal(opened.training_tasks.tasks, goals(5))
+    assert opened.training_tasks.digest() == made.training_tasks.digest()
+    assert opened.latest_state().parameters.context.mean.shape == (5, 2)
+    np.testing.assert_array_equal(opened.task_set("training").tasks, goals(5))
+    np.testing.assert_array_equal(opened.task_set("test").tasks, POINT.task_set("test").tasks)
+
+
+def test_changed_tasks_are_noticed(tmp_path: Path) -> None:
+    file = write_goals(tmp_path / "mine.npz", goal=goals(5))
+    create(tmp_path / "run", tiny_maesn(), tasks=str(file))
+    write_goals(tmp_path / "run" / "tasks.npz", goal=goals(6))
+    with pytest.raises(RunError, match=r"mine.npz` of family `point` are now the task set"):
+        Run.open(tmp_path / "run")
+    (tmp_path / "run" / "tasks.npz").unlink()
+    with pytest.raises(RunError, match=r"tasks.npz` must be an .npz file"):
+        Run.open(tmp_path / "run")
+
+
+def test_other_tasks_by_path(tmp_path: Path) -> None:
+    file = write_goals(tmp_path / "test", goal=goals(3)).with_suffix(".npz")
+    run = create(tmp_path / "run")
+    found = run.task_set(file)
+    np.testing.assert_array_equal(found.tasks, goals(3))
+    assert found.tasks.dtype == POINT.task_set("test").tasks.dtype
+    with pytest.raises(RunError, match=r"one of training, validation, test or the path .* `tset`"):
+        run.task_set("tset")
+
+
+def pickled(path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> Any:
+            return Path.touch, (path.parent / "sprung",)
+
+    np.savez(path, goal=np.array([[Trap(), Trap()]], dtype=object))
+
+
+def cut(path: Path) -> None:
+    np.savez(path, goal=goals(50))
+    path.write_bytes(path.read_bytes()[:-30])
+
+
+def flipped(path: Path) -> None:
+    np.savez(path, goal=goals(50))
+    content = bytearray(path.read_bytes())
+    content[300] ^= 1
+    path.write_bytes(content)
+
+
+def no_array(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("goal.npy", b"not an array")
+
+
+def single(path: Path) -> None:
+    content = io.BytesIO()
+    np.save(content, goals(3))
+    path.write_bytes(content.getvalue())
+
+
+def arrays(**named: Any) -> Callable[[Path], Any]:
+    return lambda path: np.savez(path, **named)
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (lambda path: None, "must be an .npz file with the arrays goal.*No such file"),
+        (Path.mkdir, "must be an .npz file.*Is a directory"),
+        (lambda path: path.write_bytes(b""), "must be an .npz file"),
+        (lambda path: path.write_bytes(b"goal"), "must be an .npz file"),
+        (cut, "must be an .npz file"),
+        (flipped, "must be an .npz file"),
+        (no_array, "must be an .npz file"),
+        (single, "must be an .npz file.*a single array without a name"),
+        (pickled, "must be an .npz file.*allow_pickle"),
+        (arrays(goals=goals(3)), "must hold the arrays goal, .*; it holds goals"),
+        (arrays(), "it holds none"),
+        (arrays(goal=goals(3)[0]), r"array `goal` of `.*` must have the shape \[tasks, 2\]"),
+        (arrays(goal=np.zeros((3, 3))), r"the shape \[tasks, 2\], got \[3, 3\]"),
+        (arrays(goal=np.zeros(())), r"the shape \[tasks, 2\], got \[\]"),
+        (arrays(goal=np.zeros((0, 2))), "at least one; they have 0 rows"),
+        (arrays(goal=[["a", "b"]]), "must hold numbers of type float32, got <U1"),
+        (arrays(goal=np.zeros((3, 2), complex)), "must hold numbers of type float32"),
+        (arrays(goal=[[0.0, 1.0], [np.nan, 1.0]]), r"must be finite, got \[nan  1.\] in row 1"),
+        (arrays(goal=[[0.0, 1e300]]), r"must be finite, got .* in row 0"),
+    ],
+)
+def test_tasks_that_cannot_be_used(tmp_path: Path, write: Callable[[Path], Any], said: str) -> None:
+    file = tmp_path / "mine.npz"
+    write(file)
+    with pytest.raises(RunError, match=said):
+        load_tasks(file, POINT)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_tasks_of_several_arrays_need_one_row_each(tmp_path: Path) -> None:
+    two = POINT._replace(
+        draw_tasks=lambda stream, size: (np.zeros((size, 2)), np.zeros(size, np.int32)),
+        task_names=("goal", "mass"),
+    )
+    file = write_goals(tmp_path / "two.npz", goal=goals(3), mass=np.arange(3, dtype=np.int32))
+    np.testing.assert_array_equal(load_tasks(file, two).tasks[1], [0, 1, 2])
+    write_goals(file, goal=goals(3), mass=np.arange(4, dtype=np.int32))
+    with pytest.raises(RunError, match="they have 3, 4 rows"):
+        load_tasks(file, two)
+    write_goals(file, goal=goals(3), mass=np.arange(3.0))
+    with pytest.raises(RunError, match=r"`mass` .* type int32, got float64"):
+        load_tasks(file, two)

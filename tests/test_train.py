@@ -1,0 +1,139 @@
+"""Training: what it leaves behind, and what it does about numbers that are not finite."""
+
+import json
+import logging
+import math
+import struct
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors, tiny_maesn
+from tensorboardX.proto.event_pb2 import Event
+
+from maesn.context import LatentContext
+from maesn.learners import latent_space
+from maesn.policies import GaussianMLP
+from maesn.run import Run
+from maesn.train import TrainingError, train
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> tuple[bytes, dict[str, bytes]]:
+    """Outcome of the six iterations that other tests interrupt."""
+    return outcome(finish(create(tmp_path / "whole")))
+
+
+def test_what_is_left_behind(tmp_path: Path) -> None:
+    run = create(tmp_path / "run", iterations=5)
+    seen = list(train(run))
+    assert [progress.iteration for progress in seen] == [1, 2, 3, 4, 5]
+    assert [line["iteration"] for line in metrics(run)] == [1, 2, 3, 4, 5]
+    assert [path.stem[-2:] for path in run.checkpoints()] == ["00", "02", "04", "05"]
+    assert [line["return_after"] for line in metrics(run)] == [p.info["return_after"] for p in seen]
+    timing = [json.loads(x) for x in (run.directory / "timing.jsonl").read_text().splitlines()]
+    assert [line["seconds"] for line in timing] == [progress.seconds for progress in seen]
+
+
+def test_every_iteration_has_a_key_of_its_own(tmp_path: Path) -> None:
+    run = finish(create(tmp_path / "run"))
+    by_hand = sum(
+        np.asarray(jax.random.normal(run.iteration_key(iteration), (3,))) for iteration in range(6)
+    )
+    np.testing.assert_allclose(run.latest_state().position, by_hand, rtol=1e-5)
+
+
+def test_nothing_left_to_do_changes_nothing(tmp_path: Path) -> None:
+    run = finish(create(tmp_path / "run"))
+    before = outcome(run)
+    assert list(train(reopened(run))) == list(train(run, iterations=2)) == []
+    assert outcome(run) == before
+
+
+def test_iterations_are_the_total(tmp_path: Path, whole: tuple[bytes, dict[str, bytes]]) -> None:
+    run = finish(create(tmp_path / "run", iterations=2))
+    assert outcome(finish(reopened(run), iterations=6)) == whole
+
+
+def events(run: Run) -> dict[str, list[tuple[int, float]]]:
+    """Tag -> (global step, value), read as the format of TensorBoard's files is specified."""
+    found: dict[str, list[tuple[int, float]]] = {}
+    for path in sorted((run.directory / "tensorboard").iterdir()):
+        content = path.read_bytes()
+        while content:
+            (length,) = struct.unpack("<Q", content[:8])
+            event = Event.FromString(content[12 : 12 + length])
+            content = content[16 + length :]
+            for value in event.summary.value:
+                found.setdefault(value.tag, []).append((event.step, value.simple_value))
+    return found
+
+
+def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
+    run = create(tmp_path / "run", tiny_maesn(), iterations=2)
+    first, second = train(run)
+    steps = 2 * 4 * 3 * 40  # two collections of four tasks, three episodes, forty steps
+    assert (first.environment_steps, second.environment_steps) == (steps, 2 * steps)
+    assert first.compile_seconds > 10 * second.compile_seconds
+    assert first.seconds > first.compile_seconds > 0.1 * first.seconds
+    assert second.steps_per_second == pytest.approx(steps / second.seconds, rel=0.5)
+    assert set(second.info) >= {
+        "return_before",
+        "success_after",
+        "trust_region/kl",
+        "trust_region/accepted",
+        "shares/context",
+        "step_sizes/context/mean",
+        "nonfinite_tasks",
+    }
+    assert math.isclose(
+        sum(second.info[f"shares/{x}"] for x in ("policy", "context", "step_sizes")),
+        1,
+        rel_tol=1e-5,
+    )
+    seen = events(run)
+    assert set(seen) >= {
+        "charts/SPS",
+        "returns/before",
+        "returns/after",
+        "success/after",
+        "trust_region/kl",
+        "shares/policy",
+        "step_sizes/context/log_std",
+        "charts/penalty",
+    }
+    for tag, name in (("returns/after", "return_after"), ("trust_region/kl", "trust_region/kl")):
+        wanted = [(p.environment_steps, pytest.approx(p.info[name])) for p in (first, second)]
+        assert seen[tag] == wanted
+    assert seen["charts/SPS"][1][1] == pytest.approx(second.steps_per_second)
+
+
+def test_a_loss_that_is_not_finite_is_skipped_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    # Larger than single precision can weigh: the real learner must reject every step.
+    learner = latent_space(
+        context=LatentContext(kl_weight=3e38, initial_spread=30.0),
+        policy=GaussianMLP((8,)),
+        meta_batch_size=4,
+    )
+    run = create(tmp_path / "run", learner, iterations=20, checkpoint_every=100)
+    before = tensors(run.checkpoints()[0])
+    with (
+        caplog.at_level(logging.WARNING),
+        pytest.raises(TrainingError, match=r"run`, iteration 5: the loss of 4 tasks is not"),
+    ):
+        finish(run)
+    assert [f"Iteration {n} of" in caplog.messages[n - 1] for n in range(1, 6)] == [True] * 5
+    after = tensors(run.checkpoints()[-1])
+    assert run.latest().iteration == len(metrics(run)) == 5
+    assert {name for name in after if after[name] != before[name]} == {"iteration"}
+
+
+def test_broken_steps_that_do_not_follow_each_other_are_bad_luck(tmp_path: Path) -> None:
+    learner = Drift(nonfinite_from=1, nonfinite_until=5)
+    run = finish(create(tmp_path / "run", learner))
+    assert [line["return_after"] is None for line in metrics(run)] == [False, *[True] * 4, False]
+    with pytest.raises(TrainingError, match="iteration 6: the loss of 4 tasks"):
+        finish(create(tmp_path / "five", Drift(nonfinite_from=1, nonfinite_until=6)))

@@ -1,0 +1,83 @@
+"""The compiled scan against a plain Python loop over steps, one episode at a time."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import agents, keys, play
+
+from maesn.agent import Agents
+from maesn.envs import AbstractPureEnv, DelayedTarget, HiddenSide, Point, TaskSet
+from maesn.worlds import DeviceWorld, make_world
+
+GOALS = TaskSet(np.float32([[2.0, 0.0], [0.0, 2.0], [-1.2, 1.6]]))
+SIDES = TaskSet(np.float32([-1.0, 1.0, 1.0]))
+EPISODES = 2
+
+
+def mean_action(cast: Agents, observation: Any, context: Any) -> np.ndarray:
+    """The policy's network, in NumPy."""
+    first, second = cast.policy.mlp.layers
+    x = np.concatenate([observation, context])
+    x = np.maximum(x @ np.asarray(first.weight) + np.asarray(first.bias), 0)
+    return x @ np.asarray(second.weight) + np.asarray(second.bias)
+
+
+def loop(
+    env: AbstractPureEnv[Any], cast: Agents, slot: int, task: Any, key: jax.Array
+) -> dict[str, Any]:
+    """One episode, step by step, with the keys that the rollout documents."""
+    context_key, start_key, action_key = jax.random.split(key, 3)
+    noise = jax.random.normal(context_key, (2,))
+    context = cast.context.mean[slot] + jnp.exp(cast.context.log_std[slot]) * noise
+    qpos, qvel = env.initial(start_key, task)
+    state, record = {"qpos": qpos, "qvel": qvel}, []
+    for step in range(env.horizon):
+        observation = env.observe(state)
+        mean = mean_action(cast, observation, context)
+        draw = jax.random.normal(jax.random.fold_in(action_key, step), mean.shape)
+        action = jnp.asarray(mean + draw)  # the standard deviation is 1
+        following = env.advance(state, env.control(action))
+        reward = env.reward(state, action, following, task)
+        record.append(
+            {
+                "observation": observation,
+                "action": action,
+                "reward": reward.goal + reward.other,
+                "goal_reward": reward.goal,
+                "solved": env.solved(following, task),
+            }
+        )
+        state = following
+    stacked = jax.tree.map(lambda *steps: np.stack(steps), *record)
+    last = env.observe(state)[None]
+    stacked["observation"] = np.concatenate([stacked["observation"], last])
+    return {**stacked, "noise": noise, "context": context}
+
+
+@pytest.mark.parametrize(
+    ("env", "tasks"),
+    [
+        (Point(horizon=5), GOALS),
+        (Point(horizon=5, reward_kind="sparse", sparse_radius=1.9, variant="paper"), GOALS),
+        (DelayedTarget(horizon=4), GOALS),
+        (HiddenSide(horizon=4, sparse_radius=1.0), SIDES),
+    ],
+    ids=["point", "sparse-point", "delayed-target", "hidden-side"],
+)
+def test_a_batch_equals_a_plain_loop(env: AbstractPureEnv[Any], tasks: TaskSet) -> None:
+    cast, task_index = agents(env, 3), [2, 0, 1]
+    episodes = play(env, tasks, task_index, episodes=EPISODES, cast=cast)
+    for slot, (key, index) in enumerate(zip(keys(3), task_index, strict=True)):
+        for episode in range(EPISODES):
+            task = jnp.asarray(tasks[index])
+            expected = loop(env, cast, slot, task, jax.random.fold_in(key, episode))
+            for name, value in expected.items():
+                got = np.asarray(getattr(episodes, name)[slot, episode])
+                np.testing.assert_allclose(got, value, rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+def test_pure_environments_are_played_on_the_device() -> None:
+    assert isinstance(make_world(Point(), GOALS), DeviceWorld)
