@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,6 +73,26 @@ def test_each_task_is_standardized_over_its_valid_steps_and_over_its_episodes() 
         for values in (step[valid], episode):
             np.testing.assert_allclose(jnp.mean(values), 0.0, atol=1e-5)
             np.testing.assert_allclose(jnp.std(values), 1.0, rtol=1e-5)
+
+
+@pytest.mark.usefixtures("x64")
+def test_one_episode_alone_teaches_its_steps() -> None:
+    batch = [episodes[:1] for episodes in batch_of(EQUAL)]
+    assert_equal_to_reference(estimate(REFERENCE, stack(batch)), batch, REFERENCE, atol=1e-9)
+
+
+def test_equal_pay_teaches_nothing() -> None:
+    # Here the library leaves the reference, which would standardise the errors of its baseline.
+    episodes = stack(batch_of(EQUAL))
+    equal = jnp.broadcast_to(episodes.reward[:, :1], episodes.reward.shape)
+    advantages = estimate(REFERENCE, eqx.tree_at(lambda e: e.reward, episodes, equal))
+    np.testing.assert_array_equal(advantages.step, 0.0)
+    np.testing.assert_array_equal(advantages.episode, 0.0)
+    # One reward of one episode is enough to learn from, and in its own task only.
+    better = equal.at[0, 2, 3].add(1.0)
+    advantages = estimate(REFERENCE, eqx.tree_at(lambda e: e.reward, episodes, better))
+    np.testing.assert_allclose(jnp.std(advantages.step, axis=(1, 2)), [1, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(jnp.std(advantages.episode, axis=1), [1, 0, 0], atol=1e-4)
 
 
 @pytest.mark.parametrize("setting", ["discount", "trace"])

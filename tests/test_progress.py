@@ -12,10 +12,10 @@ from small_runs import Drift, create
 from maesn.progress import train_live
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress_is_shown(tmp_path: Path, terminal: bool) -> None:
+@pytest.mark.parametrize(("terminal", "width"), [(True, 120), (True, 80), (False, 80)])
+def test_progress_is_shown(tmp_path: Path, terminal: bool, width: int) -> None:
     text = io.StringIO()
-    console = Console(file=text, force_terminal=terminal, width=120)
+    console = Console(file=text, force_terminal=terminal, width=width)
     run = create(tmp_path / "run")
     last = train_live(run, console=console)
     assert last is not None

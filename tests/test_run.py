@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import pytest
+from small_runs import create as create_drift
 from small_runs import tensors, tiny_maesn, tiny_settings
 
 from maesn.checkpoint import MismatchError
@@ -68,6 +69,12 @@ def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
     assert first == same != other
     assert runs[0].latest().iteration == runs[0].latest().environment_steps == 0
     assert runs[0].latest_state().parameters.context.mean.shape == (100, 2)
+
+
+def test_the_untrained_state_has_a_key_that_no_iteration_has(tmp_path: Path) -> None:
+    run = create_drift(tmp_path / "run")
+    by_hand = jax.random.normal(run.iteration_key(2**32 - 1), (100, 2))
+    assert (run.latest_state().rows == by_hand).all()
 
 
 def test_all_keys_of_a_run_differ(finished: Path) -> None:

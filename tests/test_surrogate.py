@@ -109,13 +109,13 @@ def test_outer_loss_by_hand() -> None:
     advantages = Advantages(jnp.asarray([[1.0, -0.5], [2.0, 0.0]]), jnp.zeros(2))
     ratios = np.exp(np.array([1.0, -2.0, 6.0]) / 2 - 1 / 8)
     expected = -(ratios @ np.array([1.0, -0.5, 2.0])) / 3
-    np.testing.assert_allclose(outer_loss(new, episodes, advantages), expected, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(outer_loss)(new, episodes, advantages), expected, rtol=1e-6)
 
 
 def test_agents_that_have_not_moved_give_the_distributions_that_were_played() -> None:
     agent = linear_agent()
     episodes = one_step_episodes(agent, 5)
-    again = post_distributions(agent, episodes)
+    again = jax.jit(post_distributions)(agent, episodes)
     np.testing.assert_allclose(again.mean, episodes.behaviour.mean, rtol=1e-5)
     np.testing.assert_allclose(again.log_std, episodes.behaviour.log_std, rtol=1e-6)
     np.testing.assert_allclose(episodes.behaviour.kl(again), 0.0, atol=1e-10)
@@ -132,7 +132,7 @@ def test_the_outer_loss_reaches_the_latent_through_the_redrawn_z() -> None:
         new = post_distributions(Agent(agent.policy, value), episodes)
         return outer_loss(new, episodes, advantages)
 
-    slope = jax.grad(loss)(agent.context)
+    slope = jax.jit(jax.grad(loss))(agent.context)
     deviation = np.asarray(episodes.action - episodes.behaviour.mean)[:, 0, 0]
     score = np.asarray(advantage) * deviation / ACTION_STD**2
     expected_mean = -np.mean(score) * WEIGHT

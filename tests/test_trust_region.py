@@ -114,16 +114,20 @@ def test_candidates_end_at_the_last(ratio: float) -> None:
     assert step(one_more, lambda x: (x["mean"][0] - minimum) ** 2)[1].accepted
 
 
-def broken(value: float) -> Callable[[dict[str, Array]], Array]:
-    """A loss that is good where the step starts and `value` wherever it leads."""
+@jax.jit
+def step_to(value: Array, parameters: dict[str, Array]) -> tuple[dict[str, Array], TrustRegionInfo]:
+    """Step where the loss is good at the start and `value` wherever the step leads."""
     here = start()["mean"][0]
-    return lambda x: jnp.where(x["mean"][0] == here, x["mean"][0], value)
+    return step(
+        TrustRegion(), lambda x: jnp.where(x["mean"][0] == here, x["mean"][0], value), parameters
+    )
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_candidates_that_are_not_finite_are_rejected(value: float) -> None:
+    # A minus sign before zero and a denormal number are kept as well.
     parameters = start() | {"log_std": jnp.asarray([-0.0, 1e-40, 0.5])}
-    after, info = step(TrustRegion(), broken(value), parameters)
+    after, info = step_to(jnp.asarray(value), parameters)
     assert not info.accepted
     assert info.backtracks == 14
     assert info.loss_after == info.loss_before == 1.0
@@ -131,9 +135,14 @@ def test_candidates_that_are_not_finite_are_rejected(value: float) -> None:
     assert bits(after) == bits(parameters)
 
 
+@jax.jit
+def step_from(value: Array) -> tuple[dict[str, Array], TrustRegionInfo]:
+    return step(TrustRegion(), lambda x: value * jnp.sum(x["mean"] ** 2))
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_start_that_is_not_finite_is_rejected(value: float) -> None:
-    after, info = step(TrustRegion(), lambda x: value * jnp.sum(x["mean"] ** 2))
+    after, info = step_from(jnp.asarray(value))
     assert not info.accepted
     assert not np.isfinite(info.loss_before)
     assert bits(after) == bits(start())

@@ -52,6 +52,9 @@ class AdvantageEstimator(eqx.Module):
 
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
+        Where all episodes are paid the same, as on sparse reward before the goal is found, there
+        is nothing to learn and all advantages are 0. (The reference blows the rounding errors of
+        the baseline up to standard deviation 1, and its latents take a random step.)
 
         Args:
             episodes: episodes of one task, `[episode, time, ...]`.
@@ -66,9 +69,10 @@ class AdvantageEstimator(eqx.Module):
             reward, value, jnp.zeros(()), episodes.valid, self.discount, self.trace
         )
         first = returns[:, 0] - value[:, 0]
+        differs = _rewards_differ(reward)
         return Advantages(
-            step=standardize(raw, episodes.valid),
-            episode=standardize(first, jnp.ones_like(first, dtype=bool)),
+            step=jnp.where(differs, standardize(raw, episodes.valid), 0.0),
+            episode=jnp.where(differs, standardize(first, jnp.ones_like(first, dtype=bool)), 0.0),
         )
 
     def _baseline(
@@ -79,6 +83,11 @@ class AdvantageEstimator(eqx.Module):
         weight = episodes.valid.reshape(-1).astype(rows.dtype)
         coefficients = ridge_regression(rows, returns.reshape(-1), weight, self.ridge)
         return features @ coefficients
+
+
+def _rewards_differ(reward: Float[Array, "episode time"]) -> Bool[Array, ""]:
+    """Whether some episode is paid differently from the first one. Invalid steps hold 0."""
+    return jnp.any(reward != reward[:1])
 
 
 def _features(

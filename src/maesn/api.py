@@ -5,12 +5,13 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import jax
 import numpy as np
 
-from maesn.context import Latent
-from maesn.envs import RewardKind, TaskFamily
+from maesn.context import AbstractContextValue, Latent
+from maesn.envs import SETS, RewardKind, TaskFamily
 from maesn.evaluate import AdaptationOutcome, as_rows
 from maesn.evaluate import adapt as adapt_to_tasks
 from maesn.explore import explore
@@ -26,6 +27,8 @@ from maesn.train import init_from as start_from
 
 # Episodes that figures show, and among which the share of goals reached is counted.
 EXPLORATION_EPISODES = 50
+# Where they are recorded in a run directory.
+EXPLORATION = Path("figures") / "exploration.npz"
 
 
 def train(
@@ -93,7 +96,7 @@ def adapt(
         tasks: test (report on these), validation (choose on these), training, or the path of an
             `.npz` file.
         seed: of the episodes.
-        out: path of the table; None for `DIR/adaptation/TASKS-REWARD.csv`. The adapted latents are
+        out: path of the table; None for what `adaptation_file` says. The adapted latents are
             written beside it as `.latents.npz`.
         start: an earlier `.latents.npz` of the same tasks to go on from.
         family: the run's family, if it is your own: itself, or `module:name`.
@@ -108,7 +111,7 @@ def adapt(
     collect = Collector(run.world(run.task_set(tasks), reward), episodes_per_task)
     state, done = None, 0
     if start is not None:
-        latents, done = read_latents(Path(start), collect.num_tasks)
+        latents, done = read_latents(Path(start), learner.init(collect.num_tasks).agents.context)
         state = learner.resume(latents, done)
     outcome = adapt_to_tasks(
         learner,
@@ -117,9 +120,11 @@ def adapt(
         episodes_per_task=episodes_per_task,
         seed=seed,
         start=state,
+        first_update=done,
     )
-    table = adaptation_file(run.directory, tasks, reward) if out is None else Path(out)
-    write_outcome(table, outcome, first_update=done)
+    write_outcome(
+        adaptation_file(run.directory, tasks, reward, done) if out is None else Path(out), outcome
+    )
     return outcome
 
 
@@ -144,33 +149,36 @@ def export(
     return Path(path)
 
 
-def plot(directories: Sequence[str | Path], out: str | Path | None = None) -> list[Path]:
+def plot(
+    directories: Sequence[str | Path],
+    out: str | Path | None = None,
+    family: str | TaskFamily | None = None,
+) -> list[Path]:
     """Draw the paper's figures from run directories.
 
-    What a figure needs and no run has left behind is played first: adaptation to the test tasks
-    on sparse reward, and episodes of exploration.
+    What a figure needs and no run has left behind, or only from before its latest checkpoint, is
+    played first: adaptation to the test tasks on sparse reward, and episodes of exploration.
 
     Args:
-        directories: of the runs; several are compared in one figure.
+        directories: of the runs, at least one; several are compared in one figure.
         out: where the figures go; None for `figures` in the first directory.
+        family: the runs' family, if it is your own: itself, or `module:name`.
 
     Returns:
         The files that were written, PNG and PDF.
     """
-    paths = [Path(directory) for directory in directories]
-    for path in paths:
-        if not adaptation_file(path, "test", "sparse").exists():
-            adapt(path)
-        record_exploration(path)
-    return plot_run_directories(paths, paths[0] / "figures" if out is None else Path(out))
+    runs = [Run.open(directory, family=family) for directory in directories]
+    for run in runs:
+        if not _is_current(adaptation_file(run.directory, "test", "sparse"), run):
+            adapt(run.directory, family=family)
+        if not _is_current(run.directory / EXPLORATION, run):
+            record_exploration(run)
+    first = runs[0].directory / "figures"
+    return plot_run_directories([run.directory for run in runs], first if out is None else Path(out))
 
 
-def record_exploration(directory: str | Path) -> Path:
-    """Play and record what the figures of exploration show; does nothing if it is there."""
-    run = Run.open(directory)
-    path = run.directory / "figures" / "exploration.npz"
-    if path.exists():
-        return path
+def record_exploration(run: Run) -> Path:
+    """Play and record what the figures of exploration show."""
     tasks, env = run.task_set("test"), run.env()
     collect = Collector(run.world(tasks), EXPLORATION_EPISODES)
     trained = explore(run.learner.fast_learner(run.latest_state()), collect)
@@ -186,18 +194,33 @@ def record_exploration(directory: str | Path) -> Path:
     }
     if trained.fixed_paths is not None:
         arrays["fixed_paths"] = trained.fixed_paths
+    path = run.directory / EXPLORATION
     _write_arrays(path, arrays)
     return path
 
 
-def adaptation_file(directory: Path, tasks: str, reward: RewardKind) -> Path:
-    """Return the path of a run's table of adaptation curves."""
-    return directory / "adaptation" / f"{Path(tasks).stem}-{reward}.csv"
+def adaptation_file(
+    directory: Path, tasks: str, reward: RewardKind, first_update: int = 0
+) -> Path:
+    """Return where a table of adaptation curves goes by default.
+
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
+    `-from-UPDATE` behind it if the adaptation went on from an earlier one.
+    """
+    name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
+    suffix = f"-from-{first_update}" if first_update else ""
+    return directory / "adaptation" / f"{name}-{reward}{suffix}.csv"
 
 
-def write_outcome(table: Path, outcome: AdaptationOutcome, first_update: int = 0) -> None:
+def _is_current(path: Path, run: Run) -> bool:
+    """Whether a file exists that was written after the run's latest checkpoint."""
+    latest = run.checkpoints()[-1]
+    return path.exists() and path.stat().st_mtime >= latest.stat().st_mtime
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
     """Write curves as a `.csv` file, and adapted latents as `.latents.npz` beside it."""
-    rows = list(as_rows(outcome, first_update))
+    rows = list(as_rows(outcome))
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -208,7 +231,7 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, first_update: int = 0
         arrays = {
             "mean": outcome.contexts.mean.swapaxes(0, 1),
             "log_std": outcome.contexts.log_std.swapaxes(0, 1),
-            "first_update": np.asarray(first_update),
+            "first_update": np.asarray(outcome.first_update),
         }
         _write_arrays(latents_file(table), arrays)
 
@@ -218,22 +241,30 @@ def latents_file(table: Path) -> Path:
     return table.with_suffix(".latents.npz")
 
 
-def read_latents(path: Path, num_tasks: int) -> tuple[Latent, int]:
+def read_latents(path: Path, like: AbstractContextValue) -> tuple[Latent, int]:
     """Read the last latents that an adaptation has saved, and the number of updates behind them.
 
+    Args:
+        path: of the file.
+        like: contexts of the method and the tasks that are to go on from it.
+
     Raises:
-        RunError: the file cannot be read, or holds another number of tasks.
+        RunError: the file cannot be read, or belongs to another method or other tasks.
     """
+    if not isinstance(like, Latent):
+        raise RunError(
+            f"`{path}` cannot be a start: this run's method has no latents that are adapted."
+        )
     try:
         with np.load(path, allow_pickle=False) as arrays:
             mean, log_std = arrays["mean"], arrays["log_std"]
             first = int(arrays["first_update"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.shape[1] != num_tasks:
+    if mean.shape[1:] != like.mean.shape or mean.shape != log_std.shape:
         raise RunError(
-            f"`{path}` holds the latents of {mean.shape[1]} tasks, but {num_tasks} are to be "
-            "adapted to: give the same task set as before."
+            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
+            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
         )
     return Latent(mean[-1], log_std[-1]), first + len(mean) - 1
 

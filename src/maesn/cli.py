@@ -65,6 +65,7 @@ def _user_errors() -> tuple[type[Exception], ...]:
     names = {
         "maesn.storage": ("RunError",),
         "maesn.train": ("TrainingError",),
+        "maesn.physics": ("EngineError",),
         "maesn.worlds": ("EpisodeError",),
         "maesn.report": ("ReportError",),
     }

@@ -54,19 +54,30 @@ def enable_compilation_cache() -> Path | None:
     return directory
 
 
+class _Spent:
+    """What all compilations of this process have taken so far."""
+
+    seconds = 0.0
+
+
+def _listen(event: str, duration_secs: float, **_: str | int) -> None:
+    if event.startswith(_COMPILE_EVENTS):
+        _Spent.seconds += duration_secs
+
+
+# Once for the process: the older JAX versions have no public way to take a listener back.
+jax.monitoring.register_event_duration_secs_listener(_listen)
+
+
 class CompileClock:
-    """Adds up the time that this process spends on compiling while the clock is entered."""
+    """Tells how long this process has compiled while the clock was entered."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
     def __enter__(self) -> "CompileClock":
-        jax.monitoring.register_event_duration_secs_listener(self._listen)
+        self._start = _Spent.seconds
         return self
 
     def __exit__(self, *_: object) -> None:
-        jax.monitoring.unregister_event_duration_listener(self._listen)
-
-    def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
-        if event.startswith(_COMPILE_EVENTS):
-            self.seconds += duration_secs
+        self.seconds = _Spent.seconds - self._start

@@ -41,6 +41,8 @@ class AdaptationOutcome(NamedTuple):
     curves: AdaptationCurves
     contexts: Any
     """Contexts of the agents, `[task, update, ...]`; as `Agents.context`."""
+    first_update: int
+    """Number of updates that lie before the first column."""
     episodes_per_update: int
 
 
@@ -53,6 +55,7 @@ def adapt(
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
     start: Any = None,
+    first_update: int = 0,
 ) -> AdaptationOutcome:
     """Adapt to all tasks of a set at once.
 
@@ -65,33 +68,37 @@ def adapt(
         chunk_size: number of tasks that advance together; bounds the memory.
         start: state of the learner to go on from, with a leading `task` axis; None for the
             learner's own start.
+        first_update: number of updates that lie behind `start`. With it, an adaptation in two
+            parts plays the same episodes as one in a single part.
     """
     parts = [
-        _adapt_chunk(learner, collect, slots, updates, seed, start)
+        _adapt_chunk(
+            learner, collect, slots, range(first_update, first_update + updates + 1), seed, start
+        )
         for slots in _chunks(collect.num_tasks, chunk_size)
     ]
     curves, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: collect.num_tasks], *parts
     )
-    return AdaptationOutcome(curves, contexts, episodes_per_task)
+    return AdaptationOutcome(curves, contexts, first_update, episodes_per_task)
 
 
 def _adapt_chunk(
     learner: AbstractFastLearner[Any],
     collect: Collect,
     slots: np.ndarray,
-    updates: int,
+    updates: range,
     seed: int,
     start: Any,
 ) -> tuple[AdaptationCurves, Any]:
     state = learner.init(len(slots)) if start is None else _take(start, slots)
     curves, contexts = [], []
-    for update in range(updates + 1):
+    for update in updates:
         agents = learner.agents(state)
         episodes = collect(_task_keys(seed, update, slots), agents, jnp.asarray(slots))
         curves.append(jax.tree.map(np.asarray, measure(episodes)))
         contexts.append(jax.tree.map(np.asarray, agents.context))
-        if update < updates:
+        if update < updates[-1]:
             state = learner.update(state, episodes)
     return _stack_updates(curves), _stack_updates(contexts)
 
@@ -133,26 +140,23 @@ def _stack_updates(columns: list[Any]) -> Any:
     return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
-def as_rows(adaptation: AdaptationOutcome, first_update: int = 0) -> Iterator[dict[str, float | int]]:
+def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
     """Yield the curves as rows of a table, task by task.
 
     `episodes` is the number of episodes per task that the agent has learned from by then.
-
-    Args:
-        adaptation: what was measured.
-        first_update: number of updates that lie before it.
     """
     curves = adaptation.curves
     num_tasks, num_columns = curves.mean_return.shape
     for task in range(num_tasks):
-        for update in range(num_columns):
+        for column in range(num_columns):
+            update = adaptation.first_update + column
             yield {
                 "task": task,
-                "update": first_update + update,
-                "episodes": (first_update + update) * adaptation.episodes_per_update,
-                "mean_return": float(curves.mean_return[task, update]),
-                "goal_return": float(curves.goal_return[task, update]),
-                "success_rate": float(curves.success_rate[task, update]),
-                "final_success_rate": float(curves.final_success_rate[task, update]),
-                "time_in_region": float(curves.time_in_region[task, update]),
+                "update": update,
+                "episodes": update * adaptation.episodes_per_update,
+                "mean_return": float(curves.mean_return[task, column]),
+                "goal_return": float(curves.goal_return[task, column]),
+                "success_rate": float(curves.success_rate[task, column]),
+                "final_success_rate": float(curves.final_success_rate[task, column]),
+                "time_in_region": float(curves.time_in_region[task, column]),
             }

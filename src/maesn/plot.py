@@ -70,7 +70,10 @@ def plot_run_directories(
 
 
 def _distinct(directories: Sequence[Path]) -> list[Path]:
-    return list({path.resolve(): path for path in directories}.values())
+    first: dict[Path, Path] = {}
+    for path in directories:
+        first.setdefault(path.resolve(), path)
+    return list(first.values())
 
 
 def _plot_world(runs: Sequence[Run], out: Path, say: Say) -> list[Path]:

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
+from rich.table import Column
 
 from maesn.run import Run
 from maesn.run_log import Progress
@@ -16,6 +17,9 @@ from maesn.train import train
 
 # Iterations whose mean duration predicts the time that is left.
 _WINDOW = 20
+
+# Columns of a terminal that has room for a bar beside the numbers.
+_WIDE = 110
 
 
 def train_live(
@@ -92,16 +96,17 @@ def _plain(steps: Iterator[Progress], total: int, console: Console) -> Iterator[
 
 
 def _live(steps: Iterator[Progress], total: int, console: Console) -> Iterator[Progress]:
-    columns: tuple[Any, ...] = (
-        MofNCompleteColumn(),
-        BarColumn(bar_width=20),
-        TextColumn("{task.description}", markup=False),
-    )
+    columns: list[Any] = [
+        MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+    ]
+    if console.width >= _WIDE:
+        columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
     forecast = _Forecast(total)
     with Bar(*columns, console=console) as bar:
         shown = bar.add_task("compiling", total=total)
         for progress in steps:
-            text = f"{describe(progress)}, {forecast(progress)}"
+            text = f"{forecast(progress)}: {describe(progress)}"
             bar.update(shown, completed=progress.iteration, description=text)
             yield progress
 

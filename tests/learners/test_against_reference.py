@@ -1,5 +1,6 @@
 """The outer problem and the outer step against the plain NumPy reference."""
 
+from dataclasses import asdict
 from functools import cache
 from typing import Any
 
@@ -40,6 +41,9 @@ CASES: dict[str, dict[str, Any]] = {
 # seed the reference's own step moves by 1e-11 of its length when its gradient moves by 1e-14.
 SEED = 2
 ROWS = (3, 0, 4)
+REGION = TrustRegion(**asdict(TrustRegionSettings()))
+# The step knows of the objective nothing but its values, so fewer cases do for it.
+STEPPED = ["maesn", "unequal_lengths", "two_inner_updates", "theta_as_well", "maml"]
 every_case = pytest.mark.parametrize("case", CASES)
 
 
@@ -68,7 +72,7 @@ def differentiate(
     """Return loss and KL, the gradient of the loss, and the curvature times a vector."""
     flat, unravel = ravel_pytree(parameters)
     gradient = jax.grad(lambda x: objective.evaluate(unravel(x)).loss)(flat)
-    product = TrustRegion()._curvature(
+    product = REGION._curvature(
         lambda x: objective.distributions(unravel(x), objective.post),
         flat,
         _step_weights(objective.post),
@@ -107,7 +111,7 @@ def test_loss_and_kl_and_gradient(case: str) -> None:
     assert expected_kl > 1e-3
 
 
-@pytest.mark.parametrize("case", ["maesn", "unequal_lengths", "theta_as_well"])
+@pytest.mark.parametrize("case", ["unequal_lengths", "theta_as_well"])
 def test_loss_and_kl_and_gradient_in_single_precision(case: str) -> None:
     problem, parameters, tasks = problem_of(case), elsewhere(case), tasks_of(case)
     objective, translated = (
@@ -130,14 +134,11 @@ def test_curvature_product(case: str) -> None:
     vector = to_library(unflatten(flat, problem.parameters))
     *_, actual = differentiate(objective, to_library(problem.parameters), vector)
     matrix = curvature(problem.parameters, tasks, problem.settings)
-    expected = unflatten(matrix @ flat + TrustRegion().damping * flat, problem.parameters)
-    if case == "no_inner_update":
-        # The library's product leaves nothing out; these parameters had nothing to do.
-        assert not matrix[-4:].any()
+    expected = unflatten(matrix @ flat + REGION.damping * flat, problem.parameters)
     assert_parameters_close(actual, expected, atol=1e-11 * largest(expected))
 
 
-@every_case
+@pytest.mark.parametrize("case", STEPPED)
 @pytest.mark.usefixtures("x64", "quick_compilation")
 def test_outer_step(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)

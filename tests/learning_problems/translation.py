@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from reference.parameters import LATENT_NAMES, Parameters
 from reference.policy import num_layers
+from reference.trust_region import TrustRegionSettings
 
 from learning_problems.prepared import LATENT, ROWS, SIZES, Problem, stack
 from maesn.adaptation import Adaptation, InnerStep, StepSizes
@@ -19,6 +20,7 @@ from maesn.learners.objective import Experience, MetaObjective, MetaParameters
 from maesn.networks.mlp import MLP, Linear
 from maesn.policies import GaussianMLP
 from maesn.policies.gaussian_mlp import GaussianMLPPolicy
+from maesn.trust_region import TrustRegion
 
 META_BATCH = 3
 
@@ -37,6 +39,7 @@ def learner_for(problem: Problem, **settings: object) -> GradientMetaLearner:
             "advantage": AdvantageEstimator(**asdict(problem.advantage)),
             "meta_batch_size": META_BATCH,
             "inner_updates": len(problem.tasks[0].pre),
+            "trust_region": TrustRegion(**asdict(TrustRegionSettings())),
             "curvature_stride": 1,
             **settings,
         }

@@ -115,8 +115,6 @@ def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None
     [
         ("metrics.jsonl", "Expected a JSON object in .*metrics.jsonl`, line 1"),
         ("adaptation/test-sparse.csv", "Expected the column `task`"),
-        ("adaptation/test-sparse.latents.npz", "Expected arrays at .*latents.npz"),
-        ("figures/exploration.npz", "Expected arrays at .*exploration.npz"),
         ("config.json", "Expected a JSON file at .*config.json"),
     ],
 )

@@ -89,7 +89,7 @@ def test_a_constant_difference_is_certain() -> None:
 
 def test_coverage_is_what_theory_predicts() -> None:
     """For normal data the interval is mean ± 1.96 s √((n-1)/n)/√n, whose coverage is Student's."""
-    num_tasks, repetitions = 30, 400
+    num_tasks, repetitions = 30, 200
     values = draw(repetitions, 1, num_tasks, seed=3)
     hits = sum(i.low <= 0.0 <= i.high for i in map(mean_interval, values))
     reach = scipy.stats.norm.ppf(0.975) * math.sqrt((num_tasks - 1) / num_tasks)

@@ -8,6 +8,7 @@ import tyro
 from maesn import api
 from maesn.commands.options import parse
 from maesn.compilation import enable_compilation_cache
+from maesn.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,11 +19,15 @@ class Options:
     """Directories of the runs; several are compared in one figure."""
     out: Path | None = None
     """Where the figures go; None: `figures` in the first run's directory."""
+    family: str | None = None
+    """The runs' family as `module:name`, if it is your own."""
 
 
 def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "plot", arguments)
+    if not options.runs:
+        raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
     enable_compilation_cache()
-    for path in api.plot(options.runs, options.out):
+    for path in api.plot(options.runs, options.out, family=options.family):
         print(path)

@@ -32,6 +32,7 @@ class Reward(NamedTuple):
 
     @property
     def total(self) -> Float[Array, "*batch"]:
+        """What the agent is paid."""
         return self.goal + self.other
 
 

@@ -1,6 +1,7 @@
 """Physics: models, and the engines that move them. The one place that imports MuJoCo."""
 
 from maesn.physics.base import AbstractSimulator as AbstractSimulator
+from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
 from maesn.physics.loading import load_model as load_model

@@ -21,6 +21,10 @@ ModelFields: TypeAlias = Mapping[str, Shaped[np.ndarray, "simulation ..."]]
 _SHOWN = 5
 
 
+class EngineError(ImportError):
+    """The physics engine that an environment needs is not installed; the message says which."""
+
+
 class PhysicsError(Exception):
     """Some simulations of a batch cannot go on.
 

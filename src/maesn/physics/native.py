@@ -13,7 +13,13 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from maesn.physics.base import AbstractSimulator, ModelFields, PhysicsError, Readings
+from maesn.physics.base import (
+    AbstractSimulator,
+    EngineError,
+    ModelFields,
+    PhysicsError,
+    Readings,
+)
 from maesn.physics.loading import load_model
 
 # What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
@@ -44,7 +50,7 @@ class NativeSimulator(AbstractSimulator):
             the state as it is, for families in which this ends an episode.
 
     Raises:
-        ImportError: the installed MuJoCo is older than 4.0.
+        EngineError: the installed MuJoCo is older than 4.0.
         FileNotFoundError: there is no such model.
         ValueError: an argument is out of range, or MuJoCo knows no reading of that name.
     """
@@ -166,7 +172,7 @@ def _import_engine() -> ModuleType:
     try:
         return importlib.import_module("mujoco.batch")
     except ImportError as error:
-        raise ImportError(
+        raise EngineError(
             "the native engine needs mujoco >= 4.0, which brings `mujoco.batch`, but found mujoco "
             f"{mujoco.__version__}: install a newer MuJoCo, or play this family on another engine"
         ) from error

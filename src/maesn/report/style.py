@@ -85,7 +85,7 @@ METHOD_STYLES = {
     "latent_space": MethodStyle("LatentSpace", BLUE, _DASH_DOT, "s"),
     "maml": MethodStyle("MAML", BLUISH_GREEN, _LONG_DASH, "^"),
     "maml_bias": MethodStyle("MAML + bias", SKY_BLUE, _DASH_DOT_DOT, "v"),
-    "maml_bias_only": MethodStyle("MAML, bias only", REDDISH_PURPLE, _DOTS, "P"),
+    "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, _DOTS, "P"),
     "rl2": MethodStyle("RL²", BLACK, _SHORT_DASH, "X"),
     "vime": MethodStyle("VIME", BLUE, _DOTS, "h"),
     "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),

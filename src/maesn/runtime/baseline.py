@@ -29,7 +29,8 @@ def episode_advantages(
         A_e = (G_{e,0} - V(o_{e,0}) - mean) / (std + 1e-8),  e in [1, E]
 
     with V fitted by ridge regression of the discounted returns on `features`, over all steps of
-    all episodes; mean and std run over the E episodes.
+    all episodes; mean and std run over the E episodes. Where all episodes are paid the same there
+    is nothing to learn, and A is 0.
 
     Args:
         observations: o_t of each episode, t in [0, T_e - 1], `[time, observation]` each.
@@ -40,11 +41,20 @@ def episode_advantages(
     Returns:
         A, `[episode]`.
     """
+    if not _rewards_differ(rewards):
+        return np.zeros(len(rewards))
     returns = [discounted_returns(reward, discount) for reward in rewards]
     rows = [features(observation) for observation in observations]
     coefficients = ridge_regression(np.concatenate(rows), np.concatenate(returns), ridge)
     first = [g[0] - row[0] @ coefficients for g, row in zip(returns, rows, strict=True)]
     return standardize(np.asarray(first))
+
+
+def _rewards_differ(rewards: Sequence[FloatArray]) -> bool:
+    """Whether some episode is paid differently from the first one; a short one is paid 0 later."""
+    longest = max(len(reward) for reward in rewards)
+    padded = [np.pad(reward, (0, longest - len(reward))) for reward in rewards]
+    return any(np.any(reward != padded[0]) for reward in padded)
 
 
 def discounted_returns(reward: FloatArray, discount: float) -> FloatArray:

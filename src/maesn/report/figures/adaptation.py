@@ -105,8 +105,9 @@ def _episodes_axis(axes: Axes, adapted: Sequence[AdaptedSeries]) -> None:
 
 def _note(labels: dict[str, str]) -> str:
     """Say what the bands are, once for all lines of which it is the same."""
-    kinds = dict.fromkeys(labels.values())
-    if len(kinds) == 1:
-        return f"bands: {next(iter(kinds))}"
-    members = {kind: [name for name, label in labels.items() if label == kind] for kind in kinds}
-    return "\n".join(f"bands of {', '.join(names)}: {kind}" for kind, names in members.items())
+    members: dict[str, list[str]] = {}
+    for name, label in labels.items():
+        members.setdefault(label, []).append(name)
+    *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
+    lines = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
+    return "\n".join([*lines, f"{'other bands' if lines else 'bands'}: {rule}"])

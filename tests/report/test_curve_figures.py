@@ -1,0 +1,135 @@
+"""Learning and adaptation curves: what is drawn is the data, with intervals and legends."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from figure_checks import check_saved_whole, crowd, legend, line, note
+from matplotlib.figure import Figure
+from synthetic_runs import (
+    adaptation_table,
+    learning_curve,
+    series,
+)
+
+from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
+from maesn.report.figures.learning import TrainedSeries, moving_mean, plot_learning_curves
+from maesn.report.published import published_curve
+from maesn.report.statistics import mean_interval
+from maesn.report.style import METHOD_STYLES
+
+
+def learning_figure() -> Figure:
+    maesn, maml = series("maesn", "maml")
+    seeds = (learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20))
+    return plot_learning_curves(
+        [TrainedSeries(maesn, seeds), TrainedSeries(maml, (learning_curve(),))], "dense"
+    )
+
+
+def adaptation_figure() -> Figure:
+    maesn, maml = series("maesn", "maml")
+    seeds = tuple(adaptation_table(seed=seed) for seed in range(3))
+    return plot_adaptation_curves(
+        [
+            AdaptedSeries(maesn, seeds, published_curve("wheeled", "maesn")),
+            AdaptedSeries(maml, (adaptation_table(gain=5.0),), None),
+        ]
+    )
+
+
+def crowded_adaptation_figure() -> Figure:
+    seeds = (adaptation_table(), adaptation_table(seed=1))
+    first, *others = crowd()
+    lines = [AdaptedSeries(one, (adaptation_table(),)) for one in others]
+    return plot_adaptation_curves([AdaptedSeries(first, seeds), *lines])
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "learning": learning_figure,
+    "adaptation": adaptation_figure,
+    "crowded adaptation": crowded_adaptation_figure,
+}
+
+
+@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
+def test_every_figure_is_saved_with_nothing_cut_off(
+    tmp_path: Path, make: Callable[[], Figure]
+) -> None:
+    check_saved_whole(make(), tmp_path)
+
+
+def test_learning_curves() -> None:
+    figure = learning_figure()
+    before, after, success = figure.axes
+    assert before.get_ylabel() == "mean dense return"
+    assert {axes.get_xlabel() for axes in figure.axes} == {"meta-iteration"}
+    assert before.get_ylim() == after.get_ylim()
+    assert success.get_ylim()[0] <= 0.0 < 1.0 <= success.get_ylim()[1]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML"]
+    assert "bands: range over the seeds" in note(figure)
+    drawn = line(before, "MAESN, 3 seeds")
+    # As far as all seeds got; constant curves at -420, -400 and -400.
+    assert len(drawn) == 20
+    np.testing.assert_allclose(drawn[:, 1], -1220 / 3)
+    band = before.collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(-420.0), pytest.approx(-400.0))
+
+
+def test_a_method_without_a_metric_has_no_line_for_it() -> None:
+    (maesn,) = series("maesn")
+    curve = replace(learning_curve(), return_before=np.full(30, np.nan))
+    before, after, _ = plot_learning_curves([TrainedSeries(maesn, (curve,))], "sparse").axes
+    assert not before.lines
+    assert len(after.lines) == 2  # the average, and what it is the average of
+
+
+def test_moving_mean_is_brute_force() -> None:
+    values = np.random.default_rng(0).normal(size=(2, 9))
+    expected = [[row[max(0, i - 2) : i + 3].mean() for i in range(9)] for row in values]
+    np.testing.assert_allclose(moving_mean(values, 5), expected)
+    np.testing.assert_array_equal(moving_mean(values, 1), values)
+
+
+def test_adaptation_curves() -> None:
+    figure = adaptation_figure()
+    returns, success, time = figure.axes
+    assert returns.get_ylabel() == "mean sparse return"
+    assert {axes.get_xlabel() for axes in (returns, success, time)} == {"update"}
+    assert [top.get_xlabel() for top in returns.child_axes] == ["episodes learned from"]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML", "MAESN, published"]
+    assert note(figure).splitlines() == [
+        "bands of MAESN: 95 % interval, resampling 8 tasks and 3 seeds",
+        "other bands: 95 % interval, resampling 8 tasks; 1 seed",
+    ]
+    np.testing.assert_array_equal(line(returns, "MAESN, published")[:, 0], [0, 1, 2, 3])
+    assert line(returns, "MAESN, published")[0, 1] == -395.7
+    assert not any(one.get_label() == "MAESN, published" for one in success.lines)
+
+
+def test_the_band_is_the_interval() -> None:
+    (maesn,) = series("maesn")
+    table = adaptation_table()
+    figure = plot_adaptation_curves([AdaptedSeries(maesn, (table,))])
+    interval = mean_interval(table.mean_return[None, :, -1])
+    band = figure.axes[0].collections[0].get_paths()[0].vertices
+    at_end = band[band[:, 0] == 3.0, 1]
+    assert {at_end.min(), at_end.max()} == {interval.low, interval.high}
+    assert line(figure.axes[0], "MAESN")[-1, 1] == pytest.approx(interval.mean)
+    assert note(figure) == "bands: 95 % interval, resampling 8 tasks; 1 seed"
+
+
+def test_two_numbers_of_episodes_share_no_axis() -> None:
+    maesn, maml = series("maesn", "maml")
+    other = replace(adaptation_table(), episodes=20 * np.arange(4))
+    lines = [AdaptedSeries(maesn, (adaptation_table(),)), AdaptedSeries(maml, (other,))]
+    assert not plot_adaptation_curves(lines).axes[0].child_axes
+
+
+def test_methods_are_drawn_in_their_own_style() -> None:
+    axes = adaptation_figure().axes[0]
+    (drawn,) = (one for one in axes.lines if one.get_label() == "MAML")
+    style = METHOD_STYLES["maml"]
+    assert (drawn.get_color(), drawn.get_marker()) == (style.colour, style.marker)

@@ -1,0 +1,74 @@
+"""The batch type: thinning, joining and returns."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
+
+from maesn.episodes import Episodes, concatenate
+from maesn.learners.gradient import _step_weights
+
+
+def episodes(garbage: float = 0.0) -> Episodes:
+    return stack(make_problem(0, UNEQUAL).batches(0)[:2], garbage)
+
+
+def test_every_step_is_all_steps() -> None:
+    whole = episodes()
+    thinned = whole.every(1, 0)
+    np.testing.assert_array_equal(thinned.observation, whole.observation[:, :, :-1])
+    for name in ("action", "reward", "goal_reward", "valid", "solved", "terminated", "noise"):
+        np.testing.assert_array_equal(getattr(thinned, name), getattr(whole, name))
+    for name in ("mean", "log_std"):
+        np.testing.assert_array_equal(
+            getattr(thinned.behaviour, name), getattr(whole.behaviour, name)
+        )
+    np.testing.assert_array_equal(thinned.context, whole.context)
+
+
+@pytest.mark.parametrize("stride", [2, 3, 4])
+def test_every_so_manieth_step(stride: int) -> None:
+    whole = episodes()
+    kept = HORIZON // stride
+    every = jax.jit(lambda offset: whole.every(stride, offset))
+    for offset in range(stride):
+        thinned = every(jnp.asarray(offset))
+        for name in ("observation", "action", "reward", "goal_reward", "valid", "solved"):
+            expected = getattr(whole, name)[:, :, :HORIZON][:, :, offset::stride][:, :, :kept]
+            np.testing.assert_array_equal(getattr(thinned, name), expected, err_msg=name)
+        expected = whole.behaviour.mean[:, :, offset::stride][:, :, :kept]
+        np.testing.assert_array_equal(thinned.behaviour.mean, expected)
+
+
+def test_weights_of_the_steps_make_a_mean_over_tasks_of_means_over_valid_steps() -> None:
+    batch = episodes()
+    weight = np.asarray(_step_weights(batch))
+    values = np.random.default_rng(0).normal(size=weight.shape)
+    valid = np.asarray(batch.valid)
+    expected = np.mean([values[task][valid[task]].mean() for task in range(2)])
+    np.testing.assert_allclose((weight * values).sum(), expected, rtol=1e-6)
+    assert (weight[~valid] == 0).all()
+
+
+def test_a_task_without_any_valid_step_weighs_nothing() -> None:
+    batch = episodes()
+    late = jax.tree.map(lambda x: x[:, 1:3], batch).every(3, 1)  # lengths 3 and 1, step 4 alone
+    assert not late.valid[:, :, 1:].any()
+    assert np.isfinite(_step_weights(late)).all()
+
+
+@pytest.mark.parametrize("garbage", [0.0, np.nan])
+def test_undiscounted_return_adds_the_valid_rewards(garbage: float) -> None:
+    played = make_problem(0, UNEQUAL).batches(0)[:2]
+    expected = [[episode.reward.sum() for episode in task] for task in played]
+    np.testing.assert_allclose(episodes(garbage).undiscounted_return, expected, rtol=1e-5)
+
+
+def test_joining_keeps_tasks_apart() -> None:
+    first, second = episodes(), stack(make_problem(1, UNEQUAL).batches(0)[:2])
+    joined = concatenate(first, second)
+    count = len(UNEQUAL)
+    for whole, before, after in zip(*map(jax.tree.leaves, (joined, first, second)), strict=True):
+        np.testing.assert_array_equal(whole[:, :count], before)
+        np.testing.assert_array_equal(whole[:, count:], after)
