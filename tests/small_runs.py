@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
-from maesn.checkpoint import read_checkpoint
 from maesn.episodes import Collect
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner, GradientMetaLearner, maesn
 from maesn.policies import GaussianMLP
-from maesn.run import Run
-from maesn.run_config import RunSettings
-from maesn.serialization import REGISTRY
-from maesn.train import train
+from maesn.runs.checkpoint import read_checkpoint
+from maesn.runs.config import RunSettings
+from maesn.runs.run import Run
+from maesn.runs.serialization import REGISTRY
+from maesn.runs.training import train
 
 
 class DriftState(eqx.Module):

@@ -11,11 +11,103 @@ from typing import TYPE_CHECKING
 from maesn._version import __version__ as __version__
 
 if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in the table below
-    pass
+    from maesn.adaptation import Adaptation as Adaptation
+    from maesn.adaptation import InnerStep as InnerStep
+    from maesn.adaptation import StepSchedule as StepSchedule
+    from maesn.advantage import AdvantageEstimator as AdvantageEstimator
+    from maesn.api import adapt as adapt
+    from maesn.api import export as export
+    from maesn.api import plot as plot
+    from maesn.api import resume as resume
+    from maesn.api import train as train
+    from maesn.context import BiasContext as BiasContext
+    from maesn.context import LatentContext as LatentContext
+    from maesn.context import NoContext as NoContext
+    from maesn.envs import FAMILIES as FAMILIES
+    from maesn.envs import AbstractMujocoEnv as AbstractMujocoEnv
+    from maesn.envs import AbstractPureEnv as AbstractPureEnv
+    from maesn.envs import Reward as Reward
+    from maesn.envs import TaskFamily as TaskFamily
+    from maesn.envs import TaskSet as TaskSet
+    from maesn.envs import find_family as find_family
+    from maesn.episodes import Collect as Collect
+    from maesn.episodes import Episodes as Episodes
+    from maesn.learners import PRESETS as PRESETS
+    from maesn.learners import AbstractFastLearner as AbstractFastLearner
+    from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
+    from maesn.learners import GradientMetaLearner as GradientMetaLearner
+    from maesn.learners import latent_space as latent_space
+    from maesn.learners import maesn as maesn
+    from maesn.learners import maesn_theta as maesn_theta
+    from maesn.learners import maml as maml
+    from maesn.learners import maml_bias as maml_bias
+    from maesn.learners import maml_bias_only as maml_bias_only
+    from maesn.policies import GaussianMLP as GaussianMLP
+    from maesn.rollout import Collector as Collector
+    from maesn.runs.config import RunSettings as RunSettings
+    from maesn.runs.run import Run as Run
+    from maesn.runs.storage import RunError as RunError
+    from maesn.trust_region import TrustRegion as TrustRegion
+    from maesn.worlds import EpisodeError as EpisodeError
+    from maesn.worlds import make_world as make_world
 
 # Module -> the names that it gives to the public surface. A name must not equal that of a module
 # of this package: importing the module would silently put it in the name's place.
-_PUBLIC: dict[str, tuple[str, ...]] = {}
+_PUBLIC: dict[str, tuple[str, ...]] = {
+    "maesn.api": (
+        "adapt",
+        "export",
+        "plot",
+        "resume",
+        "train",
+    ),
+    "maesn.adaptation": (
+        "Adaptation",
+        "InnerStep",
+        "StepSchedule",
+    ),
+    "maesn.advantage": ("AdvantageEstimator",),
+    "maesn.context": (
+        "BiasContext",
+        "LatentContext",
+        "NoContext",
+    ),
+    "maesn.envs": (
+        "FAMILIES",
+        "AbstractMujocoEnv",
+        "AbstractPureEnv",
+        "Reward",
+        "TaskFamily",
+        "TaskSet",
+        "find_family",
+    ),
+    "maesn.episodes": (
+        "Collect",
+        "Episodes",
+    ),
+    "maesn.learners": (
+        "PRESETS",
+        "AbstractFastLearner",
+        "AbstractMetaLearner",
+        "GradientMetaLearner",
+        "latent_space",
+        "maesn",
+        "maesn_theta",
+        "maml",
+        "maml_bias",
+        "maml_bias_only",
+    ),
+    "maesn.policies": ("GaussianMLP",),
+    "maesn.rollout": ("Collector",),
+    "maesn.runs.config": ("RunSettings",),
+    "maesn.runs.run": ("Run",),
+    "maesn.runs.storage": ("RunError",),
+    "maesn.trust_region": ("TrustRegion",),
+    "maesn.worlds": (
+        "EpisodeError",
+        "make_world",
+    ),
+}
 
 _MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names}
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,15 @@ from maesn.envs import SETS, RewardKind, TaskFamily
 from maesn.evaluate import AdaptationOutcome, as_rows
 from maesn.evaluate import adapt as adapt_to_tasks
 from maesn.explore import explore
-from maesn.export import export_policy
-from maesn.learners import AbstractMetaLearner
-from maesn.plot import plot_run_directories
-from maesn.progress import train_live
+from maesn.learners import AbstractMetaLearner, GradientFastLearner
+from maesn.report.plot import plot_run_directories
 from maesn.rollout import Collector
-from maesn.run import Run
-from maesn.run_config import RunSettings
-from maesn.storage import RunError, write_whole
-from maesn.train import init_from as start_from
+from maesn.runs.config import RunSettings
+from maesn.runs.export import export_policy
+from maesn.runs.progress import train_live
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError, explained, write_whole
+from maesn.runs.training import init_from as start_from
 
 # Episodes that figures show, and among which the share of goals reached is counted.
 EXPLORATION_EPISODES = 50
@@ -54,7 +55,11 @@ def train(
     """
     run = Run.create(directory, learner, settings, family=family)
     if init_from is not None:
-        start_from(run, init_from)
+        try:
+            start_from(run, init_from)
+        except RunError:
+            shutil.rmtree(run.directory)  # made above, so nothing of the user's is in it
+            raise
     train_live(run)
     return run
 
@@ -107,7 +112,7 @@ def adapt(
             f"{updates} and {episodes_per_task}."
         )
     run = Run.open(directory, family=family)
-    learner = run.learner.fast_learner(run.latest_state())
+    learner = _gradient_learner(run, run.latest_state())
     collect = Collector(run.world(run.task_set(tasks), reward), episodes_per_task)
     state, done = None, 0
     if start is not None:
@@ -128,9 +133,7 @@ def adapt(
     return outcome
 
 
-def export(
-    directory: str | Path, path: str | Path, family: str | TaskFamily | None = None
-) -> Path:
+def export(directory: str | Path, path: str | Path, family: str | TaskFamily | None = None) -> Path:
     """Write a trained policy as one `.npz` file for `maesn.runtime`.
 
     Args:
@@ -141,7 +144,10 @@ def export(
     run = Run.open(directory, family=family)
     snapshot = run.latest()
     learner = run.learner.fast_learner(snapshot.state)
-    description = {"method": run.settings.method, "iteration": snapshot.iteration}
+    description: dict[str, str | int | float] = {
+        "method": run.settings.method,
+        "iteration": snapshot.iteration,
+    }
     try:
         export_policy(learner, run.env(), path, description)
     except (ValueError, OSError) as error:
@@ -174,15 +180,17 @@ def plot(
         if not _is_current(run.directory / EXPLORATION, run):
             record_exploration(run)
     first = runs[0].directory / "figures"
-    return plot_run_directories([run.directory for run in runs], first if out is None else Path(out))
+    return plot_run_directories(
+        [run.directory for run in runs], first if out is None else Path(out)
+    )
 
 
 def record_exploration(run: Run) -> Path:
     """Play and record what the figures of exploration show."""
     tasks, env = run.task_set("test"), run.env()
     collect = Collector(run.world(tasks), EXPLORATION_EPISODES)
-    trained = explore(run.learner.fast_learner(run.latest_state()), collect)
-    untrained = explore(run.learner.fast_learner(run.untrained_state()), collect)
+    trained = explore(_gradient_learner(run, run.latest_state()), collect)
+    untrained = explore(_gradient_learner(run, run.untrained_state()), collect)
     goal = jax.vmap(env.goal)
     arrays = {
         "training_goals": goal(run.training_tasks.tasks),
@@ -199,9 +207,7 @@ def record_exploration(run: Run) -> Path:
     return path
 
 
-def adaptation_file(
-    directory: Path, tasks: str, reward: RewardKind, first_update: int = 0
-) -> Path:
+def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
@@ -210,6 +216,12 @@ def adaptation_file(
     name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
     suffix = f"-from-{first_update}" if first_update else ""
     return directory / "adaptation" / f"{name}-{reward}{suffix}.csv"
+
+
+def _gradient_learner(run: Run, state: Any) -> GradientFastLearner:
+    learner = run.learner.fast_learner(state)
+    assert isinstance(learner, GradientFastLearner)  # the only kind so far
+    return learner
 
 
 def _is_current(path: Path, run: Run) -> bool:
@@ -225,8 +237,7 @@ def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    table.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(table, text.getvalue().encode())
+    _write(table, text.getvalue().encode())
     if isinstance(outcome.contexts, Latent):
         arrays = {
             "mean": outcome.contexts.mean.swapaxes(0, 1),
@@ -271,6 +282,11 @@ def read_latents(path: Path, like: AbstractContextValue) -> tuple[Latent, int]:
 
 def _write_arrays(path: Path, arrays: dict[str, Any]) -> None:
     content = io.BytesIO()
-    np.savez(content, **{name: np.asarray(array) for name, array in arrays.items()})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content.getvalue())
+    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
+    _write(path, content.getvalue())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)

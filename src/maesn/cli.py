@@ -63,8 +63,8 @@ def _run_command(name: str, options: list[str]) -> int:
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return the errors whose message is all that a user needs: no traceback."""
     names = {
-        "maesn.storage": ("RunError",),
-        "maesn.train": ("TrainingError",),
+        "maesn.runs.storage": ("RunError",),
+        "maesn.runs.training": ("TrainingError",),
         "maesn.physics": ("EngineError",),
         "maesn.worlds": ("EpisodeError",),
         "maesn.report": ("ReportError",),

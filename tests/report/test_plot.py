@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 from synthetic_runs import write_run
 
-from maesn.plot import plot_run_directories
 from maesn.report import ReportError
+from maesn.report.plot import plot_run_directories
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
 
@@ -133,7 +133,9 @@ def test_no_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_plotting_loads_no_learner_and_no_physics() -> None:
-    program = "import sys, maesn.plot; print(*{name.partition('.')[0] for name in sys.modules})"
+    program = (
+        "import sys, maesn.report.plot; print(*{name.partition('.')[0] for name in sys.modules})"
+    )
     command = [sys.executable, "-c", program]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert not set(output.split()) & LEARNER_AND_PHYSICS

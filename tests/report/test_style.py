@@ -52,7 +52,7 @@ def test_the_users_settings_are_left_alone_and_not_used(tmp_path: Path) -> None:
 
 
 def test_pyplot_and_its_windows_stay_out() -> None:
-    program = "import sys, maesn.plot; print('matplotlib.pyplot' in sys.modules)"
+    program = "import sys, maesn.report.plot; print('matplotlib.pyplot' in sys.modules)"
     command = [sys.executable, "-c", program]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
 

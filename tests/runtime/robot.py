@@ -11,10 +11,10 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point
-from maesn.export import export_policy
 from maesn.learners import GradientFastLearner
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
+from maesn.runs.export import export_policy
 from maesn.runtime import Explorer
 
 LATENT_SIZE = 2

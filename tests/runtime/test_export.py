@@ -16,9 +16,9 @@ from runtime.robot import fast_learner, policy_file
 from maesn.adaptation import Adaptation, InnerStep
 from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
-from maesn.export import export_policy, exported_policy, probe_actuators
 from maesn.learners import PRESETS
 from maesn.policies import GaussianMLP
+from maesn.runs.export import export_policy, exported_policy, probe_actuators
 from maesn.runtime import Explorer
 
 

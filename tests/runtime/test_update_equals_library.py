@@ -14,10 +14,10 @@ from maesn.advantage import FEATURE_CLIP, FEATURE_TIME_SCALE
 from maesn.context import Latent
 from maesn.envs import Point, point
 from maesn.episodes import Episodes
-from maesn.export import exported_policy
 from maesn.learners import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
 from maesn.rollout import Collector
+from maesn.runs.export import exported_policy
 from maesn.runtime import Episode, Explorer, ExplorerState, baseline
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.worlds import make_world

@@ -9,7 +9,7 @@ from maesn import api
 from maesn.commands.options import parse
 from maesn.envs import RewardKind
 from maesn.report import print_adaptation_summary
-from maesn.compilation import enable_compilation_cache
+from maesn.runs.compilation import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,9 +6,9 @@ from pathlib import Path
 from maesn import api
 from maesn.commands.options import parse
 from maesn.learners import maesn
-from maesn.run_config import RunSettings
 from maesn.report import print_adaptation_summary
-from maesn.compilation import enable_compilation_cache
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.config import RunSettings
 
 CONFIG = "config.json"
 

@@ -1,10 +1,9 @@
 """`maesn list`: the methods and the families of tasks."""
 
 import dataclasses
-import sys
 
 from maesn.commands.options import parse
-from maesn.envs import FAMILIES, PROBES, TaskFamily
+from maesn.envs import FAMILIES, PROBES
 from maesn.learners import PRESETS
 
 
@@ -21,15 +20,10 @@ def main(arguments: list[str]) -> None:
         print(f"  {name:16s}{_first_line(preset.__doc__)}")
     print("families:")
     for name, family in FAMILIES.items():
-        print(f"  {name:16s}{_describe(family)}")
+        print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
     print("probes, with known optimum:")
     for name, family in PROBES.items():
-        print(f"  {name:16s}{_describe(family)}")
-
-
-def _describe(family: TaskFamily) -> str:
-    """Return the first line of the module that the family's environment is written in."""
-    return _first_line(sys.modules[family.make_env.__module__].__doc__)
+        print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
 
 
 def _first_line(text: str | None) -> str:

@@ -7,7 +7,7 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.compilation import enable_compilation_cache
+from maesn.runs.compilation import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

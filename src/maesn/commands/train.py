@@ -11,9 +11,9 @@ import tyro
 from maesn import api
 from maesn.commands.options import parse
 from maesn.learners import PRESETS, GradientMetaLearner
-from maesn.run_config import RunSettings
-from maesn.storage import RunError
-from maesn.compilation import enable_compilation_cache
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.config import RunSettings
+from maesn.runs.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,9 +35,7 @@ def main(arguments: list[str]) -> None:
     default = Options(settings, PRESETS[method](), run=tyro.MISSING)
     options = parse(Options, f"train {method}", rest, default)
     enable_compilation_cache()
-    run = api.train(
-        options.learner, options.settings, options.run, init_from=options.init_from
-    )
+    run = api.train(options.learner, options.settings, options.run, init_from=options.init_from)
     print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")
 
 

@@ -52,6 +52,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     """Components of an observation, instruction included."""
     action_size: eqx.AbstractVar[int]
     reward_kind: eqx.AbstractVar[RewardKind]
+    sparse_radius: eqx.AbstractVar[float]
+    """Radius of the goal region."""
 
     @abstractmethod
     def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:

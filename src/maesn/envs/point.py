@@ -40,7 +40,7 @@ POSITION_NOISE = 0.01  # standard deviation of the start in metres
 
 
 class Point(AbstractPureEnv[Goal]):
-    """The point robot; see the module for observations, actions and rewards."""
+    """A point that slides to a goal on a half circle, which it is not told: trains in seconds."""
 
     name: ClassVar[str] = "point"
     control_period: ClassVar[float] = 0.1

@@ -50,7 +50,7 @@ VELOCITY_NOISE = 0.1
 
 
 class Wheeled(AbstractMujocoEnv[Goal]):
-    """The wheeled robot; see the module for observations, actions and rewards."""
+    """A two-wheeled robot that drives to a goal on a half circle, which it is not told."""
 
     name: ClassVar[str] = "wheeled"
     model: ClassVar[str] = "wheeled.xml"

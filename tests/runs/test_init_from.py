@@ -10,9 +10,9 @@ from small_runs import create, finish, goals, reopened, tensors, tiny_maesn
 
 from maesn.context import BiasContext, LatentContext
 from maesn.policies import GaussianMLP
-from maesn.run import Run
-from maesn.storage import RunError
-from maesn.train import init_from
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.runs.training import init_from
 
 
 def save_changed(run: Run, change: float) -> Any:

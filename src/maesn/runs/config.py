@@ -4,12 +4,14 @@ import dataclasses
 import importlib.metadata
 import platform
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from maesn.envs import AbstractMujocoEnv, AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
 from maesn.learners import AbstractMetaLearner
-from maesn.serialization import fields_from_json, fields_to_json, from_json, to_json
-from maesn.storage import RunError, read_json, write_json
+from maesn.runs.serialization import fields_from_json, fields_to_json, from_json, to_json
+from maesn.runs.storage import RunError, read_json, write_json
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
 SCHEMA = 1
@@ -32,7 +34,7 @@ _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
 class RunSettings:
     """What a run does beside learning: where, on what, how long."""
 
-    method: str = "maesn"
+    method: Annotated[str, tyro.conf.Suppress] = "maesn"
     """Name of the preset that the learner was made with; for people, and for error messages."""
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""

@@ -19,10 +19,10 @@ import jax
 import numpy as np
 
 from maesn.axes import Key
-from maesn.checkpoint import CheckpointStore, Snapshot
 from maesn.envs import SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner
-from maesn.run_config import (
+from maesn.runs.checkpoint import CheckpointStore, Snapshot
+from maesn.runs.config import (
     SCHEMA,
     RunConfig,
     RunSettings,
@@ -31,9 +31,9 @@ from maesn.run_config import (
     read_config,
     write_config,
 )
-from maesn.serialization import digest
-from maesn.storage import RunError, new_directory
-from maesn.task_sources import (
+from maesn.runs.serialization import digest
+from maesn.runs.storage import RunError, new_directory
+from maesn.runs.task_sources import (
     find_tasks,
     load_tasks,
     recorded_family,

@@ -11,9 +11,9 @@ import pytest
 from small_runs import create, goals, tiny_maesn
 
 from maesn.envs import FAMILIES
-from maesn.run import Run
-from maesn.storage import RunError
-from maesn.task_sources import load_tasks
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.runs.task_sources import load_tasks
 
 POINT = FAMILIES["point"]
 

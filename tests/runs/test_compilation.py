@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from maesn.compilation import CompileClock, cache_directory, enable_compilation_cache
+from maesn.runs.compilation import CompileClock, cache_directory, enable_compilation_cache
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Column
 
-from maesn.run import Run
-from maesn.run_log import Progress
-from maesn.train import train
+from maesn.runs.log import Progress
+from maesn.runs.run import Run
+from maesn.runs.training import train
 
 # Iterations whose mean duration predicts the time that is left.
 _WINDOW = 20

@@ -15,7 +15,7 @@ import pytest
 import safetensors.numpy
 from small_runs import tiny_maesn
 
-from maesn.checkpoint import (
+from maesn.runs.checkpoint import (
     CheckpointError,
     MismatchError,
     named_leaves,
@@ -23,7 +23,7 @@ from maesn.checkpoint import (
     restore,
     save_checkpoint,
 )
-from maesn.storage import RunError
+from maesn.runs.storage import RunError
 
 TREE = {
     "weight": jnp.arange(6.0).reshape(2, 3),

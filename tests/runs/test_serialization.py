@@ -11,8 +11,8 @@ from maesn.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.context import AbstractContext, BiasContext, LatentContext
 from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.run_config import RunSettings
-from maesn.serialization import (
+from maesn.runs.config import RunSettings
+from maesn.runs.serialization import (
     REGISTRY,
     digest,
     fields_from_json,

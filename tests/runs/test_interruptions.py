@@ -15,10 +15,9 @@ import jax
 import pytest
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
-from maesn import run_log
-from maesn.run import Run
-from maesn.storage import RunError
-from maesn.train import train
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.runs.training import train
 from maesn.worlds import EpisodeError
 
 
@@ -66,7 +65,7 @@ class Death:
         return wrapped
 
 
-def half_a_line(file: run_log.JsonLines, record: Any) -> None:
+def half_a_line(file: log.JsonLines, record: Any) -> None:
     file._file.write(json.dumps(dict(record)).encode()[:20])  # unbuffered
 
 
@@ -80,10 +79,8 @@ def test_death_at_any_write_loses_nothing(
             patch.setattr(Path, "replace", death.before(Path.replace))
             # The clean-up after an exception, which a dead process does not do.
             patch.setattr(Path, "unlink", death.before(Path.unlink))
-            patch.setattr(
-                run_log.JsonLines, "append", death.before(run_log.JsonLines.append, half_a_line)
-            )
-            patch.setattr(run_log.JsonLines, "cut", death.before(run_log.JsonLines.cut))
+            patch.setattr(log.JsonLines, "append", death.before(log.JsonLines.append, half_a_line))
+            patch.setattr(log.JsonLines, "cut", death.before(log.JsonLines.cut))
             try:
                 finish(run)
             except Crash:
@@ -105,7 +102,7 @@ def test_control_c_saves_and_leaves_no_loose_ends(
     run = create(tmp_path / "run", checkpoint_every=3)
     owner, name = {
         "learner": (Drift, "step"),
-        "log": (run_log.RunLog, "write"),
+        "log": (log.RunLog, "write"),
         "checkpoint": (Run, "save_state"),
     }[place]
     original, calls = getattr(owner, name), itertools.count()

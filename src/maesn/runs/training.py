@@ -13,14 +13,14 @@ from jaxtyping import Array, Int
 
 from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
-from maesn.checkpoint import Snapshot, named_leaves, restore
-from maesn.compilation import CompileClock
 from maesn.episodes import Collect, Episodes
 from maesn.rollout import Collector
-from maesn.run import Run
-from maesn.run_config import CONFIG, installed_versions, read_config
-from maesn.run_log import Progress, RunLog
-from maesn.storage import RunError, locked
+from maesn.runs.checkpoint import Snapshot, named_leaves, restore
+from maesn.runs.compilation import CompileClock
+from maesn.runs.config import CONFIG, installed_versions, read_config
+from maesn.runs.log import Progress, RunLog
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError, locked
 
 logger = logging.getLogger(__name__)
 

@@ -15,8 +15,8 @@ from tensorboardX.proto.event_pb2 import Event
 from maesn.context import LatentContext
 from maesn.learners import latent_space
 from maesn.policies import GaussianMLP
-from maesn.run import Run
-from maesn.train import TrainingError, train
+from maesn.runs.run import Run
+from maesn.runs.training import TrainingError, train
 
 
 @pytest.fixture

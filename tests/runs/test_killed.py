@@ -10,13 +10,13 @@ from pathlib import Path
 
 from small_runs import create, metrics, outcome, tiny_maesn
 
-from maesn.run import Run
+from maesn.runs.run import Run
 
 KILLED = """
 import sys
-from maesn.compilation import enable_compilation_cache
-from maesn.run import Run
-from maesn.train import train
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.run import Run
+from maesn.runs.training import train
 enable_compilation_cache()
 for _ in train(Run.open(sys.argv[1])):
     pass

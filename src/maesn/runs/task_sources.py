@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from maesn.envs import SETS, TaskFamily, TaskSet, find_family
-from maesn.storage import RunError, write_whole
+from maesn.runs.storage import RunError, write_whole
 
 # What NumPy and the ZIP format raise on a file that is damaged, or something else altogether.
 _UNREADABLE = (

@@ -12,13 +12,13 @@ import pytest
 from small_runs import create as create_drift
 from small_runs import tensors, tiny_maesn, tiny_settings
 
-from maesn.checkpoint import MismatchError
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES
 from maesn.learners import maml
 from maesn.policies import GaussianMLP
-from maesn.run import Run
-from maesn.storage import RunError
+from maesn.runs.checkpoint import MismatchError
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
 
 POINT = FAMILIES["point"]

@@ -12,9 +12,9 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, TaskFamily
-from maesn.run import Run
-from maesn.run_config import RunSettings
-from maesn.storage import RunError
+from maesn.runs.config import RunSettings
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
 
 POINT = FAMILIES["point"]
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.checkpoint import CheckpointError, CheckpointStore, MismatchError, Snapshot
+from maesn.runs.checkpoint import CheckpointError, CheckpointStore, MismatchError, Snapshot
 
 STORE_LIKE = {"x": jnp.zeros(3)}
 

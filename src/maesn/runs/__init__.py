@@ -1,0 +1,1 @@
+"""Runs: directories, checkpoints, the training loop, and what other programs are handed."""
