@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from maesn.axes import Key, Readings
-from maesn.envs import AbstractMujocoEnv, Reward, RewardKind
+from maesn.envs import AbstractMujocoEnv, Reward, RewardKind, Variant
 
 TIME_STEP = 0.01
 MOTOR = '<motor joint="rail"/>'
@@ -43,6 +43,8 @@ class Cart(AbstractMujocoEnv[CartTask]):
     control_period: ClassVar[float] = TIME_STEP
 
     force: float = 0.0
+    variant: Variant = "reference"
+    sparse_radius: float = 0.0
     reward_kind: RewardKind = "dense"
     horizon: int = 12
     observation_size: int = 2

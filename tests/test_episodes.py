@@ -4,10 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 
 from maesn.episodes import Episodes, concatenate
 from maesn.learners.gradient import _step_weights
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def episodes(garbage: float = 0.0) -> Episodes:

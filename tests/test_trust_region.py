@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
 
 from maesn.numerics import DiagonalGaussian
 from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
@@ -15,6 +16,9 @@ from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
 Array = Any
 STD = np.array([0.5, 1.0, 2.0])
 ONE = jnp.ones(1)
+
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def gaussian(parameters: dict[str, Array]) -> DiagonalGaussian:

@@ -107,15 +107,16 @@ def _adapt_chunk(
 def measure(episodes: Episodes) -> AdaptationCurves:
     """Return one update's column of the curves, `[task]`, from episodes `[task, episode, ...]`."""
     valid = episodes.valid
+    solved = episodes.solved & valid
     steps = jnp.maximum(valid.sum((1, 2)), 1)
     last = jnp.maximum(valid.sum(-1) - 1, 0)
-    final = jnp.take_along_axis(episodes.solved, last[..., None], axis=-1)[..., 0]
+    final = jnp.take_along_axis(solved, last[..., None], axis=-1)[..., 0]
     return AdaptationCurves(
         mean_return=episodes.undiscounted_return.mean(-1),
         goal_return=jnp.where(valid, episodes.goal_reward, 0.0).sum(-1).mean(-1),
-        success_rate=episodes.solved.any(-1).mean(-1),
+        success_rate=solved.any(-1).mean(-1),
         final_success_rate=final.mean(-1),
-        time_in_region=episodes.solved.sum((1, 2)) / steps,
+        time_in_region=solved.sum((1, 2)) / steps,
     )
 
 

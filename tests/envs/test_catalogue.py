@@ -1,5 +1,8 @@
 """Families are found by name, and a wrong name is answered helpfully."""
 
+import subprocess
+import sys
+
 import pytest
 
 from maesn.envs import FAMILIES, PROBES, AnyEnv, find_family
@@ -46,3 +49,29 @@ def test_every_family_takes_the_same_settings(name: str) -> None:
     assert env == find_family(name).make_env(**settings)
     assert hash(env) == hash(find_family(name).make_env(**settings))
     assert env != default
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_settings_without_a_meaning_are_refused(name: str) -> None:
+    for setting, wrong, least in (("horizon", 0, 1), ("sparse_radius", -0.5, 0)):
+        with pytest.raises(ValueError, match=f"`{setting}` must be at least {least}, got {wrong}"):
+            find_family(name).make_env(**{setting: wrong})
+
+
+def test_a_misspelt_kind_of_reward_does_not_count_as_the_other_one() -> None:
+    # In a process of its own, because the run-time type checks of the tests would come first.
+    program = """
+from maesn.envs import point
+for wrong in ({"reward_kind": "dens"}, {"variant": "papier"}):
+    try:
+        point.make_env(**wrong)
+    except ValueError as error:
+        print(error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines() == [
+        "`reward_kind` must be 'dense' or 'sparse', got 'dens'.",
+        "`variant` must be 'reference' or 'paper', got 'papier'.",
+    ]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import EQUAL, UNEQUAL, PreparedCollect, Problem, make_problem
 from learning_problems.translation import (
     experience_for,

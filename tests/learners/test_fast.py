@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import LATENT, UNEQUAL, make_problem, play, stack
 from learning_problems.translation import learner_for, to_library
 from reference.advantage import experience

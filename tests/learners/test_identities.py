@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import UNEQUAL, Problem, make_problem
 from learning_problems.translation import experience_for, learner_for, to_library
 from reference.maesn import Settings

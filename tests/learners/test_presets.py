@@ -11,20 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
+from learning_problems.compiling import quick_compilation as quick_compilation
 
-from maesn.adaptation import Adaptation, InnerStep
 from maesn.agent import Agents
 from maesn.learners import PRESETS, GradientFastState, GradientInfo, GradientState
-from maesn.learners.presets import POLICY_STEP
 from maesn.policies import GaussianMLP
 
 TASKS, META_BATCH, STEPS = 7, 3, 4
 # A linear policy, because it compiles faster.
 SMALL = {"policy": GaussianMLP(()), "meta_batch_size": META_BATCH, "curvature_stride": 2}
-# The presets' own settings, but for the stage of `maesn_theta`: it must begin within the run.
-SECOND_STAGE = 2
-STAGED = Adaptation(InnerStep(POLICY_STEP, first_iteration=SECOND_STAGE), InnerStep(1.0))
-SETTINGS = {"maesn_theta": {"adaptation": STAGED}}
 every_preset = pytest.mark.parametrize("preset", PRESETS)
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -63,7 +58,7 @@ class Run(NamedTuple):
 
 @cache
 def run(preset: str) -> Run:
-    learner = PRESETS[preset](**SMALL, **SETTINGS.get(preset, {}))
+    learner = PRESETS[preset](**SMALL)
     result = Run(AnalyticCollect(TASKS), [], [], [], [], [])
     result.states.append(learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS))
     for step in range(STEPS):
@@ -148,12 +143,8 @@ def test_the_iteration_is_counted(preset: str) -> None:
 @every_preset
 def test_nothing_is_compiled_after_the_first_step(preset: str) -> None:
     done = run(preset)
-    later = list(range(1, STEPS))
     assert "jit(_improve)" in done.compiled[0]
-    if preset == "maesn_theta":
-        assert "jit(_improve)" in done.compiled[SECOND_STAGE]
-        later.remove(SECOND_STAGE)
-    assert not [name for step in later for name in done.compiled[step]]
+    assert not [name for names in done.compiled[1:] for name in names]
 
 
 @every_preset
@@ -187,15 +178,6 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
     for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(old[left_out], new[left_out])
         assert (old[played] != new[played]).any(axis=-1).all()
-
-
-def test_theta_steps_wait_for_their_stage() -> None:
-    states = run("maesn_theta").states
-    sizes = [jax.tree.leaves(state.parameters.step_sizes.policy) for state in states]
-    for old, new in zip(sizes[0], sizes[SECOND_STAGE], strict=True):
-        np.testing.assert_array_equal(old, new)
-    for old, new in zip(sizes[0], sizes[SECOND_STAGE + 1], strict=True):
-        assert (old != new).any()
 
 
 def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:

@@ -141,7 +141,11 @@ def loss(parameters: Parameters, tasks: list[TaskData], settings: Settings) -> f
 
 
 def mean_kl(parameters: Parameters, tasks: list[TaskData], settings: Settings) -> float:
-    """Return KL(played || new), averaged over each task's steps and then over tasks."""
+    """Return KL(played || new), averaged over each task's steps and then over tasks.
+
+    Tasks weigh the same as in the loss. (The code behind the published curves averages over all
+    steps at once. The two agree where all tasks have played equally many steps.)
+    """
     averages = []
     for task in tasks:
         agent = adapted(parameters, task, settings)

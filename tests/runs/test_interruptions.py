@@ -15,6 +15,7 @@ import jax
 import pytest
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
+from maesn.runs import log
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.training import train

@@ -6,7 +6,7 @@ engine for `AbstractMujocoEnv`, the environment's own `advance` for `AbstractPur
 """
 
 from abc import abstractmethod
-from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float
@@ -54,6 +54,19 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     reward_kind: eqx.AbstractVar[RewardKind]
     sparse_radius: eqx.AbstractVar[float]
     """Radius of the goal region."""
+    variant: eqx.AbstractVar[Variant]
+
+    def __check_init__(self) -> None:
+        # A misspelt kind or variant would not fail: it would silently count as the other one.
+        for setting, known in (("variant", Variant), ("reward_kind", RewardKind)):
+            value = getattr(self, setting)
+            if value not in get_args(known):
+                names = " or ".join(map(repr, get_args(known)))
+                raise ValueError(f"`{setting}` must be {names}, got {value!r}.")
+        if self.horizon < 1:
+            raise ValueError(f"`horizon` must be at least 1, got {self.horizon}.")
+        if not self.sparse_radius >= 0:
+            raise ValueError(f"`sparse_radius` must be at least 0, got {self.sparse_radius}.")
 
     @abstractmethod
     def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.adaptation import StepSizes
+from maesn.episodes import Episodes
 from maesn.learners.objective import MetaObjective, MetaParameters
-from maesn.numerics import AbstractDistribution, DiagonalGaussian
+from maesn.numerics import DiagonalGaussian, masked_mean
 from maesn.trust_region import TrustRegionInfo
 
 
@@ -55,9 +56,9 @@ def describe_step(
     return GradientInfo(
         return_before=first.undiscounted_return.mean(),
         return_after=objective.post.undiscounted_return.mean(),
-        success_after=objective.post.solved.any(-1).mean(),
+        success_after=(objective.post.solved & objective.post.valid).any(-1).mean(),
         penalty=objective.penalties(old).mean(),
-        action_std=_mean_std(objective.post.behaviour),
+        action_std=_mean_std(objective.post),
         trust_region=step,
         shares=_group_shares(old, new),
         step_sizes=jax.tree.map(jnp.mean, new.step_sizes),
@@ -78,6 +79,7 @@ def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
     return GroupShares(policy * scale, context * scale, sizes * scale)
 
 
-def _mean_std(behaviour: AbstractDistribution) -> Float[Array, ""]:
-    assert isinstance(behaviour, DiagonalGaussian)
-    return jnp.exp(behaviour.log_std).mean()
+def _mean_std(episodes: Episodes) -> Float[Array, ""]:
+    assert isinstance(episodes.behaviour, DiagonalGaussian)
+    std = jnp.exp(episodes.behaviour.log_std).mean(-1)
+    return masked_mean(std, episodes.valid)

@@ -1,4 +1,4 @@
-"""Learners are small here and run for milliseconds, but compile for seconds."""
+"""Learners are small in the tests and run for milliseconds, but compile for seconds."""
 
 from collections.abc import Iterator
 
