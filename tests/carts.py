@@ -36,7 +36,7 @@ class CartTask(NamedTuple):
 
 
 class Cart(AbstractMujocoEnv[CartTask]):
-    """Driven by a constant force, whatever the agent does."""
+    """Driven by a constant force, whatever the agent does, and paid for the way of each step."""
 
     name: ClassVar[str] = "cart"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel")
@@ -65,7 +65,7 @@ class Cart(AbstractMujocoEnv[CartTask]):
     def reward(
         self, readings: Readings, action: jax.Array, next_readings: Readings, task: CartTask
     ) -> Reward:
-        return Reward(next_readings["qvel"][0], jnp.zeros(()))
+        return Reward(next_readings["qpos"][0] - readings["qpos"][0], jnp.zeros(()))
 
     def terminated(self, readings: Readings) -> jax.Array:
         return jnp.zeros((), bool)

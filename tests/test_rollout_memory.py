@@ -3,11 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from carts import MOTOR, CartTask, cart_on
 from playing import agents, keys
 
 from maesn.agent import Agents
 from maesn.axes import Carry
-from maesn.envs import AnyEnv, Point, Wheeled, point, wheeled
+from maesn.envs import HiddenEnd, Point, TaskSet, Wheeled, point, wheeled
 from maesn.episodes import Episodes
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import AbstractPolicy, PolicyInput
@@ -31,12 +32,19 @@ class Witness(AbstractPolicy):
         return jnp.zeros(())
 
 
-@pytest.fixture(scope="module", params=["point", "wheeled"])
-def collect(request: pytest.FixtureRequest) -> Collector:
-    env: AnyEnv = {"point": Point(horizon=HORIZON), "wheeled": Wheeled(horizon=HORIZON)}[
-        request.param
-    ]
-    tasks = {"point": point, "wheeled": wheeled}[request.param].task_set("training")
+# The last two are paid for the difference of two states, so they notice a wrong previous one.
+@pytest.fixture(scope="module", params=["point", "wheeled", "hidden_end", "cart"])
+def collect(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Collector:
+    cart = cart_on(tmp_path_factory.mktemp("model"), MOTOR)
+    env, tasks = {
+        "point": (Point(horizon=HORIZON), point.task_set("training")),
+        "wheeled": (Wheeled(horizon=HORIZON), wheeled.task_set("training")),
+        "hidden_end": (HiddenEnd(horizon=HORIZON, action_size=2), TaskSet(np.float32([20, 30]))),
+        "cart": (
+            cart(horizon=HORIZON, action_size=2, force=3.0),
+            TaskSet(CartTask(np.float32([1, 2]), np.float32([1, 2]))),
+        ),
+    }[request.param]
     return Collector(make_world(env, tasks), EPISODES)
 
 
@@ -56,7 +64,8 @@ def shifted(values: np.ndarray) -> np.ndarray:
 
 def test_the_previous_reward_and_action_are_told(first: Episodes) -> None:
     told = np.asarray(first.behaviour.mean)
-    np.testing.assert_allclose(told[..., 0], shifted(np.asarray(first.reward)), rtol=1e-5)
+    paid = shifted(np.asarray(first.reward))
+    np.testing.assert_allclose(told[..., 0], paid, rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(told[..., 1], shifted(np.asarray(first.action[..., 0])))
 
 

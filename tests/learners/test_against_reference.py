@@ -112,8 +112,8 @@ def test_loss_and_kl_and_gradient(case: str) -> None:
     assert expected_kl > 1e-3
 
 
-@pytest.mark.parametrize("case", ["unequal_lengths", "theta_as_well"])
-def test_loss_and_kl_and_gradient_in_single_precision(case: str) -> None:
+def test_loss_and_kl_and_gradient_in_single_precision() -> None:
+    case = "unequal_lengths"
     problem, parameters, tasks = problem_of(case), elsewhere(case), tasks_of(case)
     objective, translated = (
         objective_for(learner_for(problem), problem, ROWS),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.compiling import quick_compilation as quick_compilation
+from learning_problems.prepared import HORIZON
 
 from maesn.agent import Agents
 from maesn.learners import PRESETS, GradientFastState, GradientInfo, GradientState
@@ -178,6 +179,21 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
     for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(old[left_out], new[left_out])
         assert (old[played] != new[played]).any(axis=-1).all()
+
+
+def test_step_sizes_of_theta_wait_for_their_stage() -> None:
+    sizes = [state.parameters.step_sizes for state in run("maesn_theta").states]
+    for old, new in zip(*map(jax.tree.leaves, (sizes[0].policy, sizes[-1].policy)), strict=True):
+        np.testing.assert_array_equal(old, new)
+    assert (sizes[0].context.mean != sizes[-1].context.mean).any()
+
+
+def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
+    # Without any step to take the curvature of, no candidate is ever acceptable.
+    learner = PRESETS["maesn"](**SMALL | {"curvature_stride": HORIZON + 4})
+    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
+    _, info = learner.step(jax.random.key(0), state, AnalyticCollect(TASKS))
+    assert info.trust_region.accepted
 
 
 def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:

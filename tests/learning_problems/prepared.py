@@ -69,6 +69,11 @@ class Problem:
         ]
 
 
+def lengths_of(row: int, lengths: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the lengths of one task's episodes; if they differ, they differ between tasks too."""
+    return tuple(n if n == HORIZON else 1 + (n + row) % HORIZON for n in lengths)
+
+
 def make_problem(
     seed: int,
     lengths: tuple[int, ...],
@@ -83,14 +88,14 @@ def make_problem(
     parameters = random_parameters(rng, SIZES, latent, ROWS)
     tasks = []
     for row in range(ROWS):
-        agent, pre = start(parameters, row), []
+        agent, pre, steps = start(parameters, row), [], lengths_of(row, lengths)
         for _ in range(inner_updates):
-            episodes = play(rng, agent.theta, agent.mean, agent.log_std, lengths)
+            episodes = play(rng, agent.theta, agent.mean, agent.log_std, steps)
             pre.append(experience(episodes, advantage))
             agent = inner_update(
                 agent, parameters["mean_step"], parameters["log_std_step"], pre[-1], settings
             )
-        post = play(rng, agent.theta, agent.mean, agent.log_std, lengths)
+        post = play(rng, agent.theta, agent.mean, agent.log_std, steps)
         tasks.append(TaskData(row, pre, experience(post, advantage)))
     return Problem(parameters, tasks, settings, advantage)
 

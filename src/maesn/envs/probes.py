@@ -126,7 +126,7 @@ class HiddenEnd(AbstractProbe[Lifetime]):
     def initial(self, key: Key, task: Lifetime) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
         return jnp.stack([jnp.zeros(()), task]), jnp.zeros(2)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 1"]:
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
         return action
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:

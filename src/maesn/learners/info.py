@@ -52,7 +52,6 @@ def describe_step(
 ) -> GradientInfo:
     """Return the scalars that describe one outer step from `old` to `new`."""
     first = objective.pre[0][0] if objective.pre else objective.post
-    losses = objective.task_losses(old)
     return GradientInfo(
         return_before=first.undiscounted_return.mean(),
         return_after=objective.post.undiscounted_return.mean(),
@@ -62,7 +61,7 @@ def describe_step(
         trust_region=step,
         shares=_group_shares(old, new),
         step_sizes=jax.tree.map(jnp.mean, new.step_sizes),
-        nonfinite_tasks=jnp.sum(~jnp.isfinite(losses)),
+        nonfinite_tasks=_count_nonfinite(objective, old, step.loss_before),
     )
 
 
@@ -83,3 +82,14 @@ def _mean_std(episodes: Episodes) -> Float[Array, ""]:
     assert isinstance(episodes.behaviour, DiagonalGaussian)
     std = jnp.exp(episodes.behaviour.log_std).mean(-1)
     return masked_mean(std, episodes.valid)
+
+
+def _count_nonfinite(
+    objective: MetaObjective, parameters: MetaParameters, loss: Float[Array, ""]
+) -> Int[Array, ""]:
+    """Count the tasks with a non-finite loss; evaluates them only if their mean is not finite."""
+    return jax.lax.cond(
+        jnp.isfinite(loss),
+        lambda: jnp.zeros((), int),
+        lambda: jnp.sum(~jnp.isfinite(objective.task_losses(parameters))),
+    )

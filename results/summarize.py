@@ -1,0 +1,73 @@
+"""Tabulate the runs of a directory, and compare them with its first method.
+
+    python results/summarize.py results/wheeled > results/wheeled/tables.md
+
+Each run is a directory `METHOD-...-seed-N` that `maesn train` and `maesn adapt` have filled.
+Directories that differ in the seed alone are one row.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from maesn.report.adaptation_table import AdaptationTable, read_adaptation
+from maesn.report.tables import difference_table, summary_table
+
+REFERENCE = "maesn-20x20"
+TABLE = Path("adaptation") / "test-sparse.csv"
+
+
+def experiments(directory: Path) -> dict[str, list[Path]]:
+    """Return the runs of every experiment, by its name, that of the reference first."""
+    found: dict[str, list[Path]] = {}
+    for table in sorted(directory.glob(f"*/{TABLE}")):
+        run = table.parents[1]
+        found.setdefault(re.sub(r"-seed-\d+$", "", run.name), []).append(run)
+    return dict(sorted(found.items(), key=lambda item: (item[0] != REFERENCE, item[0])))
+
+
+def last_metrics(run: Path) -> dict[str, float]:
+    """Return what was measured in the last meta-iterations, averaged over 20 of them."""
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()[-20:]]
+    return {name: float(np.mean([line[name] for line in lines])) for name in lines[0]}
+
+
+def training_row(name: str, run: Path) -> str:
+    """Return one line of the table of training."""
+    config, last = json.loads((run / "config.json").read_text()), last_metrics(run)
+    weight = config["learner"]["context"].get("kl_weight")
+    kl = f"{last['penalty'] / weight:.2f}" if weight else "-"
+    sizes = [last.get(f"step_sizes/context/{part}") for part in ("mean", "log_std", "value")]
+    learned = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
+    cells = (name, str(config["settings"]["seed"]), f"{last['return_before']:.1f}",
+             f"{last['return_after']:.1f}", kl, learned, f"{last['action_std']:.2f}")  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print all tables as Markdown."""
+    found = experiments(Path(sys.argv[1]))
+    tables: dict[str, list[AdaptationTable]] = {
+        name: [read_adaptation(run / TABLE) for run in runs] for name, runs in found.items()
+    }
+    print("# Training, mean of the last 20 meta-iterations, dense reward\n")
+    print("| run | seed | before | after | KL to prior | step sizes | action std |")
+    print("|---|---:|---:|---:|---:|---:|---:|")
+    for name, runs in found.items():
+        for run in runs:
+            print(training_row(name, run))
+    print("\n# Adaptation to the 100 test tasks, sparse reward\n")
+    for name, all_seeds in tables.items():
+        print(summary_table(all_seeds, f"{name}, seeds: {len(all_seeds)}").to_markdown())
+    reference = tables.pop(REFERENCE)
+    if tables:
+        print("# Differences after the last update\n")
+        title = f"method minus {REFERENCE}, paired over tasks"
+        print(difference_table(reference, tables, title).to_markdown())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""The verbs from end to end, as functions and as commands, on runs that take seconds."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import maesn
+from maesn import api, cli
+from maesn.learners import latent_space
+from maesn.learners import maesn as maesn_preset
+from maesn.policies import GaussianMLP
+from maesn.runs.config import RunSettings
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+
+SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=4)
+TINY = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("trained") / "run"
+    maesn.train(maesn_preset(**TINY), SETTINGS, directory)
+    return directory
+
+
+def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
+    outcome = api.adapt(trained, updates=2, episodes_per_task=3, tasks="validation")
+    table = trained / "adaptation" / "validation-sparse.csv"
+    lines = table.read_text().splitlines()
+    assert lines[0] == (
+        "task,update,episodes,mean_return,goal_return,success_rate,final_success_rate,"
+        "time_in_region"
+    )
+    assert len(lines) == 1 + 100 * 3
+    assert lines[3].startswith("0,2,6,")
+    with np.load(api.latents_file(table)) as latents:
+        np.testing.assert_array_equal(latents["mean"], outcome.contexts.mean.swapaxes(0, 1))
+        assert latents["mean"].shape == (3, 100, 2)
+
+
+def test_adaptation_goes_on_from_saved_latents(trained: Path, tmp_path: Path) -> None:
+    whole = api.adapt(trained, updates=2, episodes_per_task=3, out=tmp_path / "whole.csv")
+    api.adapt(trained, updates=1, episodes_per_task=3, out=tmp_path / "first.csv")
+    rest = api.adapt(
+        trained,
+        updates=1,
+        episodes_per_task=3,
+        start=tmp_path / "first.latents.npz",
+        out=tmp_path / "rest.csv",
+    )
+    assert rest.first_update == 1
+    np.testing.assert_array_equal(rest.curves.mean_return, whole.curves.mean_return[:, 1:])
+
+
+def test_a_table_of_a_file_does_not_replace_that_of_a_set() -> None:
+    of_set = api.adaptation_file(Path("run"), "test", "sparse")
+    of_file = api.adaptation_file(Path("run"), "elsewhere/test.npz", "sparse")
+    assert of_set == Path("run/adaptation/test-sparse.csv")
+    assert of_file == Path("run/adaptation/file-test-sparse.csv")
+
+
+def test_latents_of_other_tasks_or_methods_are_refused(trained: Path, tmp_path: Path) -> None:
+    np.savez(tmp_path / "two.npz", mean=np.zeros((1, 2, 2)), log_std=np.zeros((1, 2, 2)),
+             first_update=0)  # fmt: skip
+    with pytest.raises(RunError, match=r"\[2, 2\], but \[100, 2\] are to be adapted"):
+        api.adapt(trained, start=tmp_path / "two.npz")
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(RunError, match="is not a file of latents"):
+        api.adapt(trained, start=tmp_path / "broken.npz")
+    with pytest.raises(RunError, match="`updates` must be at least 0"):
+        api.adapt(trained, updates=-1)
+
+
+def test_plot_plays_what_is_missing_and_replays_what_is_old(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    api.adapt(trained, updates=1, episodes_per_task=3)
+    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 3)
+    written = api.plot([trained], tmp_path)
+    names = {path.name for path in written}
+    assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names
+    assert all(path.stat().st_size > 1000 for path in written)
+    recorded = (trained / api.EXPLORATION).stat().st_mtime_ns
+    api.plot([trained], tmp_path)
+    assert (trained / api.EXPLORATION).stat().st_mtime_ns == recorded
+    run = Run.open(trained)
+    run.checkpoints()[-1].touch()
+    monkeypatch.setattr(api, "adapt", lambda *_, **__: None)
+    api.plot([trained], tmp_path)
+    assert (trained / api.EXPLORATION).stat().st_mtime_ns > recorded
+
+
+def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
+    assert api.export(trained, tmp_path / "policy.npz").exists()
+    with pytest.raises(RunError, match="cannot be exported"):
+        api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
+
+
+def test_a_failed_start_leaves_no_directory(trained: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunError):
+        api.train(latent_space(**TINY), SETTINGS, tmp_path / "new", init_from=trained / "nowhere")
+    assert not (tmp_path / "new").exists()
+
+
+def test_help_answers_within_half_a_second() -> None:
+    begin = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "maesn", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    seconds = time.perf_counter() - begin
+    assert all(command in done.stdout for command in cli.COMMANDS)
+    # What makes it fast is what it does not import; the time itself depends on the machine.
+    assert not any(f" {heavy}\n" in done.stderr for heavy in ("jax", "numpy", "mujoco", "tyro"))
+    assert seconds < 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["trian"], "there is no command `trian`. Did you mean `train`?"),
+        (["train", "measn"], "there is no method `measn`. Did you mean `maesn`?"),
+        (["train", "maesn", "--family", "weeled", "--run", "{}/new"], "weeled"),
+        (["train", "maesn", "--run", "{}"], "is not empty"),
+        (["train", "maesn", "--tasks", "{}/absent.npz", "--run", "{}/new"], "absent.npz"),
+        (["resume", "{}/absent"], "absent"),
+        (["adapt", "{}/absent"], "absent"),
+        (["plot"], "name at least one run directory"),
+        (["export", "{}/absent", "{}/policy.npz"], "absent"),
+    ],
+)
+def test_mistakes_get_a_sentence_and_exit_code_2(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert cli.run([argument.format(tmp_path) for argument in arguments]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["train", "maesn", "--run", "x", "--no-such-option", "1"],
+        ["train", "maesn", "--run", "x", "--context.kl-weight", "-1"],
+        ["train", "maesn", "--run", "x", "--reward", "medium"],
+        ["adapt"],
+    ],
+)
+def test_wrong_options_exit_with_code_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.run(arguments)
+    assert stopped.value.code == cli.USAGE_ERROR
+
+
+def test_version_and_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"maesn {maesn.__version__}\n"
+    assert cli.run(["list"]) == 0
+    listed = capsys.readouterr().out
+    assert "maml_bias_only" in listed
+    assert "wheeled" in listed
