@@ -76,7 +76,7 @@ def test_latents_of_other_tasks_or_methods_are_refused(trained: Path, tmp_path: 
         api.adapt(trained, updates=-1)
 
 
-def test_plot_plays_what_is_missing_and_replays_what_is_old(
+def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     api.adapt(trained, updates=1, episodes_per_task=3)
@@ -85,20 +85,23 @@ def test_plot_plays_what_is_missing_and_replays_what_is_old(
     names = {path.name for path in written}
     assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names
     assert all(path.stat().st_size > 1000 for path in written)
-    recorded = (trained / api.EXPLORATION).stat().st_mtime_ns
+    table = trained / "adaptation" / "test-sparse.csv"
+    before = table.read_bytes()
+    Run.open(trained).checkpoints()[-1].touch()
     api.plot([trained], tmp_path)
-    assert (trained / api.EXPLORATION).stat().st_mtime_ns == recorded
-    run = Run.open(trained)
-    run.checkpoints()[-1].touch()
-    monkeypatch.setattr(api, "adapt", lambda *_, **__: None)
-    api.plot([trained], tmp_path)
-    assert (trained / api.EXPLORATION).stat().st_mtime_ns > recorded
+    assert table.read_bytes() == before
 
 
 def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
     assert api.export(trained, tmp_path / "policy.npz").exists()
     with pytest.raises(RunError, match="cannot be exported"):
         api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
+
+
+@pytest.mark.parametrize("name", list(maesn.PRESETS))
+def test_a_run_is_named_after_the_slots_of_its_learner(name: str, tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", maesn.PRESETS[name](), SETTINGS)
+    assert run.settings.method == name
 
 
 def test_a_failed_start_leaves_no_directory(trained: Path, tmp_path: Path) -> None:
@@ -133,6 +136,10 @@ def test_help_answers_within_half_a_second() -> None:
         (["resume", "{}/absent"], "absent"),
         (["adapt", "{}/absent"], "absent"),
         (["plot"], "name at least one run directory"),
+        (["train"], "name a method"),
+        (["train", "maesn", "--run", "{}/new", "--seed", "-1"], "`seed` must be at least 0"),
+        (["train", "maesn", "--run", "{}/new", "--meta-batch-size", "0"], "`meta_batch_size`"),
+        (["demo", "--run", "{}/new", "--iterations", "-1"], "`iterations` must be at least 0"),
         (["export", "{}/absent", "{}/policy.npz"], "absent"),
     ],
 )

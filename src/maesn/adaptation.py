@@ -1,5 +1,6 @@
 """The inner step: which parts of an agent change in a new task, and how far."""
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -25,6 +26,8 @@ class InnerStep(eqx.Module):
     """First meta-iteration in which this part moves (stage-wise training)."""
 
     def __check_init__(self) -> None:
+        if not math.isfinite(self.initial_size):
+            raise ValueError(f"`initial_size` must be finite, got {self.initial_size}.")
         if self.first_iteration < 0:
             raise ValueError(f"`first_iteration` must be at least 0, got {self.first_iteration}.")
 
@@ -163,6 +166,8 @@ class StepSchedule(eqx.Module):
     """What the step size is multiplied by in every later update; 1 keeps it."""
 
     def __check_init__(self) -> None:
+        if self.full_steps < 1:
+            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
         if not 0 < self.factor <= 1:
             raise ValueError(f"`factor` must lie in (0, 1], got {self.factor}.")
 

@@ -46,15 +46,18 @@ class AdvantageEstimator(eqx.Module):
         for name, value in (("discount", self.discount), ("trace", self.trace)):
             if not 0 <= value <= 1:
                 raise ValueError(f"`{name}` must lie in [0, 1], got {value}.")
+        if not self.ridge > 0:
+            raise ValueError(f"`ridge` must be positive, got {self.ridge}.")
 
     def __call__(self, episodes: Episodes) -> Advantages:
         """Return the advantages of one task.
 
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
-        Where all episodes are paid the same, as on sparse reward before the goal is found, there
-        is nothing to learn and all advantages are 0. (The reference blows the rounding errors of
-        the baseline up to standard deviation 1, and its latents take a random step.)
+        Where several episodes are all paid the same, as without control costs on sparse reward
+        before the goal is found, there is nothing to learn and all advantages are 0. (The
+        reference blows the rounding errors of the baseline up to standard deviation 1, and its
+        latents take a random step.)
 
         Args:
             episodes: episodes of one task, `[episode, time, ...]`.
@@ -86,8 +89,11 @@ class AdvantageEstimator(eqx.Module):
 
 
 def _rewards_differ(reward: Float[Array, "episode time"]) -> Bool[Array, ""]:
-    """Whether some episode is paid differently from the first one. Invalid steps hold 0."""
-    return jnp.any(reward != reward[:1])
+    """Whether some episode is paid differently from the first one. Invalid steps hold 0.
+
+    A single episode has no other to compare with, but its steps have each other.
+    """
+    return jnp.any(reward != reward[:1]) | (reward.shape[0] == 1)
 
 
 def _features(

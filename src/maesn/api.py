@@ -4,11 +4,13 @@ import csv
 import io
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContextValue, Latent
@@ -16,7 +18,7 @@ from maesn.envs import SETS, RewardKind, TaskFamily
 from maesn.evaluate import AdaptationOutcome, as_rows
 from maesn.evaluate import adapt as adapt_to_tasks
 from maesn.explore import explore
-from maesn.learners import AbstractMetaLearner, GradientFastLearner
+from maesn.learners import AbstractMetaLearner, GradientFastLearner, GradientFastState
 from maesn.report.plot import plot_run_directories
 from maesn.rollout import Collector
 from maesn.runs.config import RunSettings
@@ -106,25 +108,25 @@ def adapt(
         start: an earlier `.latents.npz` of the same tasks to go on from.
         family: the run's family, if it is your own: itself, or `module:name`.
     """
-    if updates < 0 or episodes_per_task < 1:
+    if updates < 0 or episodes_per_task < 1 or not 0 <= seed < 2**32:
         raise RunError(
-            "`updates` must be at least 0 and `episodes_per_task` at least 1, got "
-            f"{updates} and {episodes_per_task}."
+            "`updates` must be at least 0, `episodes_per_task` at least 1 and `seed` from 0 to "
+            f"2^32 - 1, got {updates}, {episodes_per_task} and {seed}."
         )
     run = Run.open(directory, family=family)
     learner = _gradient_learner(run, run.latest_state())
     collect = Collector(run.world(run.task_set(tasks), reward), episodes_per_task)
-    state, done = None, 0
+    go_on, done = None, 0
     if start is not None:
-        latents, done = read_latents(Path(start), learner.init(collect.num_tasks).agents.context)
-        state = learner.resume(latents, done)
+        latents, done = _latents_to_go_on_from(Path(start), learner, collect.num_tasks)
+        go_on = partial(_resume_chunk, learner, latents, done)
     outcome = adapt_to_tasks(
         learner,
         collect,
         updates=updates,
         episodes_per_task=episodes_per_task,
         seed=seed,
-        start=state,
+        start=go_on,
         first_update=done,
     )
     write_outcome(
@@ -162,8 +164,9 @@ def plot(
 ) -> list[Path]:
     """Draw the paper's figures from run directories.
 
-    What a figure needs and no run has left behind, or only from before its latest checkpoint, is
-    played first: adaptation to the test tasks on sparse reward, and episodes of exploration.
+    Episodes of exploration are played first, and adaptation to the test tasks on sparse reward
+    where no table of it is there yet. A table that is there is drawn as it is: after more
+    training, `adapt` renews it.
 
     Args:
         directories: of the runs, at least one; several are compared in one figure.
@@ -175,10 +178,9 @@ def plot(
     """
     runs = [Run.open(directory, family=family) for directory in directories]
     for run in runs:
-        if not _is_current(adaptation_file(run.directory, "test", "sparse"), run):
+        if not adaptation_file(run.directory, "test", "sparse").exists():
             adapt(run.directory, family=family)
-        if not _is_current(run.directory / EXPLORATION, run):
-            record_exploration(run)
+        record_exploration(run)
     first = runs[0].directory / "figures"
     return plot_run_directories(
         [run.directory for run in runs], first if out is None else Path(out)
@@ -211,23 +213,34 @@ def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_updat
     """Return where a table of adaptation curves goes by default.
 
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `-from-UPDATE` behind it if the adaptation went on from an earlier one.
+    `from-UPDATE-` before it if the adaptation went on from an earlier one.
     """
     name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
-    suffix = f"-from-{first_update}" if first_update else ""
-    return directory / "adaptation" / f"{name}-{reward}{suffix}.csv"
+    prefix = f"from-{first_update}-" if first_update else ""
+    return directory / "adaptation" / f"{prefix}{name}-{reward}.csv"
+
+
+def _latents_to_go_on_from(
+    path: Path, learner: GradientFastLearner, num_tasks: int
+) -> tuple[Latent, int]:
+    if learner.adaptation.policy is not None:
+        raise RunError(
+            f"`{path}` cannot be a start: this run's method adapts the policy as well, and the "
+            "file holds latents alone."
+        )
+    return read_latents(path, learner.init(num_tasks).agents.context)
+
+
+def _resume_chunk(
+    learner: GradientFastLearner, latents: Latent, update: int, slots: np.ndarray
+) -> GradientFastState:
+    return learner.resume(jax.tree.map(lambda x: x[slots], latents), update)
 
 
 def _gradient_learner(run: Run, state: Any) -> GradientFastLearner:
     learner = run.learner.fast_learner(state)
     assert isinstance(learner, GradientFastLearner)  # the only kind so far
     return learner
-
-
-def _is_current(path: Path, run: Run) -> bool:
-    """Whether a file exists that was written after the run's latest checkpoint."""
-    latest = run.checkpoints()[-1]
-    return path.exists() and path.stat().st_mtime >= latest.stat().st_mtime
 
 
 def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
@@ -267,17 +280,19 @@ def read_latents(path: Path, like: AbstractContextValue) -> tuple[Latent, int]:
             f"`{path}` cannot be a start: this run's method has no latents that are adapted."
         )
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             mean, log_std = arrays["mean"], arrays["log_std"]
             first = int(arrays["first_update"])
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.shape[1:] != like.mean.shape or mean.shape != log_std.shape:
+    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
+    if mean.shape[1:] != like.mean.shape:
         raise RunError(
             f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
             f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
         )
-    return Latent(mean[-1], log_std[-1]), first + len(mean) - 1
+    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
 
 
 def _write_arrays(path: Path, arrays: dict[str, Any]) -> None:

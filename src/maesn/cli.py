@@ -51,6 +51,10 @@ def run(arguments: list[str]) -> int:
 def _run_command(name: str, options: list[str]) -> int:
     try:
         import_module(f"maesn.commands.{name}").main(options)
+    except SystemExit:  # of a parser that has said all; also keeps the imports below away
+        raise
+    except BrokenPipeError:  # whoever reads our output has seen enough
+        sys.stderr.close()
     except KeyboardInterrupt:
         print(f"maesn {name}: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -48,13 +48,15 @@ class Episodes(eqx.Module):
         return jnp.where(self.valid, self.reward, 0.0).sum(-1)
 
     def every(self, stride: int, offset: int | Array) -> "Episodes":
-        """Return every `stride`-th step, starting at step `offset` in [0, stride).
+        """Return every `stride`-th step, starting at step `offset` in [0, stride + time % stride).
 
         Neighbouring steps of an episode resemble each other, so an average over the thinned steps
         is nearly as good as one over all. What needs whole episodes (returns) must be computed
         before. `observation` keeps no final state: it has as many entries as `action`.
         """
-        steps = self.action.shape[-2] // stride
+        time = self.action.shape[-2]
+        stride = min(stride, time)
+        steps = time // stride
         start = jnp.asarray(offset)
 
         def thin(x: Array, axis: int) -> Array:

@@ -1,6 +1,6 @@
 """Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -54,7 +54,7 @@ def adapt(
     episodes_per_task: int = 50,
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
-    start: Any = None,
+    start: Callable[[np.ndarray], Any] | None = None,
     first_update: int = 0,
 ) -> AdaptationOutcome:
     """Adapt to all tasks of a set at once.
@@ -66,8 +66,8 @@ def adapt(
         episodes_per_task: number of episodes that `collect` plays per task, for the record.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
-        start: state of the learner to go on from, with a leading `task` axis; None for the
-            learner's own start.
+        start: returns the learner's state to go on from in the tasks of the given indices; None
+            for the learner's own start.
         first_update: number of updates that lie behind `start`. With it, an adaptation in two
             parts plays the same episodes as one in a single part.
     """
@@ -89,9 +89,9 @@ def _adapt_chunk(
     slots: np.ndarray,
     updates: range,
     seed: int,
-    start: Any,
+    start: Callable[[np.ndarray], Any] | None,
 ) -> tuple[AdaptationCurves, Any]:
-    state = learner.init(len(slots)) if start is None else _take(start, slots)
+    state = learner.init(len(slots)) if start is None else start(slots)
     curves, contexts = [], []
     for update in updates:
         agents = learner.agents(state)
@@ -130,10 +130,6 @@ def _chunks(num_tasks: int, chunk_size: int) -> Iterator[np.ndarray]:
 def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
     update_key = jax.random.fold_in(jax.random.key(seed), update)
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
-
-
-def _take(start: Any, slots: np.ndarray) -> Any:
-    return jax.tree.map(lambda x: x[slots], start)
 
 
 def _stack_updates(columns: list[Any]) -> Any:

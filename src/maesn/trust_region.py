@@ -63,8 +63,15 @@ class TrustRegion(eqx.Module):
     """Number of candidates. Reference: 15."""
 
     def __check_init__(self) -> None:
-        if self.max_kl <= 0:
+        if not self.max_kl > 0:
             raise ValueError(f"`max_kl` must be positive, got {self.max_kl}.")
+        if self.cg_steps < 1 or self.max_backtracks < 1:
+            raise ValueError(
+                "`cg_steps` and `max_backtracks` must be at least 1, got "
+                f"{self.cg_steps} and {self.max_backtracks}."
+            )
+        if not self.damping >= 0:
+            raise ValueError(f"`damping` must be at least 0, got {self.damping}.")
         if not 0 < self.backtrack_ratio < 1:
             raise ValueError(f"`backtrack_ratio` must lie in (0, 1), got {self.backtrack_ratio}.")
 
@@ -141,6 +148,7 @@ class TrustRegion(eqx.Module):
             candidate = evaluate(flat + self._length(search.candidate) * longest)
             # False for NaN, so a broken candidate is never accepted.
             accepted = (candidate.loss < loss_before) & (candidate.kl < self.max_kl)
+            accepted &= jnp.isfinite(candidate.loss)
             return _Search(search.candidate + 1, accepted, candidate)
 
         nothing = Evaluation(loss_before, jnp.zeros_like(loss_before))

@@ -42,7 +42,9 @@ def main(arguments: list[str]) -> None:
     enable_compilation_cache()
     settings = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     directory = settings.pop("run")
-    api.adapt(directory, **settings)
-    table = options.out or api.adaptation_file(directory, options.tasks, options.reward)
+    outcome = api.adapt(directory, **settings)
+    table = options.out or api.adaptation_file(
+        directory, options.tasks, options.reward, outcome.first_update
+    )
     print_adaptation_summary(table)
     print(f"table: {table}")

@@ -8,9 +8,9 @@ from maesn.commands.options import parse
 from maesn.learners import maesn
 from maesn.report import print_adaptation_summary
 from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.config import RunSettings
-
-CONFIG = "config.json"
+from maesn.runs.config import CONFIG, RunSettings
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Options:
 
     run: Path = Path("runs/demo")
     """Directory of the run; a demo that was interrupted goes on where it stopped."""
-    iterations: int = 150
-    """Meta-iterations. 300 explore better and take twice as long."""
+    iterations: int = 120
+    """Meta-iterations. 300 explore a little better."""
     seed: int = 0
     """Every random draw of the run follows from this number."""
 
@@ -30,10 +30,11 @@ def main(arguments: list[str]) -> None:
     options = parse(Options, "demo", arguments)
     enable_compilation_cache()
     print(f"1. MAESN learns to explore: {options.iterations} meta-iterations on dense reward")
+    settings = _settings(options)
     if (options.run / CONFIG).exists():
+        _check_same(Run.open(options.run), settings)
         api.resume(options.run, options.iterations)
     else:
-        settings = RunSettings(iterations=options.iterations, seed=options.seed)
         api.train(maesn(), settings, options.run)
     print("2. it adapts to 100 unseen goals on sparse reward, which it is not told")
     outcome = api.adapt(options.run)
@@ -43,3 +44,21 @@ def main(arguments: list[str]) -> None:
     print("3. figures")
     for path in api.plot([options.run]):
         print(path)
+
+
+def _settings(options: Options) -> RunSettings:
+    try:
+        return RunSettings(iterations=options.iterations, seed=options.seed)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def _check_same(run: Run, settings: RunSettings) -> None:
+    """Refuse to go on with a run that is not this demo's."""
+    found = (run.settings.method, run.settings.family, run.settings.seed)
+    wanted = ("maesn", settings.family, settings.seed)
+    if found != wanted:
+        raise RunError(
+            f"`{run.directory}` holds a run of {found[0]} on {found[1]} with seed {found[2]}, not "
+            f"of {wanted[0]} on {wanted[1]} with seed {wanted[2]}: give another `--run`."
+        )

@@ -4,6 +4,8 @@ from typing import TypeVar
 
 import tyro
 
+from maesn.runs.storage import RunError
+
 Options = TypeVar("Options")
 
 # A union of settings keeps the preset's choice, and a boolean takes True or False: the options of
@@ -25,14 +27,13 @@ def parse(
         arguments: what stands behind the command.
         default: values of the options that are not given.
     """
-    if default is None:
+    try:
         return tyro.cli(
-            options_class, prog=f"maesn {command}", args=arguments, config=_CONFIGURATION
+            options_class,
+            prog=f"maesn {command}",
+            args=arguments,
+            config=_CONFIGURATION,
+            default=tyro.MISSING_NONPROP if default is None else default,
         )
-    return tyro.cli(
-        options_class,
-        prog=f"maesn {command}",
-        args=arguments,
-        default=default,
-        config=_CONFIGURATION,
-    )
+    except ValueError as error:  # of a setting that cannot be; tyro reports those of nested ones
+        raise RunError(str(error)) from error

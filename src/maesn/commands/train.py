@@ -22,8 +22,8 @@ class Options:
 
     settings: Annotated[RunSettings, tyro.conf.arg(name="")]
     learner: Annotated[GradientMetaLearner, tyro.conf.arg(name="")]
-    run: Path
-    """Directory of the new run; must be empty or not exist."""
+    run: Path | None = None
+    """Directory of the new run; must be empty or not exist. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
     """Directory of a run whose policy and step sizes to start from."""
 
@@ -31,18 +31,21 @@ class Options:
 def main(arguments: list[str]) -> None:
     """Run the command."""
     method, rest = _method(arguments)
-    settings = RunSettings(method=method)
-    default = Options(settings, PRESETS[method](), run=tyro.MISSING)
+    default = Options(RunSettings(), PRESETS[method]())
     options = parse(Options, f"train {method}", rest, default)
     enable_compilation_cache()
-    run = api.train(options.learner, options.settings, options.run, init_from=options.init_from)
+    settings = options.settings
+    directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
+    run = api.train(options.learner, settings, directory, init_from=options.init_from)
     print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")
 
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:
     """Return the method and the options behind it."""
     known = ", ".join(PRESETS)
-    if not arguments or arguments[0] in ("-h", "--help"):
+    if not arguments:
+        raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
+    if arguments[0] in ("-h", "--help"):
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"

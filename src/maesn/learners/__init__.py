@@ -14,3 +14,4 @@ from maesn.learners.presets import maesn_theta as maesn_theta
 from maesn.learners.presets import maml as maml
 from maesn.learners.presets import maml_bias as maml_bias
 from maesn.learners.presets import maml_bias_only as maml_bias_only
+from maesn.learners.presets import method_name as method_name

@@ -4,6 +4,7 @@ MAML, MAML + bias, LatentSpace and MAESN are this one learner with two slots fil
 the context that it conditions on, and the adaptation that it allows (`maesn.learners.presets`).
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -55,7 +56,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     outer_batches: int = 1
     """Batches of episodes that the outer step learns from."""
     curvature_stride: int = 10
-    """The curvature of the trust region is averaged over every so-manieth time step (neighbouring
+    """The curvature of the trust region is averaged over one of so many time steps (neighbouring
     steps resemble each other); 1 for all. The reference uses all."""
 
     def __check_init__(self) -> None:
@@ -93,7 +94,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Return the learner of new tasks: starts at the prior, adapts by policy gradient."""
         return GradientFastLearner(
             context=self.context,
-            adaptation=self.adaptation,
+            adaptation=self.adaptation.at(int(state.iteration)),
             advantage=self.advantage,
             schedule=self.schedule,
             policy=state.parameters.policy,
@@ -105,6 +106,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         self, key: Key, state: GradientState, collect: Collect
     ) -> tuple[GradientState, GradientInfo]:
         """See `AbstractMetaLearner.step`."""
+        self._check_rows(state.parameters, collect)
         task_key, play_key, curvature_key = jax.random.split(key, 3)
         parameters, adaptation = state.parameters, self.adaptation.at(int(state.iteration))
         index = jax.random.choice(
@@ -126,6 +128,16 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             curvature_key,
         )
         return GradientState(improved, state.iteration + 1), info
+
+    def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
+        """Refuse more tasks than there are contexts: JAX would silently take the last one."""
+        rows = partial(self.context.init, num_tasks=collect.num_tasks)
+        expected = jax.eval_shape(rows, jax.random.key(0))
+        if jax.tree.map(jnp.shape, expected) != jax.tree.map(jnp.shape, parameters.context):
+            raise ValueError(
+                f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
+                "number: call `init` with the number of tasks that are played."
+            )
 
     def _play_outer(
         self, key: Key, agents: Agents, index: Int[Array, " task"], collect: Collect
@@ -171,8 +183,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Do the outer step. Beyond this point only the meta-parameters vary."""
         *pre, (post, advantages) = played
         objective = MetaObjective(self.context, adaptation, index, tuple(pre), post, advantages)
-        offset = jax.random.randint(key, (), 0, self.curvature_stride)
-        thinned = post.every(self.curvature_stride, offset)
+        # Every step can be drawn, also where the stride does not divide the horizon.
+        time = post.action.shape[-2]
+        stride = min(self.curvature_stride, time)
+        offset = jax.random.randint(key, (), 0, stride + time % stride)
+        thinned = post.every(stride, offset)
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,

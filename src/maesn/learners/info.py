@@ -45,6 +45,8 @@ class GradientInfo(eqx.Module):
     """Mean of the learned step sizes of every array of parameters."""
     nonfinite_tasks: Int[Array, ""]
     """Number of tasks whose surrogate loss was not finite; the step was then rejected."""
+    first_nonfinite_task: Int[Array, ""]
+    """Index of one of them in the training set; -1 if there is none."""
 
 
 def describe_step(
@@ -52,6 +54,7 @@ def describe_step(
 ) -> GradientInfo:
     """Return the scalars that describe one outer step from `old` to `new`."""
     first = objective.pre[0][0] if objective.pre else objective.post
+    count, first_task = _nonfinite_tasks(objective, old, step.loss_before)
     return GradientInfo(
         return_before=first.undiscounted_return.mean(),
         return_after=objective.post.undiscounted_return.mean(),
@@ -60,8 +63,9 @@ def describe_step(
         action_std=_mean_std(objective.post),
         trust_region=step,
         shares=_group_shares(old, new),
-        step_sizes=jax.tree.map(jnp.mean, new.step_sizes),
-        nonfinite_tasks=_count_nonfinite(objective, old, step.loss_before),
+        step_sizes=jax.tree.map(lambda x: x.mean() if x.size else jnp.zeros(()), new.step_sizes),
+        nonfinite_tasks=count,
+        first_nonfinite_task=first_task,
     )
 
 
@@ -84,12 +88,17 @@ def _mean_std(episodes: Episodes) -> Float[Array, ""]:
     return masked_mean(std, episodes.valid)
 
 
-def _count_nonfinite(
+def _nonfinite_tasks(
     objective: MetaObjective, parameters: MetaParameters, loss: Float[Array, ""]
-) -> Int[Array, ""]:
-    """Count the tasks with a non-finite loss; evaluates them only if their mean is not finite."""
-    return jax.lax.cond(
-        jnp.isfinite(loss),
-        lambda: jnp.zeros((), int),
-        lambda: jnp.sum(~jnp.isfinite(objective.task_losses(parameters))),
-    )
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """Return number and first index of the tasks whose loss is not finite.
+
+    The tasks' losses are evaluated only if their mean is not finite.
+    """
+
+    def search() -> tuple[Int[Array, ""], Int[Array, ""]]:
+        broken = ~jnp.isfinite(objective.task_losses(parameters))
+        return broken.sum(), jnp.where(broken.any(), objective.index[broken.argmax()], -1)
+
+    nothing = (jnp.zeros((), int), jnp.full((), -1, int))
+    return jax.lax.cond(jnp.isfinite(loss), lambda: nothing, search)

@@ -16,6 +16,8 @@ import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from maesn.report.reading import ReportError
+
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
 PNG_DPI = 200
@@ -139,13 +141,21 @@ def new_figure(width: float, height: float) -> Figure:
 
 def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
     """Write `<name>.png` and `<name>.pdf`; the same figure gives the same bytes every time."""
-    directory.mkdir(parents=True, exist_ok=True)
     files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
     with publication_style():
         for _ in range(_LAYOUT_PASSES):
             figure.draw_without_rendering()
         figure.set_layout_engine("none")
         for file in files:
-            dated = {"CreationDate": None} if file.suffix == ".pdf" else None
-            figure.savefig(file, metadata=dated)
+            _write(figure, file)
     return files
+
+
+def _write(figure: Figure, file: Path) -> None:
+    dated = {"CreationDate": None} if file.suffix == ".pdf" else None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(file, metadata=dated)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ReportError(f"Cannot write `{file}` ({reason}): choose another `--out`.") from error

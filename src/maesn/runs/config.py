@@ -34,8 +34,9 @@ _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
 class RunSettings:
     """What a run does beside learning: where, on what, how long."""
 
-    method: Annotated[str, tyro.conf.Suppress] = "maesn"
-    """Name of the preset that the learner was made with; for people, and for error messages."""
+    method: Annotated[str, tyro.conf.Suppress] = ""
+    """Name of the preset that the learner fills. `Run.create` sets it; for people, and for error
+    messages."""
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""
     variant: Variant = "reference"

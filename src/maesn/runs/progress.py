@@ -49,7 +49,8 @@ def train_live(
             for progress in display(steps, total, console):
                 last = progress
     except KeyboardInterrupt:
-        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}")
+        more = "" if total == run.settings.iterations else f" --iterations {total}"
+        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
         _say(console, f"{run.directory} has done its {total} iterations already.")

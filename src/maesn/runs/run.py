@@ -20,7 +20,7 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
-from maesn.learners import AbstractMetaLearner
+from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs.checkpoint import CheckpointStore, Snapshot
 from maesn.runs.config import (
     SCHEMA,
@@ -95,6 +95,7 @@ class Run:
             family = resolve_family(settings.family)
         else:
             settings = dataclasses.replace(settings, family=family.name)
+        settings = dataclasses.replace(settings, method=method_name(learner))
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)

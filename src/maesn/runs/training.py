@@ -130,7 +130,9 @@ class _Training:
             self._nonfinite = 0
             return
         self._nonfinite += 1
-        what = f"the loss of {tasks} tasks" if tasks else f"`{broken[0]}`"
+        first = int(progress.info.get("first_nonfinite_task", -1))
+        named = f" (task {first} is the first)" if first >= 0 else ""
+        what = f"the loss of {tasks} tasks{named}" if tasks else f"`{broken[0]}`"
         logger.warning(
             "Iteration %d of `%s`: %s is not finite. The step was rejected; the policy is as "
             "before.",

@@ -40,4 +40,7 @@ class Limiter:
         """
         start = self._rest if before is None else before
         control = self.actuators.control(action)
-        return clipped(control, start - self._max_change, start + self._max_change)
+        slow = clipped(control, start - self._max_change, start + self._max_change)
+        # The limits come last: they also hold where the step before lay outside of them, as after
+        # safeguards that were tightened in the middle of an episode.
+        return clipped(slow, self.actuators.lower, self.actuators.upper)

@@ -49,7 +49,7 @@ class NativeWorld(AbstractWorld):
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         simulator = self._simulator(start.qpos.shape[0])
-        readings = simulator.reset(*jax.tree.map(np.asarray, tuple(start)))
+        readings = _reset(simulator, start)
         record = _Record(readings, self.env.horizon)
         no_action = np.zeros((*actors.context.shape[:2], self.env.action_size), np.float32)
         previous_action: Array | np.ndarray = no_action
@@ -107,6 +107,13 @@ class _Record:
             lambda *steps: np.stack([np.asarray(step) for step in steps]), *self._decisions
         )
         return Trajectory(self._readings, action, behaviour, carry)
+
+
+def _reset(simulator: AbstractSimulator, start: Start) -> HostReadings:
+    try:
+        return simulator.reset(*jax.tree.map(np.asarray, tuple(start)))
+    except PhysicsError as error:
+        raise SimulationFailure(error.simulations[0], 0, error.reason) from error
 
 
 def _advance(simulator: AbstractSimulator, control: np.ndarray, step: int) -> HostReadings:
