@@ -9,7 +9,7 @@ from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 
 from maesn.episodes import Episodes, concatenate
-from maesn.learners.gradient import _step_weights
+from maesn.learners.gradient import step_weights
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -47,7 +47,7 @@ def test_every_so_manieth_step(stride: int) -> None:
 
 def test_weights_of_the_steps_make_a_mean_over_tasks_of_means_over_valid_steps() -> None:
     batch = episodes()
-    weight = np.asarray(_step_weights(batch))
+    weight = np.asarray(step_weights(batch))
     values = np.random.default_rng(0).normal(size=weight.shape)
     valid = np.asarray(batch.valid)
     expected = np.mean([values[task][valid[task]].mean() for task in range(2)])
@@ -58,9 +58,9 @@ def test_weights_of_the_steps_make_a_mean_over_tasks_of_means_over_valid_steps()
 def test_a_task_without_any_valid_step_weighs_nothing() -> None:
     batch = episodes()
     silent = eqx.tree_at(lambda e: e.valid, batch, batch.valid.at[1].set(False))
-    weight = _step_weights(silent)
+    weight = step_weights(silent)
     assert (weight[1] == 0).all()
-    np.testing.assert_array_equal(weight[0], _step_weights(batch)[0])
+    np.testing.assert_array_equal(weight[0], step_weights(batch)[0])
 
 
 @pytest.mark.parametrize("garbage", [0.0, np.nan])

@@ -24,7 +24,7 @@ from reference.parameters import Array, Parameters, flatten, unflatten
 from reference.trust_region import TrustRegionSettings, curvature, loss_gradient, outer_step
 
 from maesn.learners import GradientState
-from maesn.learners.gradient import _step_weights
+from maesn.learners.gradient import step_weights
 from maesn.learners.objective import MetaObjective, MetaParameters
 from maesn.trust_region import Evaluation, TrustRegion
 
@@ -76,7 +76,7 @@ def differentiate(
     product = REGION._curvature(
         lambda x: objective.distributions(unravel(x), objective.post),
         flat,
-        _step_weights(objective.post),
+        step_weights(objective.post),
     )
     image = product(ravel_pytree(vector)[0])
     return objective.evaluate(parameters), unravel(gradient), unravel(image)

@@ -69,7 +69,10 @@ def test_the_floor_of_the_standard_deviation_holds() -> None:
         (lambda: preset("maml"), "context NoContext.*`maesn` and `latent_space`"),
         (lambda: preset("maml_bias"), "context BiasContext"),
         (lambda: preset("maml_bias_only"), "context BiasContext"),
-        (lambda: preset("maesn_theta"), "adapts the policy's weights"),
+        (
+            lambda: preset("maesn", adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))),
+            "adapts the policy's weights",
+        ),
         (
             lambda: preset("maesn", context=LatentContext(gradient="reparameterized")),
             "by the reparameterized gradient",

@@ -192,7 +192,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             parameters,
             objective.evaluate,
             lambda varied: objective.distributions(varied, thinned),
-            _step_weights(thinned),
+            step_weights(thinned),
         )
         return improved, describe_step(objective, parameters, improved, step)
 
@@ -203,7 +203,7 @@ def _task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(num_slots))
 
 
-def _step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
+def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
     """Return the weight of each step in a mean over tasks of means over valid steps."""
     valid = episodes.valid.astype(float)
     per_task = jnp.maximum(valid.sum((1, 2), keepdims=True), 1.0)
