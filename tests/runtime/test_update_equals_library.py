@@ -1,8 +1,8 @@
 """From the same recorded episodes the runtime makes the library's update."""
 
-from typing import dataclasses
+import dataclasses
+from typing import Any
 
-import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
