@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -26,6 +27,7 @@ class Unit(NamedTuple):
 
 
 _PERCENT = 100.0
+MAX_WIDTH = 120  # columns that a table may take where numbers need them
 UNITS: dict[str, Unit] = {
     "mean_return": Unit("return"),
     "goal_return": Unit("goal return"),
@@ -130,8 +132,11 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
     Raises:
         ReportError: if the file is missing or broken.
     """
-    table = summary_table([read_adaptation(path)], f"Adaptation: {path.stem}")
-    (Console() if console is None else console).print(table.to_rich())
+    console = Console() if console is None else console
+    table = summary_table([read_adaptation(path)], f"Adaptation: {path.stem}").to_rich()
+    # A narrow terminal may break lines, but no number is cut off.
+    width = Measurement.get(console, console.options.update(max_width=MAX_WIDTH), table).maximum
+    console.print(table, width=max(console.width, width), crop=False)
 
 
 def difference_table(
