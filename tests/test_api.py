@@ -13,6 +13,7 @@ from maesn import api, cli
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
+from maesn.runs.adaptation_files import adaptation_file, latents_file
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -38,7 +39,7 @@ def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
     )
     assert len(lines) == 1 + 100 * 3
     assert lines[3].startswith("0,2,6,")
-    with np.load(api.latents_file(table)) as latents:
+    with np.load(latents_file(table)) as latents:
         np.testing.assert_array_equal(latents["mean"], outcome.contexts.mean.swapaxes(0, 1))
         assert latents["mean"].shape == (3, 100, 2)
 
@@ -58,8 +59,8 @@ def test_adaptation_goes_on_from_saved_latents(trained: Path, tmp_path: Path) ->
 
 
 def test_a_table_of_a_file_does_not_replace_that_of_a_set() -> None:
-    of_set = api.adaptation_file(Path("run"), "test", "sparse")
-    of_file = api.adaptation_file(Path("run"), "elsewhere/test.npz", "sparse")
+    of_set = adaptation_file(Path("run"), "test", "sparse")
+    of_file = adaptation_file(Path("run"), "elsewhere/test.npz", "sparse")
     assert of_set == Path("run/adaptation/test-sparse.csv")
     assert of_file == Path("run/adaptation/file-test-sparse.csv")
 

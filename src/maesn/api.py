@@ -1,31 +1,33 @@
 """The library's verbs, as functions of Python. The command line calls them, one for one."""
 
-import csv
-import io
 import shutil
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from maesn.context import AbstractContextValue, Latent
-from maesn.envs import SETS, RewardKind, TaskFamily
-from maesn.evaluate import AdaptationOutcome, as_rows
+from maesn.context import Latent
+from maesn.envs import RewardKind, TaskFamily
+from maesn.evaluate import AdaptationOutcome
 from maesn.evaluate import adapt as adapt_to_tasks
 from maesn.explore import explore
 from maesn.learners import AbstractMetaLearner, GradientFastLearner, GradientFastState
 from maesn.report.plot import plot_run_directories
 from maesn.rollout import Collector
+from maesn.runs.adaptation_files import (
+    adaptation_file,
+    read_latents,
+    write_arrays,
+    write_outcome,
+)
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError, explained, write_whole
+from maesn.runs.storage import RunError
 from maesn.runs.training import init_from as start_from
 
 # Episodes that figures show, and among which the share of goals reached is counted.
@@ -205,19 +207,8 @@ def record_exploration(run: Run) -> Path:
     if trained.fixed_paths is not None:
         arrays["fixed_paths"] = trained.fixed_paths
     path = run.directory / EXPLORATION
-    _write_arrays(path, arrays)
+    write_arrays(path, arrays)
     return path
-
-
-def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_update: int = 0) -> Path:
-    """Return where a table of adaptation curves goes by default.
-
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `from-UPDATE-` before it if the adaptation went on from an earlier one.
-    """
-    name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
-    prefix = f"from-{first_update}-" if first_update else ""
-    return directory / "adaptation" / f"{prefix}{name}-{reward}.csv"
 
 
 def _latents_to_go_on_from(
@@ -241,67 +232,3 @@ def _gradient_learner(run: Run, state: Any) -> GradientFastLearner:
     learner = run.learner.fast_learner(state)
     assert isinstance(learner, GradientFastLearner)  # the only kind so far
     return learner
-
-
-def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
-    """Write curves as a `.csv` file, and adapted latents as `.latents.npz` beside it."""
-    rows = list(as_rows(outcome))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    _write(table, text.getvalue().encode())
-    if isinstance(outcome.contexts, Latent):
-        arrays = {
-            "mean": outcome.contexts.mean.swapaxes(0, 1),
-            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
-            "first_update": np.asarray(outcome.first_update),
-        }
-        _write_arrays(latents_file(table), arrays)
-
-
-def latents_file(table: Path) -> Path:
-    """Return the path of the latents that belong to a table of adaptation curves."""
-    return table.with_suffix(".latents.npz")
-
-
-def read_latents(path: Path, like: AbstractContextValue) -> tuple[Latent, int]:
-    """Read the last latents that an adaptation has saved, and the number of updates behind them.
-
-    Args:
-        path: of the file.
-        like: contexts of the method and the tasks that are to go on from it.
-
-    Raises:
-        RunError: the file cannot be read, or belongs to another method or other tasks.
-    """
-    if not isinstance(like, Latent):
-        raise RunError(
-            f"`{path}` cannot be a start: this run's method has no latents that are adapted."
-        )
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            mean, log_std = arrays["mean"], arrays["log_std"]
-            first = int(arrays["first_update"])
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    if mean.shape[1:] != like.mean.shape:
-        raise RunError(
-            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
-            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
-        )
-    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
-
-
-def _write_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
-    _write(path, content.getvalue())
-
-
-def _write(path: Path, content: bytes) -> None:
-    with explained("write", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)

@@ -9,6 +9,7 @@ from maesn import api
 from maesn.commands.options import parse
 from maesn.envs import RewardKind
 from maesn.report import print_adaptation_summary
+from maesn.runs.adaptation_files import adaptation_file
 from maesn.runs.compilation import enable_compilation_cache
 
 
@@ -43,7 +44,7 @@ def main(arguments: list[str]) -> None:
     settings = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     directory = settings.pop("run")
     outcome = api.adapt(directory, **settings)
-    table = options.out or api.adaptation_file(
+    table = options.out or adaptation_file(
         directory, options.tasks, options.reward, outcome.first_update
     )
     print_adaptation_summary(table)

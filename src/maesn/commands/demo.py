@@ -7,6 +7,7 @@ from maesn import api
 from maesn.commands.options import parse
 from maesn.learners import maesn
 from maesn.report import print_adaptation_summary
+from maesn.runs.adaptation_files import adaptation_file
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
@@ -38,7 +39,7 @@ def main(arguments: list[str]) -> None:
         api.train(maesn(), settings, options.run)
     print("2. it adapts to 100 unseen goals on sparse reward, which it is not told")
     outcome = api.adapt(options.run)
-    print_adaptation_summary(api.adaptation_file(options.run, "test", "sparse"))
+    print_adaptation_summary(adaptation_file(options.run, "test", "sparse"))
     reached = (outcome.curves.success_rate[:, 0] > 0).mean()
     print(f"goals reached by some of 50 episodes before any adaptation: {reached:.0%}")
     print("3. figures")

@@ -1,0 +1,91 @@
+"""The files that adaptation leaves: tables of curves, and the latents beside them."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import jax.numpy as jnp
+import numpy as np
+
+from maesn.context import AbstractContextValue, Latent
+from maesn.envs import SETS, RewardKind
+from maesn.evaluate import AdaptationOutcome, as_rows
+from maesn.runs.storage import RunError, explained, write_whole
+
+
+def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_update: int = 0) -> Path:
+    """Return where a table of adaptation curves goes by default.
+
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
+    `from-UPDATE-` before it if the adaptation went on from an earlier one.
+    """
+    name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
+    prefix = f"from-{first_update}-" if first_update else ""
+    return directory / "adaptation" / f"{prefix}{name}-{reward}.csv"
+
+
+def latents_file(table: Path) -> Path:
+    """Return the path of the latents that belong to a table of adaptation curves."""
+    return table.with_suffix(".latents.npz")
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
+    """Write curves as a `.csv` file, and adapted latents as `.latents.npz` beside it."""
+    rows = list(as_rows(outcome))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    _write(table, text.getvalue().encode())
+    if isinstance(outcome.contexts, Latent):
+        arrays = {
+            "mean": outcome.contexts.mean.swapaxes(0, 1),
+            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
+            "first_update": np.asarray(outcome.first_update),
+        }
+        write_arrays(latents_file(table), arrays)
+
+
+def read_latents(path: Path, like: AbstractContextValue) -> tuple[Latent, int]:
+    """Read the last latents that an adaptation has saved, and the number of updates behind them.
+
+    Args:
+        path: of the file.
+        like: contexts of the method and the tasks that are to go on from it.
+
+    Raises:
+        RunError: the file cannot be read, or belongs to another method or other tasks.
+    """
+    if not isinstance(like, Latent):
+        raise RunError(
+            f"`{path}` cannot be a start: this run's method has no latents that are adapted."
+        )
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            mean, log_std = arrays["mean"], arrays["log_std"]
+            first = int(arrays["first_update"])
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
+    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
+    if mean.shape[1:] != like.mean.shape:
+        raise RunError(
+            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
+            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
+        )
+    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
+
+
+def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    """Write an `.npz` file of plain arrays, and the directories above it."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
+    _write(path, content.getvalue())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
