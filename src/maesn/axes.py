@@ -3,7 +3,7 @@
 Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
 axis that is mapped over, cut into chunks, and sharded over devices. Functions are written for one
 task or one episode; the leading axes are added by `jax.vmap` in one place
-(`maesn.agent.Agents.vmap` for tasks and episodes).
+(`maesn.agent.Agents.vmap` for the tasks).
 
 | axis          | runs over                                                                     |
 |---------------|-------------------------------------------------------------------------------|

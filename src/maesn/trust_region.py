@@ -53,8 +53,7 @@ class TrustRegion(eqx.Module):
     """Bound on the mean KL divergence of one step. Reference: 0.01."""
     cg_steps: int = 20
     """Steps of the conjugate gradient method. Reference: 10, with a curvature product by finite
-    differences. With the exact product 10 steps stop far from the solution; what 20 gain on unseen
-    episodes is measured by `benchmarks/curvature.py`."""
+    differences. `benchmarks/curvature.py` measures what a step gains on unseen episodes."""
     damping: float = 1e-5
     """Added to the curvature of every parameter. Reference: 1e-5."""
     backtrack_ratio: float = 0.8
