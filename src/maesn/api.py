@@ -102,8 +102,8 @@ def adapt(
         reward: dense or sparse.
         updates: policy-gradient updates per task.
         episodes_per_task: episodes per task and update.
-        tasks: test (report on these), validation (choose on these), training, or the path of an
-            `.npz` file.
+        tasks: test (report on these), validation (choose on these), training, ood (unlike all of
+            these, where the family has such), or the path of an `.npz` file.
         seed: of the episodes.
         out: path of the table; None for what `adaptation_file` says. The adapted latents are
             written beside it as `.latents.npz`.

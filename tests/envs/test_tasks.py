@@ -78,6 +78,23 @@ def test_many_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
     assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
 
 
+@pytest.mark.parametrize("name", ["point", "wheeled"])
+def test_goals_out_of_distribution_are_none_that_training_shows(name: str) -> None:
+    goals = rows(EVERY[name], "ood").astype(np.float64)
+    radius = np.linalg.norm(goals, axis=1)
+    below, near, far = goals[:, 1] < 0, radius < 1.61, radius > 2.39
+    assert (below.astype(int) + near + far == 1).all()
+    np.testing.assert_allclose(radius[below], 2.0, rtol=1e-6)
+    assert radius.min() >= 1.2 - 1e-6
+    assert radius.max() <= 2.8 + 1e-6
+    assert [below.sum(), near.sum(), far.sum()] == [34, 33, 33]
+
+
+def test_a_family_without_tasks_out_of_distribution_says_so() -> None:
+    with pytest.raises(ValueError, match="`hidden_end` has the task sets training, validation"):
+        PROBES["hidden_end"].task_set("ood")
+
+
 def test_lifetimes_are_uniform_up_to_beyond_the_horizon() -> None:
     lifetimes = PROBES["hidden_end"].draw_tasks(np.random.default_rng(0), 20_000)
     assert stats.kstest(lifetimes.astype(np.float64), stats.uniform(0, 12).cdf).pvalue > 1e-3

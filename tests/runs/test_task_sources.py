@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from small_runs import create, goals, tiny_maesn
 
-from maesn.envs import FAMILIES
+from maesn.envs import FAMILIES, PROBES
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
-from maesn.runs.task_sources import load_tasks
+from maesn.runs.task_sources import find_tasks, load_tasks
 
 POINT = FAMILIES["point"]
 
@@ -52,8 +52,15 @@ def test_other_tasks_by_path(tmp_path: Path) -> None:
     found = run.task_set(file)
     np.testing.assert_array_equal(found.tasks, goals(3))
     assert found.tasks.dtype == POINT.task_set("test").tasks.dtype
-    with pytest.raises(RunError, match=r"one of training, validation, test or the path .* `tset`"):
+    with pytest.raises(RunError, match=r"one of training, validation, test, ood or .* `tset`"):
         run.task_set("tset")
+
+
+def test_tasks_out_of_distribution_by_name(tmp_path: Path) -> None:
+    run = create(tmp_path / "run")
+    np.testing.assert_array_equal(run.task_set("ood").tasks, POINT.task_set("ood").tasks)
+    with pytest.raises(RunError, match="`tasks` cannot be `ood`: family `hidden_side` has the"):
+        find_tasks("ood", PROBES["hidden_side"])
 
 
 def pickled(path: Path) -> None:

@@ -26,7 +26,8 @@ class Options:
     episodes_per_task: int = 50
     """Episodes per task and update."""
     tasks: str = "test"
-    """test (report on these), validation (choose on these), training, or an `.npz` file."""
+    """test (report on these), validation (choose on these), training, ood (unlike all of these), or
+    an `.npz` file."""
     seed: int = 0
     """Of the episodes."""
     out: Path | None = None

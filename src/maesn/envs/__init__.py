@@ -20,6 +20,7 @@ from maesn.envs.target_probes import DelayedTarget as DelayedTarget
 from maesn.envs.target_probes import HiddenTarget as HiddenTarget
 from maesn.envs.target_probes import delayed_target as delayed_target
 from maesn.envs.target_probes import hidden_target as hidden_target
+from maesn.envs.tasks import NAMED_SETS as NAMED_SETS
 from maesn.envs.tasks import SETS as SETS
 from maesn.envs.tasks import SetName as SetName
 from maesn.envs.tasks import TaskFamily as TaskFamily

@@ -8,6 +8,10 @@ from maesn.envs.base import Reward, RewardKind, Variant
 
 Vector = Float[Array, " 2"]
 
+# Radii that no training goal has, as multiples of the one that all of them have.
+NEARER_RADII = (0.6, 0.8)
+FARTHER_RADII = (1.2, 1.4)
+
 
 def goal_reward(
     distance: Float[Array, ""],
@@ -73,3 +77,17 @@ def draw_half_circle(stream: np.random.Generator, size: int, radius: float) -> n
     """Draw `size` goals on the upper half circle, angles uniform on [0, 180) degrees."""
     angle = stream.uniform(0.0, np.pi, size)
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(np.float32)
+
+
+def draw_unfamiliar_goals(stream: np.random.Generator, size: int, radius: float) -> np.ndarray:
+    """Draw goals unlike those of `draw_half_circle`, for tests of generalisation.
+
+    By turns: on the lower half of the same circle, an arc held out of training; on the upper half
+    but nearer; on the upper half but farther.
+    """
+    kind = np.arange(size) % 3
+    angle = stream.uniform(0.0, np.pi, size) + np.where(kind == 0, np.pi, 0.0)
+    nearer = stream.uniform(*NEARER_RADII, size)
+    farther = stream.uniform(*FARTHER_RADII, size)
+    distance = radius * np.choose(kind, [np.ones(size), nearer, farther])
+    return (distance * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32)

@@ -25,7 +25,12 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import draw_half_circle, driving_reward, within
+from maesn.envs.goals import (
+    draw_half_circle,
+    draw_unfamiliar_goals,
+    driving_reward,
+    within,
+)
 from maesn.envs.tasks import TaskFamily
 
 Goal = Float[Array, " 2"]
@@ -113,4 +118,10 @@ def _draw_goals(stream: np.random.Generator, size: int) -> np.ndarray:
     return draw_half_circle(stream, size, GOAL_RADIUS)
 
 
-point = TaskFamily("point", Point, _draw_goals, ("goal",), seed=2)
+def _draw_unfamiliar_goals(stream: np.random.Generator, size: int) -> np.ndarray:
+    return draw_unfamiliar_goals(stream, size, GOAL_RADIUS)
+
+
+point = TaskFamily(
+    "point", Point, _draw_goals, ("goal",), seed=2, draw_ood_tasks=_draw_unfamiliar_goals
+)

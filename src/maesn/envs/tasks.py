@@ -11,9 +11,13 @@ from jaxtyping import Array, Int
 
 from maesn.envs.base import AnyEnv
 
-SetName: TypeAlias = Literal["training", "validation", "test"]
+SetName: TypeAlias = Literal["training", "validation", "test", "ood"]
 
 SETS: tuple[SetName, ...] = ("training", "validation", "test")
+"""The disjoint sets that every family has, all of one distribution."""
+OUT_OF_DISTRIBUTION: SetName = "ood"
+"""Tasks of a kind that training never shows; not every family has them."""
+NAMED_SETS: tuple[SetName, ...] = (*SETS, OUT_OF_DISTRIBUTION)
 SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
 
 
@@ -57,9 +61,21 @@ class TaskFamily(NamedTuple):
     task_names: tuple[str, ...]
     """Names of the arrays in a user's `.npz` file of tasks, in the order of the pytree's leaves."""
     seed: int
-    """Fixes the three sets of the family."""
+    """Fixes the sets of the family."""
+    draw_ood_tasks: Callable[[np.random.Generator, int], Any] | None = None
+    """Draws tasks of a kind that training never shows; None if the family has none."""
 
     def task_set(self, name: SetName, size: int = SET_SIZE) -> TaskSet:
-        """Return one of the family's three disjoint sets, the same in every process."""
-        stream = np.random.default_rng([self.seed, SETS.index(name)])
-        return TaskSet(self.draw_tasks(stream, size))
+        """Return one of the family's disjoint sets, the same in every process.
+
+        Raises:
+            ValueError: the family has no tasks out of distribution.
+        """
+        draw = self.draw_ood_tasks if name == OUT_OF_DISTRIBUTION else self.draw_tasks
+        if draw is None:
+            raise ValueError(
+                f"family `{self.name}` has the task sets {', '.join(SETS)}, but none called "
+                f"`{name}`: give tasks of another kind as an .npz file."
+            )
+        stream = np.random.default_rng([self.seed, NAMED_SETS.index(name)])
+        return TaskSet(draw(stream, size))

@@ -31,7 +31,7 @@ from maesn.report.style import save_figure
 Say: TypeAlias = Callable[[str], None]
 
 # Of a run adapted to several task sets, the first of these says how many goals are reached.
-_PREFERRED_SETS = ("test", "validation", "training")
+_PREFERRED_SETS = ("test", "validation", "training", "ood")
 
 
 def plot_run_directories(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContextValue, Latent
-from maesn.envs import SETS, RewardKind
+from maesn.envs import NAMED_SETS, RewardKind
 from maesn.evaluate import AdaptationOutcome, as_rows
 from maesn.runs.storage import RunError, explained, write_whole
 
@@ -21,7 +21,7 @@ def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_updat
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
     `from-UPDATE-` before it if the adaptation went on from an earlier one.
     """
-    name = tasks if tasks in SETS else f"file-{Path(tasks).stem}"
+    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
     prefix = f"from-{first_update}-" if first_update else ""
     return directory / "adaptation" / f"{prefix}{name}-{reward}.csv"
 

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from maesn.axes import Key
-from maesn.envs import SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
+from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs.checkpoint import CheckpointStore, Snapshot
 from maesn.runs.config import (
@@ -101,7 +101,7 @@ class Run:
         run = cls(Path(directory), config, family, tasks)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
-            if settings.tasks not in SETS:
+            if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / TASKS, tasks, family)
             run.save_state(run.untrained_state())
             # Last, so that a directory with this file in it is a whole run.
@@ -123,7 +123,9 @@ class Run:
         config = read_config(directory)
         found = recorded_family(config.family, family)
         name = config.settings.tasks
-        tasks = find_tasks(name, found) if name in SETS else load_tasks(directory / TASKS, found)
+        tasks = (
+            find_tasks(name, found) if name in NAMED_SETS else load_tasks(directory / TASKS, found)
+        )
         if tasks.digest() != config.task_digest:
             raise RunError(
                 f"`{directory}` was trained on the task set {config.task_digest}, but its tasks "
@@ -144,8 +146,8 @@ class Run:
         """Return tasks of the run's family.
 
         Args:
-            name: `training` for what this run trains on, `validation` or `test` for those sets of
-                the family, or the path of an `.npz` file.
+            name: `training` for what this run trains on, `validation`, `test` or `ood` for those
+                sets of the family, or the path of an `.npz` file.
 
         Raises:
             RunError: there is no such set, or the file cannot be used.

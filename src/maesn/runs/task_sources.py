@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from maesn.envs import SETS, TaskFamily, TaskSet, find_family
+from maesn.envs import NAMED_SETS, SetName, TaskFamily, TaskSet, find_family
 from maesn.runs.storage import RunError, write_whole
 
 # What NumPy and the ZIP format raise on a file that is damaged, or something else altogether.
@@ -78,21 +78,28 @@ def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
     """Return a set of the family, or a user's own.
 
     Args:
-        name: training, validation, test, or the path of an `.npz` file.
+        name: training, validation, test, ood, or the path of an `.npz` file.
         family: whose tasks.
 
     Raises:
         RunError: there is no such set, or the file cannot be used.
     """
-    for set_name in SETS:
+    for set_name in NAMED_SETS:
         if name == set_name:
-            return family.task_set(set_name)
+            return _named_set(set_name, family)
     if not Path(name).exists():
         raise RunError(
-            f"`tasks` must be one of {', '.join(SETS)} or the path of an .npz file, got "
+            f"`tasks` must be one of {', '.join(NAMED_SETS)} or the path of an .npz file, got "
             f"`{name}`, which is neither: check the spelling."
         )
     return load_tasks(name, family)
+
+
+def _named_set(name: SetName, family: TaskFamily) -> TaskSet:
+    try:
+        return family.task_set(name)
+    except ValueError as error:
+        raise RunError(f"`tasks` cannot be `{name}`: {error}") from error
 
 
 def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
