@@ -11,16 +11,27 @@ TEST_READY := $(VENV)/.ready-to-test
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint style types floors unit bench docs clean
+.PHONY: help demo test test-external lint style types floors unit bench docs clean
 
 help: ## Show this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures
 	@$(BIN)/maesn demo
 
 test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
+
+# Meta-World needs a MuJoCo that the engine of our own robots is too new for.
+EXTERNAL := .venv-external
+test-external: | $(EXTERNAL)/.ready ## Test the examples of foreign environments, in an environment of their own
+	@$(EXTERNAL)/bin/python -m pytest --quiet --tb=short tests/external/test_examples.py
+
+$(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mjx, which is too new as well
+	@$(PYTHON) -m venv $(EXTERNAL)
+	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest
+	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and the floors of the architecture
 	@$(MAKE) --no-print-directory --keep-going style types floors
@@ -49,7 +60,7 @@ docs: $(TEST_READY) ## Check the links and run the Python examples of the docume
 	@$(BIN)/python -m pytest --quiet tests/test_docs.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
-	rm -rf $(VENV) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

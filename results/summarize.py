@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from maesn.report.adaptation_table import AdaptationTable, read_adaptation
-from maesn.report.tables import difference_table, summary_table
+from maesn.report.tables import difference_table, summary_tables
 
 REFERENCE = "maesn-20x20"
 TABLE = Path("adaptation") / "test-sparse.csv"
@@ -61,7 +61,8 @@ def main() -> None:
             print(training_row(name, run))
     print("\n# Adaptation to the 100 test tasks, sparse reward\n")
     for name, all_seeds in tables.items():
-        print(summary_table(all_seeds, f"{name}, seeds: {len(all_seeds)}").to_markdown())
+        for summary in summary_tables(all_seeds, f"{name}, seeds: {len(all_seeds)}"):
+            print(summary.to_markdown())
     reference = tables.pop(REFERENCE)
     if tables:
         print("# Differences after the last update\n")

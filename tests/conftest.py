@@ -27,3 +27,14 @@ def x64() -> Iterator[None]:
     """
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture
+def quick_compiler() -> Iterator[None]:
+    """A compiler that optimises nothing: it takes half the time, where programs are large.
+
+    For tests whose tolerances do not rest on the order in which sums are taken.
+    """
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

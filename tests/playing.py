@@ -12,9 +12,10 @@ from maesn.context import Latent
 from maesn.envs import AnyEnv, TaskSet
 from maesn.episodes import Episodes
 from maesn.networks import MLP, Linear
-from maesn.policies import GaussianMLP, GaussianMLPPolicy
+from maesn.policies import CategoricalMLP, GaussianMLP, GaussianMLPPolicy
 from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.simulators import open_simulator
 
 LATENT_SIZE = 2
 
@@ -28,9 +29,8 @@ def keys(num_tasks: int, seed: int = 0) -> jax.Array:
 
 def agents(env: AnyEnv, num_tasks: int, seed: int = 0, hidden: tuple[int, ...] = (8,)) -> Agents:
     """Agents with random weights, and with another latent in every slot."""
-    policy = GaussianMLP(hidden).init(
-        jax.random.key(seed), env.observation_size, env.action_size, LATENT_SIZE
-    )
+    settings = {"continuous": GaussianMLP, "discrete": CategoricalMLP}[env.action_kind](hidden)
+    policy = settings.init(jax.random.key(seed), env.observation_size, env.action_size, LATENT_SIZE)
     return Agents(policy, _latent(num_tasks, seed), shares_policy=True)
 
 
@@ -67,6 +67,14 @@ def play(
         _collectors[which] = Collector(make_world(env, tasks, **options), episodes)
     cast = agents(env, len(index)) if cast is None else cast
     return _collectors[which](keys(len(index), seed), cast, index)
+
+
+def readings_at(env: AnyEnv, qpos: Any, qvel: Any) -> dict[str, jax.Array]:
+    """What an engine reads in that state, in single precision as in episodes."""
+    simulator = open_simulator(env, 1)
+    read = simulator.reset(np.float64(qpos)[None], np.float64(qvel)[None])
+    simulator.close()
+    return {name: jnp.asarray(value[0], jnp.float32) for name, value in read.items()}
 
 
 def assert_same(first: Any, second: Any) -> None:

@@ -8,7 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from maesn.report.adaptation_table import COLUMNS, AdaptationTable
+from maesn.report.adaptation_table import (
+    COLUMNS,
+    MEASURES,
+    SOLVED_AT_RESET,
+    AdaptationTable,
+)
 from maesn.report.runs import Exploration, Latents, LearningCurve, Run
 from maesn.report.series import Series, group_series
 
@@ -42,6 +47,7 @@ def adaptation_table(
         success_rate=rate,
         final_success_rate=0.8 * rate,
         time_in_region=0.3 * rate,
+        solved_at_reset=np.zeros_like(rate),
     )
 
 
@@ -57,6 +63,9 @@ def exploration(*, has_latents: bool = True) -> Exploration:
         prior_latents=np.random.default_rng(0).normal(size=(NUM_EPISODES, 2))
         if has_latents
         else None,
+        untrained_success_rate=np.array([0.0, 0.1, 0.0, 0.0, 0.5, 0.0, 0.0, 1.0]),
+        solved_at_reset=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        episodes_per_task=10,
     )
 
 
@@ -106,11 +115,14 @@ def write_adaptation(path: Path, table: AdaptationTable) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
+        curves = [table.measure(name) for name in MEASURES]
+        known = table.solved_at_reset is not None
+        curves += [table.solved_at_reset] if known else []
+        writer.writerow([*COLUMNS, SOLVED_AT_RESET] if known else COLUMNS)
         for task in range(table.num_tasks):
             for column, update in enumerate(table.updates):
-                measures = [table.measure(name)[task, column] for name in COLUMNS[3:]]
-                writer.writerow([task, update, table.episodes[column], *map(float, measures)])
+                measures = (float(curve[task, column]) for curve in curves)
+                writer.writerow([task, update, table.episodes[column], *measures])
 
 
 def write_metrics(path: Path, curve: LearningCurve) -> None:

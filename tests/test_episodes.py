@@ -22,7 +22,8 @@ def test_every_step_is_all_steps() -> None:
     whole = episodes()
     thinned = whole.every(1, 0)
     np.testing.assert_array_equal(thinned.observation, whole.observation[:, :, :-1])
-    for name in ("action", "reward", "goal_reward", "valid", "solved", "terminated", "noise"):
+    names = ("action", "reward", "goal_reward", "valid", "solved", "solved_at_start")
+    for name in (*names, "terminated", "noise"):
         np.testing.assert_array_equal(getattr(thinned, name), getattr(whole, name))
     for name in ("mean", "log_std"):
         np.testing.assert_array_equal(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.envs import point
+from maesn.envs import hidden_end, point
 from maesn.episodes import Episodes
 from maesn.evaluate import adapt, as_rows, measure
 from maesn.explore import FIXED_STD, explore
@@ -35,7 +35,7 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
     # One task, two episodes of four steps; the second ends after its second step, so that its
     # last two steps are garbage. Returns: 1+2+3+4 = 10 and 5+6 = 11, mean 10.5. Goal: 4 and -2.
     # Solved steps: t = 1, 3 of the first and t = 0 of the second: both reach it, the first alone
-    # ends in it, and 3 of 6 valid steps are spent there.
+    # ends in it, and 3 of 6 valid steps are spent there. The second starts in it as well.
     valid = jnp.array([[[True] * 4, [True, True, False, False]]])
     steps = jnp.zeros((1, 2, 4, 1))
     episodes = Episodes(
@@ -45,6 +45,7 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
         goal_reward=jnp.array([[[1.0, 1.0, 1.0, 1.0], [-1.0, -1.0, jnp.nan, 99.0]]]),
         valid=valid,
         solved=jnp.array([[[False, True, False, True], [True, False, True, True]]]),
+        solved_at_start=jnp.array([[False, True]]),
         terminated=jnp.array([[False, True]]),
         noise=jnp.zeros((1, 2, 1)),
         context=jnp.zeros((1, 2, 1)),
@@ -57,6 +58,7 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
     np.testing.assert_allclose(curves.success_rate, [1.0])
     np.testing.assert_allclose(curves.final_success_rate, [0.5])
     np.testing.assert_allclose(curves.time_in_region, [0.5])
+    np.testing.assert_allclose(curves.solved_at_reset, [0.5])
 
 
 @pytest.mark.parametrize("chunk_size", [1, 2, 4, 100])
@@ -113,6 +115,29 @@ def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFa
     np.testing.assert_array_equal(exploration.prior_paths[:, 0], exploration.fixed_paths[:, 0])
     assert np.ptp(exploration.prior_latents, axis=0).min() > 100 * FIXED_STD
     assert not np.array_equal(exploration.prior_paths, exploration.fixed_paths)
+
+
+def test_exploration_is_spread_over_tasks(collect: Collector, learner: GradientFastLearner) -> None:
+    exploration = explore(learner, collect, num_tasks=NUM_TASKS + 1)
+    assert exploration.prior_paths.shape[0] == (NUM_TASKS + 1) * EPISODES
+    assert exploration.prior_latents.shape == ((NUM_TASKS + 1) * EPISODES, 2)
+    # Every episode is one of its own, in the task that is played again as well.
+    assert len(np.unique(exploration.prior_paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
+
+
+def test_paths_stay_where_their_episodes_end() -> None:
+    env = hidden_end.make_env()
+    collect = Collector(make_world(env, hidden_end.task_set("test", size=4)), 1)
+    meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
+    sizes = (env.observation_size, env.action_size)
+    paths = explore(
+        meta.fast_learner(meta.init(jax.random.key(0), *sizes, 10)), collect, num_tasks=4
+    ).prior_paths
+    # The probe shows the share of the horizon that is over, and NaN when its lifetime is.
+    lived = np.minimum(np.ceil(hidden_end.task_set("test", size=4).tasks), env.horizon)
+    expected = np.minimum(np.arange(env.horizon + 1), lived[:, None]) / env.horizon
+    assert (lived < env.horizon).any()
+    np.testing.assert_allclose(paths[..., 0], expected, rtol=1e-6)
 
 
 def test_exploration_without_a_latent_has_nothing_to_hold(collect: Collector) -> None:

@@ -59,7 +59,8 @@ def test_shapes(env: AnyEnv) -> None:
         assert getattr(episodes, name).shape == (*batch, time)
     assert episodes.terminated.shape == batch
     assert episodes.noise.shape == episodes.context.shape == (*batch, LATENT_SIZE)
-    assert episodes.carry is None
+    assert episodes.carry is not None
+    assert episodes.carry.hidden is None
 
 
 def test_a_batch_of_four_tasks_equals_two_of_two(env: AnyEnv) -> None:

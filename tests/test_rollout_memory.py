@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import MOTOR, CartTask, cart_on
-from playing import agents, keys
+from playing import agents, assert_same, keys
 
 from maesn.agent import Agents
 from maesn.axes import Carry
@@ -78,7 +78,7 @@ def test_the_start_of_an_episode_is_told(first: Episodes) -> None:
 def test_memory_goes_from_step_to_step(first: Episodes) -> None:
     counts = np.broadcast_to(np.arange(HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(first.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
-    np.testing.assert_array_equal(first.carry, np.full((2, EPISODES), HORIZON))
+    np.testing.assert_array_equal(hidden(first), np.full((2, EPISODES), HORIZON))
 
 
 def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
@@ -87,12 +87,45 @@ def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
     second = collect(keys(2, 1), witnesses(collect), jnp.array([0, 1]), first.carry)
     counts = np.broadcast_to(np.arange(HORIZON, 2 * HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(second.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
-    np.testing.assert_array_equal(second.carry, np.full((2, EPISODES), 2 * HORIZON))
-    # A new episode starts: what was done and paid in the last one is not told again.
-    np.testing.assert_array_equal(second.behaviour.mean[:, :, 0], np.zeros((2, EPISODES, 2)))
+    np.testing.assert_array_equal(hidden(second), np.full((2, EPISODES), 2 * HORIZON))
+    # What was done and paid last is told at the start of the next episode, and that it starts.
+    told = np.asarray(second.behaviour.mean[:, :, 0])
+    np.testing.assert_allclose(told[..., 0], first.reward[..., -1], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(told[..., 1], first.action[..., -1, 0])
     np.testing.assert_array_equal(second.behaviour.log_std[:, :, 0, 1], np.ones((2, EPISODES)))
 
 
 def test_memory_starts_afresh_otherwise(collect: Collector, first: Episodes) -> None:
     again = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
-    np.testing.assert_array_equal(again.carry, first.carry)
+    assert_same(again.carry, first.carry)
+
+
+def test_what_is_recorded_is_what_the_policy_was_told(collect: Collector, first: Episodes) -> None:
+    """Replaying the inputs gives the distributions that were played, also in the next episode."""
+    second = collect(keys(2, 1), witnesses(collect), jnp.array([0, 1]), first.carry)
+    for episodes in (first, second):
+        inputs = episodes.policy_inputs()
+        told = np.stack([inputs.previous_reward, inputs.previous_action[..., 0]], axis=-1)
+        np.testing.assert_allclose(told, episodes.behaviour.mean, rtol=1e-5, atol=1e-7)
+        np.testing.assert_array_equal(inputs.episode_start, episodes.behaviour.log_std[..., 1])
+
+
+def test_a_dead_episode_is_not_remembered() -> None:
+    """Episodes of 3 and 5 steps: memory, action and reward are those of the last step alive."""
+    lifetimes = np.float32([3, 5])
+    world = make_world(HiddenEnd(horizon=HORIZON, action_size=2), TaskSet(lifetimes))
+    collect = Collector(world, EPISODES)
+    episodes = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
+    assert np.isnan(np.asarray(episodes.reward)).any()
+    memory = episodes.carry
+    assert memory is not None
+    steps = lifetimes.astype(int)
+    np.testing.assert_array_equal(memory.hidden, np.tile(steps[:, None], (1, EPISODES)))
+    np.testing.assert_array_equal(memory.reward, np.ones((2, EPISODES)))
+    for slot, last in enumerate(steps - 1):
+        np.testing.assert_array_equal(memory.action[slot], episodes.action[slot, :, last])
+
+
+def hidden(episodes: Episodes) -> np.ndarray:
+    assert episodes.carry is not None
+    return np.asarray(episodes.carry.hidden)

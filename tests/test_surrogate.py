@@ -49,6 +49,7 @@ def one_step_episodes(agent: Agent, count: int) -> Episodes:
         goal_reward=jnp.zeros((count, 1)),
         valid=jnp.ones((count, 1), bool),
         solved=jnp.zeros((count, 1), bool),
+        solved_at_start=jnp.zeros(count, bool),
         terminated=jnp.zeros(count, bool),
         noise=noise,
         context=drawn,

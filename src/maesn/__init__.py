@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.context import BiasContext as BiasContext
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
+    from maesn.curiosity import Curiosity as Curiosity
     from maesn.envs import FAMILIES as FAMILIES
     from maesn.envs import AbstractMujocoEnv as AbstractMujocoEnv
     from maesn.envs import AbstractPureEnv as AbstractPureEnv
@@ -30,19 +31,35 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.envs import TaskFamily as TaskFamily
     from maesn.envs import TaskSet as TaskSet
     from maesn.envs import find_family as find_family
+    from maesn.envs.foreign import gymnasium_family as gymnasium_family
     from maesn.episodes import Collect as Collect
     from maesn.episodes import Episodes as Episodes
+    from maesn.film import render as render
+    from maesn.learners import METHODS as METHODS
     from maesn.learners import PRESETS as PRESETS
+    from maesn.learners import SCRATCH as SCRATCH
     from maesn.learners import AbstractFastLearner as AbstractFastLearner
     from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
+    from maesn.learners import CuriousFastLearner as CuriousFastLearner
+    from maesn.learners import CuriousMetaLearner as CuriousMetaLearner
+    from maesn.learners import FineTuning as FineTuning
     from maesn.learners import GradientMetaLearner as GradientMetaLearner
+    from maesn.learners import PolicyGradient as PolicyGradient
+    from maesn.learners import ProximalStep as ProximalStep
+    from maesn.learners import RecurrentMetaLearner as RecurrentMetaLearner
+    from maesn.learners import RecurrentValue as RecurrentValue
+    from maesn.learners import TrustRegionStep as TrustRegionStep
     from maesn.learners import latent_space as latent_space
     from maesn.learners import maesn as maesn
     from maesn.learners import maesn_theta as maesn_theta
     from maesn.learners import maml as maml
     from maesn.learners import maml_bias as maml_bias
     from maesn.learners import maml_bias_only as maml_bias_only
+    from maesn.learners import rl2 as rl2
+    from maesn.numerics import MinibatchDescent as MinibatchDescent
+    from maesn.policies import CategoricalMLP as CategoricalMLP
     from maesn.policies import GaussianMLP as GaussianMLP
+    from maesn.policies import Recurrent as Recurrent
     from maesn.rollout import Collector as Collector
     from maesn.runs.config import RunSettings as RunSettings
     from maesn.runs.run import Run as Run
@@ -72,6 +89,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "LatentContext",
         "NoContext",
     ),
+    "maesn.curiosity": ("Curiosity",),
     "maesn.envs": (
         "FAMILIES",
         "AbstractMujocoEnv",
@@ -81,23 +99,41 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "TaskSet",
         "find_family",
     ),
+    "maesn.envs.foreign": ("gymnasium_family",),
     "maesn.episodes": (
         "Collect",
         "Episodes",
     ),
+    "maesn.film": ("render",),
     "maesn.learners": (
+        "METHODS",
         "PRESETS",
+        "SCRATCH",
         "AbstractFastLearner",
         "AbstractMetaLearner",
+        "CuriousFastLearner",
+        "CuriousMetaLearner",
+        "FineTuning",
         "GradientMetaLearner",
+        "PolicyGradient",
+        "ProximalStep",
+        "RecurrentMetaLearner",
+        "RecurrentValue",
+        "TrustRegionStep",
         "latent_space",
         "maesn",
         "maesn_theta",
         "maml",
         "maml_bias",
         "maml_bias_only",
+        "rl2",
     ),
-    "maesn.policies": ("GaussianMLP",),
+    "maesn.numerics": ("MinibatchDescent",),
+    "maesn.policies": (
+        "CategoricalMLP",
+        "GaussianMLP",
+        "Recurrent",
+    ),
     "maesn.rollout": ("Collector",),
     "maesn.runs.config": ("RunSettings",),
     "maesn.runs.run": ("Run",),

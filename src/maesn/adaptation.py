@@ -98,6 +98,7 @@ class Adaptation(eqx.Module):
             policy=agents.policy if self.policy is None else moved_policy,
             context=agents.context if self.context is None else moved_context,
             shares_policy=agents.shares_policy and self.policy is None,
+            statistics=agents.statistics,
         )
 
     def _move(
@@ -116,6 +117,7 @@ class Adaptation(eqx.Module):
             moving = Agent(
                 agent.policy if policy is None else policy,
                 agent.context if value is None else value,
+                agent.statistics,
             )
             return inner_loss(moving, context, episodes, advantages)
 

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 
 from maesn.context import AbstractContextValue
-from maesn.policies import AbstractPolicy
+from maesn.normalization import ObservationStatistics
+from maesn.policies import AbstractPolicy, PolicyInput
 
 
 class Agent(eqx.Module):
@@ -15,6 +16,14 @@ class Agent(eqx.Module):
 
     policy: AbstractPolicy
     context: AbstractContextValue
+    statistics: ObservationStatistics | None = None
+    """By which observations are normalised before the policy sees them; None for not at all."""
+
+    def perceive(self, told: PolicyInput) -> PolicyInput:
+        """Return what the policy is given when this is what it is told."""
+        if self.statistics is None:
+            return told
+        return told._replace(observation=self.statistics.normalized(told.observation))
 
 
 class Agents(eqx.Module):
@@ -30,6 +39,8 @@ class Agents(eqx.Module):
     context: AbstractContextValue
     """Contexts, with a leading `task` axis."""
     shares_policy: bool = eqx.field(static=True)
+    statistics: ObservationStatistics | None = None
+    """Shared by all tasks, and changed by no inner step."""
 
     def vmap(self, function: Callable[..., Any], in_axes: Any = 0) -> Callable[..., Any]:
         """Map `function(agent, *rest)` over the tasks.
@@ -46,7 +57,9 @@ class Agents(eqx.Module):
             axes = in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(rest)
             policy_axis = None if self.shares_policy else 0
             return jax.vmap(
-                lambda policy, context, *args: function(Agent(policy, context), *args),
+                lambda policy, context, *args: function(
+                    Agent(policy, context, self.statistics), *args
+                ),
                 in_axes=(policy_axis, 0, *axes),
             )(self.policy, self.context, *rest)
 

@@ -1,7 +1,7 @@
 """The library's verbs, as functions of Python. The command line calls them, one for one."""
 
-import shutil
 from collections.abc import Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,27 +11,32 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluate import AdaptationOutcome
+from maesn.evaluate import CHUNK_SIZE, AdaptationOutcome
 from maesn.evaluate import adapt as adapt_to_tasks
 from maesn.explore import explore
-from maesn.learners import AbstractMetaLearner, GradientFastLearner, GradientFastState
+from maesn.learners import AbstractFastLearner, AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.rollout import Collector
 from maesn.runs.adaptation_files import (
     adaptation_file,
+    engine_suffix,
     read_latents,
     write_arrays,
     write_outcome,
 )
+from maesn.runs.beginning import begun_state
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
-from maesn.runs.training import init_from as start_from
+from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
+from maesn.worlds import AbstractWorld, EngineName
 
-# Episodes that figures show, and among which the share of goals reached is counted.
+# Episodes that figures show, and tasks that they are spread over: where the agent sees what differs
+# between tasks, a single one would not be a fair sample.
 EXPLORATION_EPISODES = 50
+EXPLORATION_TASKS = 5
 # Where they are recorded in a run directory.
 EXPLORATION = Path("figures") / "exploration.npz"
 
@@ -57,13 +62,8 @@ def train(
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    run = Run.create(directory, learner, settings, family=family)
-    if init_from is not None:
-        try:
-            start_from(run, init_from)
-        except RunError:
-            shutil.rmtree(run.directory)  # made above, so nothing of the user's is in it
-            raise
+    begin = None if init_from is None else partial(begun_state, source_directory=init_from)
+    run = Run.create(directory, learner, settings, family=family, first_state=begin)
     train_live(run)
     return run
 
@@ -94,6 +94,8 @@ def adapt(
     out: str | Path | None = None,
     start: str | Path | None = None,
     family: str | TaskFamily | None = None,
+    test_time: AtTestTime = NOTHING_ADDED,
+    engine: EngineName | None = None,
 ) -> AdaptationOutcome:
     """Adapt a trained policy to new tasks, and write the curves as a table.
 
@@ -109,6 +111,8 @@ def adapt(
             written beside it as `.latents.npz`.
         start: an earlier `.latents.npz` of the same tasks to go on from.
         family: the run's family, if it is your own: itself, or `module:name`.
+        test_time: what is added to the learner in new tasks: fine-tuning, curiosity.
+        engine: what moves the world; None for the run's own engine.
     """
     if updates < 0 or episodes_per_task < 1 or not 0 <= seed < 2**32:
         raise RunError(
@@ -116,24 +120,25 @@ def adapt(
             f"2^32 - 1, got {updates}, {episodes_per_task} and {seed}."
         )
     run = Run.open(directory, family=family)
-    learner = _gradient_learner(run, run.latest_state())
-    collect = Collector(run.world(run.task_set(tasks), reward), episodes_per_task)
+    learner = test_time.add_to(run.learner.fast_learner(run.latest_state()), run, run.env())
     go_on, done = None, 0
-    if start is not None:
-        latents, done = _latents_to_go_on_from(Path(start), learner, collect.num_tasks)
-        go_on = partial(_resume_chunk, learner, latents, done)
-    outcome = adapt_to_tasks(
-        learner,
-        collect,
-        updates=updates,
-        episodes_per_task=episodes_per_task,
-        seed=seed,
-        start=go_on,
-        first_update=done,
-    )
-    write_outcome(
-        adaptation_file(run.directory, tasks, reward, done) if out is None else Path(out), outcome
-    )
+    with closing(run.world(run.task_set(tasks), reward, engine)) as world:
+        if start is not None:
+            latents, done = _latents_to_go_on_from(Path(start), learner, len(world.tasks))
+            go_on = partial(_resume_chunk, learner, latents, done)
+        outcome = adapt_to_tasks(
+            learner,
+            Collector(world, episodes_per_task),
+            updates=updates,
+            episodes_per_task=episodes_per_task,
+            seed=seed,
+            chunk_size=_tasks_at_once(world, episodes_per_task),
+            start=go_on,
+            first_update=done,
+        )
+    suffix = test_time.suffix + engine_suffix(engine)
+    table = adaptation_file(run.directory, tasks, reward, done, suffix)
+    write_outcome(table if out is None else Path(out), outcome)
     return outcome
 
 
@@ -182,7 +187,8 @@ def plot(
     for run in runs:
         if not adaptation_file(run.directory, "test", "sparse").exists():
             adapt(run.directory, family=family)
-        record_exploration(run)
+        if run.env().planar:
+            record_exploration(run)
     first = runs[0].directory / "figures"
     return plot_run_directories(
         [run.directory for run in runs], first if out is None else Path(out)
@@ -192,9 +198,17 @@ def plot(
 def record_exploration(run: Run) -> Path:
     """Play and record what the figures of exploration show."""
     tasks, env = run.task_set("test"), run.env()
-    collect = Collector(run.world(tasks), EXPLORATION_EPISODES)
-    trained = explore(_gradient_learner(run, run.latest_state()), collect)
-    untrained = explore(_gradient_learner(run, run.untrained_state()), collect)
+    world, new = run.world(tasks), run.learner.fast_learner(run.untrained_state())
+    collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
+    trained = explore(
+        run.learner.fast_learner(run.latest_state()), collect, num_tasks=EXPLORATION_TASKS
+    )
+    untrained = explore(new, collect, num_tasks=EXPLORATION_TASKS)
+    # As many episodes of every task as the trained policy's share of goals is counted among.
+    at_once = _tasks_at_once(world, EXPLORATION_EPISODES)
+    everywhere = Collector(world, EXPLORATION_EPISODES)
+    reach = adapt_to_tasks(new, everywhere, updates=0, chunk_size=at_once).curves
+    world.close()
     goal = jax.vmap(env.goal)
     arrays = {
         "training_goals": goal(run.training_tasks.tasks),
@@ -203,6 +217,9 @@ def record_exploration(run: Run) -> Path:
         "prior_paths": trained.prior_paths,
         "untrained_paths": untrained.prior_paths,
         "prior_latents": trained.prior_latents,
+        "untrained_success_rate": reach.success_rate[:, 0],
+        "solved_at_reset": reach.solved_at_reset[:, 0],
+        "episodes_per_task": np.asarray(EXPLORATION_EPISODES),
     }
     if trained.fixed_paths is not None:
         arrays["fixed_paths"] = trained.fixed_paths
@@ -211,24 +228,27 @@ def record_exploration(run: Run) -> Path:
     return path
 
 
+def _tasks_at_once(world: AbstractWorld, episodes_per_task: int) -> int:
+    """Return how many tasks to adapt to at once, so that the world can hold their episodes."""
+    if world.max_simulations is None:
+        return CHUNK_SIZE
+    return min(max(world.max_simulations // episodes_per_task, 1), CHUNK_SIZE)
+
+
 def _latents_to_go_on_from(
-    path: Path, learner: GradientFastLearner, num_tasks: int
+    path: Path, learner: AbstractFastLearner[Any], num_tasks: int
 ) -> tuple[Latent, int]:
-    if learner.adaptation.policy is not None:
-        raise RunError(
-            f"`{path}` cannot be a start: this run's method adapts the policy as well, and the "
-            "file holds latents alone."
-        )
-    return read_latents(path, learner.init(num_tasks).agents.context)
+    # A start at the prior has no use for keys.
+    state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
+    latents, done = read_latents(path, learner.agents(state).context)
+    try:
+        learner.resume(latents, done)
+    except ValueError as error:
+        raise RunError(f"`{path}` cannot be a start: {error}") from error
+    return latents, done
 
 
 def _resume_chunk(
-    learner: GradientFastLearner, latents: Latent, update: int, slots: np.ndarray
-) -> GradientFastState:
+    learner: AbstractFastLearner[Any], latents: Latent, update: int, slots: np.ndarray
+) -> Any:
     return learner.resume(jax.tree.map(lambda x: x[slots], latents), update)
-
-
-def _gradient_learner(run: Run, state: Any) -> GradientFastLearner:
-    learner = run.learner.fast_learner(state)
-    assert isinstance(learner, GradientFastLearner)  # the only kind so far
-    return learner

@@ -19,7 +19,7 @@ task or one episode; the leading axes are added by `jax.vmap` in one place
 | `simulation`  | simulations of one batch of the engine: task-major, `task * episodes + episode` |
 """
 
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
@@ -39,3 +39,11 @@ HostReadings: TypeAlias = dict[str, np.ndarray]
 
 # What a recurrent policy remembers between steps; `None` for policies without memory.
 Carry: TypeAlias = Any
+
+# What actions are: a vector of real numbers, or one of `action_size` choices. A choice is written
+# as a one-hot vector, so that actions are float arrays of `action_size` components either way.
+ActionKind: TypeAlias = Literal["continuous", "discrete"]
+
+# The reward that a policy is shown: the one that is paid, dense or sparse as the world says, or
+# the sparse one wherever it plays.
+ObservedReward: TypeAlias = Literal["paid", "sparse"]

@@ -13,6 +13,7 @@ COMMANDS = {
     "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
+    "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list the methods and the families of tasks",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
@@ -69,7 +70,7 @@ def _user_errors() -> tuple[type[Exception], ...]:
     names = {
         "maesn.runs.storage": ("RunError",),
         "maesn.runs.training": ("TrainingError",),
-        "maesn.physics": ("EngineError",),
+        "maesn.physics": ("EngineError", "RenderingError"),
         "maesn.worlds": ("EpisodeError",),
         "maesn.report": ("ReportError",),
     }

@@ -10,6 +10,40 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
 from maesn.numerics import AbstractDistribution
+from maesn.policies import PolicyInput
+
+
+class TrialMemory(eqx.Module):
+    """What one episode hands to the next one of the same trial."""
+
+    hidden: Carry
+    """The policy's own memory, `[*batch ...]`; None for a policy without one."""
+    action: Float[Array, "*batch action"]
+    """The last action; 0 at the start of a trial."""
+    reward: Float[Array, "*batch"]
+    """The last reward, as it was shown; 0 at the start of a trial."""
+
+    def after(
+        self,
+        hidden: Carry,
+        action: Float[Array, "time action"],
+        observed_reward: Float[Array, " time"],
+        valid: Bool[Array, " time"],
+    ) -> "TrialMemory":
+        """Return the memory after one more episode; what is invalid is not remembered.
+
+        Args:
+            hidden: the policy's own memory after the episode.
+            action: actions of the episode.
+            observed_reward: rewards of the episode, as they were shown.
+            valid: which of its steps were played.
+        """
+        last = jnp.maximum(valid.sum() - 1, 0)
+        return TrialMemory(
+            hidden,
+            jnp.where(valid.any(), action[last], self.action),
+            jnp.where(valid.any(), observed_reward[last], self.reward),
+        )
 
 
 class Episodes(eqx.Module):
@@ -20,7 +54,9 @@ class Episodes(eqx.Module):
     """
 
     observation: Float[Array, "*batch time_plus_1 observation"]
-    """o_0 ... o_T. The last one is needed for bootstrapping and for models of the dynamics."""
+    """o_0 ... o_T. The last one is needed for bootstrapping and for models of the dynamics.
+
+    The state that terminates an episode need not be finite: whoever reads o_{t+1} must mask it."""
     action: Float[Array, "*batch time action"]
     """The policy's own actions, before the environment clips or scales them."""
     reward: Float[Array, "*batch time"]
@@ -31,6 +67,8 @@ class Episodes(eqx.Module):
     """True while the episode has not terminated before step t."""
     solved: Bool[Array, "*batch time"]
     """Whether the state after step t lies in the goal region."""
+    solved_at_start: Bool[Array, "*batch"]
+    """Whether the episode starts in the goal region: what is solved then, nobody has solved."""
     terminated: Bool[Array, "*batch"]
     """Whether the episode ended by nature rather than by the clock."""
     noise: Float[Array, "*batch noise"]
@@ -39,8 +77,34 @@ class Episodes(eqx.Module):
     """What the policy was fed throughout the episode: the recorded latent z."""
     behaviour: AbstractDistribution
     """The distribution that each action was drawn from, `[*batch time action]`."""
-    carry: Carry
-    """Memory of the policy after the last step, `[*batch ...]`; None without memory."""
+    carry: TrialMemory | None
+    """Memory after the last step, to go on from in the next episode of the trial."""
+    start: TrialMemory | None = None
+    """Memory before the first step; None at the start of a trial of a policy without memory."""
+    observed_reward: Float[Array, "*batch time"] | None = None
+    """r_t as it was shown to the policy; None if that is `reward`."""
+
+    def policy_inputs(self) -> PolicyInput:
+        """Return what the policy was told at every step, `[*batch time ...]`; 0 where invalid."""
+        steps = self.action.shape[-2]
+        rewards = self.reward if self.observed_reward is None else self.observed_reward
+        first_action, first_reward = (
+            jnp.zeros_like(self.action[..., 0, :]),
+            jnp.zeros_like(rewards[..., 0]),
+        )
+        if self.start is not None:
+            first_action, first_reward = self.start.action, self.start.reward
+        previous_action = jnp.concatenate(
+            [first_action[..., None, :], self.action[..., :-1, :]], axis=-2
+        )
+        previous_reward = jnp.concatenate([first_reward[..., None], rewards[..., :-1]], axis=-1)
+        # Zeros instead of garbage, since the gradient of a masked NaN is NaN.
+        return PolicyInput(
+            observation=jnp.where(self.valid[..., None], self.observation[..., :steps, :], 0.0),
+            previous_action=jnp.where(self.valid[..., None], previous_action, 0.0),
+            previous_reward=jnp.where(self.valid, previous_reward, 0.0),
+            episode_start=self.valid.at[..., 1:].set(False),
+        )
 
     @property
     def undiscounted_return(self) -> Float[Array, "*batch"]:
@@ -52,7 +116,8 @@ class Episodes(eqx.Module):
 
         Neighbouring steps of an episode resemble each other, so an average over the thinned steps
         is nearly as good as one over all. What needs whole episodes (returns) must be computed
-        before. `observation` keeps no final state: it has as many entries as `action`.
+        before, and a policy with memory needs all steps, a stride of 1. `observation` keeps no
+        final state: it has as many entries as `action`.
         """
         time = self.action.shape[-2]
         stride = min(stride, time)
@@ -71,11 +136,14 @@ class Episodes(eqx.Module):
             goal_reward=thin(self.goal_reward, batch_rank),
             valid=thin(self.valid, batch_rank),
             solved=thin(self.solved, batch_rank),
+            solved_at_start=self.solved_at_start,
             terminated=self.terminated,
             noise=self.noise,
             context=self.context,
             behaviour=jax.tree.map(lambda x: thin(x, batch_rank), self.behaviour),
             carry=None,
+            start=self.start if stride == 1 else None,
+            observed_reward=jax.tree.map(lambda x: thin(x, batch_rank), self.observed_reward),
         )
 
 
@@ -102,8 +170,8 @@ class Collect(Protocol):
                 played in it depends neither on the other slots nor on how many there are.
             agents: one agent per task slot.
             task_index: which task each slot plays.
-            carry: memory that the policies start with, `[task, episode, ...]`; None to start a
-                trial afresh.
+            carry: memory of the trials that go on, `[task, episode, ...]`, as `Episodes.carry` of
+                the episodes before; None to start trials afresh.
 
         Returns:
             Episodes with the leading axes `task episode`.

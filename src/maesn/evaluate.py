@@ -1,6 +1,6 @@
 """Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +13,8 @@ from maesn.axes import TaskKeys
 from maesn.episodes import Collect, Episodes
 from maesn.learners import AbstractFastLearner
 
+# An "update" that no adaptation reaches: its keys are those of the learners themselves.
+_START = 0xFFFFFFFF
 CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
 
 
@@ -33,6 +35,8 @@ class AdaptationCurves(eqx.Module):
     """Share of the episodes that end in the goal region."""
     time_in_region: Float[Array | np.ndarray, "task *update"]
     """Share of the steps that are spent in the goal region."""
+    solved_at_reset: Float[Array | np.ndarray, "task *update"]
+    """Share of the episodes that start in the goal region: their success is no achievement."""
 
 
 class AdaptationOutcome(NamedTuple):
@@ -44,6 +48,9 @@ class AdaptationOutcome(NamedTuple):
     first_update: int
     """Number of updates that lie before the first column."""
     episodes_per_update: int
+    """Number of episodes of a task that an update learns from."""
+    trial_episodes: int | None = None
+    """Number of episodes that meta-training has prepared for; None if there is no such limit."""
 
 
 def adapt(
@@ -56,8 +63,9 @@ def adapt(
     chunk_size: int = CHUNK_SIZE,
     start: Callable[[np.ndarray], Any] | None = None,
     first_update: int = 0,
+    tasks: Sequence[int] | None = None,
 ) -> AdaptationOutcome:
-    """Adapt to all tasks of a set at once.
+    """Adapt to tasks of a set, all of them at once.
 
     Args:
         learner: learns in each task separately.
@@ -70,17 +78,24 @@ def adapt(
             for the learner's own start.
         first_update: number of updates that lie behind `start`. With it, an adaptation in two
             parts plays the same episodes as one in a single part.
+        tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
+            do not depend on which others there are.
     """
+    chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
     parts = [
         _adapt_chunk(
             learner, collect, slots, range(first_update, first_update + updates + 1), seed, start
         )
-        for slots in _chunks(collect.num_tasks, chunk_size)
+        for slots in _chunks(chosen, chunk_size)
     ]
-    curves, contexts = jax.tree.map(
-        lambda *chunks: np.concatenate(chunks)[: collect.num_tasks], *parts
+    curves, contexts = jax.tree.map(lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts)
+    return AdaptationOutcome(
+        curves,
+        contexts,
+        first_update,
+        learner.episodes_per_update(episodes_per_task),
+        learner.trial_episodes,
     )
-    return AdaptationOutcome(curves, contexts, first_update, episodes_per_task)
 
 
 def _adapt_chunk(
@@ -91,11 +106,12 @@ def _adapt_chunk(
     seed: int,
     start: Callable[[np.ndarray], Any] | None,
 ) -> tuple[AdaptationCurves, Any]:
-    state = learner.init(len(slots)) if start is None else start(slots)
+    state = learner.init(_task_keys(seed, _START, slots)) if start is None else start(slots)
     curves, contexts = [], []
     for update in updates:
         agents = learner.agents(state)
-        episodes = collect(_task_keys(seed, update, slots), agents, jnp.asarray(slots))
+        keys, memory = _task_keys(seed, update, slots), learner.memory(state)
+        episodes = collect(keys, agents, jnp.asarray(slots), memory)
         curves.append(jax.tree.map(np.asarray, measure(episodes)))
         contexts.append(jax.tree.map(np.asarray, agents.context))
         if update < updates[-1]:
@@ -117,18 +133,19 @@ def measure(episodes: Episodes) -> AdaptationCurves:
         success_rate=solved.any(-1).mean(-1),
         final_success_rate=final.mean(-1),
         time_in_region=solved.sum((1, 2)) / steps,
+        solved_at_reset=episodes.solved_at_start.mean(-1),
     )
 
 
-def _chunks(num_tasks: int, chunk_size: int) -> Iterator[np.ndarray]:
+def _chunks(tasks: np.ndarray, chunk_size: int) -> Iterator[np.ndarray]:
     """Cut the tasks into chunks of one size; the last one repeats its last task as padding."""
-    size = min(chunk_size, num_tasks)
-    for first in range(0, num_tasks, size):
-        yield np.minimum(np.arange(first, first + size), num_tasks - 1)
+    size = min(chunk_size, len(tasks))
+    for first in range(0, len(tasks), size):
+        yield tasks[np.minimum(np.arange(first, first + size), len(tasks) - 1)]
 
 
 def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
-    update_key = jax.random.fold_in(jax.random.key(seed), update)
+    update_key = jax.random.fold_in(jax.random.key(seed), np.uint32(update))
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
 
 
@@ -156,4 +173,5 @@ def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
                 "success_rate": float(curves.success_rate[task, column]),
                 "final_success_rate": float(curves.final_success_rate[task, column]),
                 "time_in_region": float(curves.time_in_region[task, column]),
+                "solved_at_reset": float(curves.solved_at_reset[task, column]),
             }

@@ -1,15 +1,17 @@
 """Record how an agent explores, for the paper's figures 6 and 8."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from maesn.agent import Agents
+from maesn.axes import TaskKeys
 from maesn.context import Latent
-from maesn.learners import GradientFastLearner
+from maesn.learners import AbstractFastLearner
 from maesn.rollout import Collector
 
 # Standard deviation of a latent that is held fixed: small enough not to matter, and its
@@ -31,26 +33,40 @@ class Exploration(NamedTuple):
     method without a latent."""
 
 
-def explore(learner: GradientFastLearner, collect: Collector, seed: int = 0) -> Exploration:
+def explore(
+    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1, seed: int = 0
+) -> Exploration:
     """Play from the start in new tasks, once drawing z and once holding it fixed.
 
     Args:
         learner: the fast learner of a trained or untrained policy.
-        collect: a world; only its first task is played. Observations do not contain the task, so
-            which one it is makes no difference to where the agent goes.
+        collect: a world. Of each of its tasks that is played it plays `episodes_per_task`.
+        num_tasks: the first so many tasks of the world are played, the same ones in both cases;
+            from the first one again if there are not as many. One is enough if all tasks look the
+            same to the agent. If it sees what differs (how a table is laid, or an instruction),
+            each shows a part of what it does.
         seed: of the episodes.
     """
-    agents = learner.agents(learner.init(1))
-    paths, latents = _play(agents, collect, seed)
+    keys = jax.random.split(jax.random.key(seed), num_tasks)
+    agents = learner.agents(learner.init(keys))
+    paths, latents = _play(agents, collect, keys)
     if not isinstance(agents.context, Latent):
         return Exploration(paths, latents, None)
     fixed = Latent(agents.context.mean, jnp.full_like(agents.context.mean, np.log(FIXED_STD)))
-    fixed_agents = Agents(agents.policy, fixed, agents.shares_policy)
-    return Exploration(paths, latents, _play(fixed_agents, collect, seed)[0])
+    fixed_agents = dataclasses.replace(agents, context=fixed)
+    return Exploration(paths, latents, _play(fixed_agents, collect, keys)[0])
 
 
-def _play(agents: Agents, collect: Collector, seed: int) -> tuple[Paths, Any]:
-    keys = jax.random.split(jax.random.key(seed), 1)
-    episodes = collect(keys, agents, jnp.zeros(1, int))
-    position = jax.vmap(jax.vmap(collect.world.env.position))(episodes.observation[0])
-    return np.asarray(position), np.asarray(episodes.context[0])
+def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, Any]:
+    """Return the paths and the latents of all episodes, task by task."""
+    episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
+    position = jax.vmap(jax.vmap(jax.vmap(collect.world.env.position)))(episodes.observation)
+    paths = jax.vmap(jax.vmap(_stay))(position, episodes.valid)
+    return np.concatenate(paths), np.concatenate(episodes.context)
+
+
+def _stay(
+    path: Float[Array, "time_plus_1 2"], valid: Bool[Array, " time"]
+) -> Float[Array, "time_plus_1 2"]:
+    """Let a path end where its episode does: what comes later is garbage."""
+    return path[jnp.minimum(jnp.arange(len(path)), valid.sum())]

@@ -1,5 +1,6 @@
 """Play episodes in any world: makes the function `collect` that learners are given."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agent, Agents
-from maesn.axes import Carry, Key, Readings, TaskKeys
+from maesn.axes import Carry, HostReadings, Key, ObservedReward, Readings, TaskKeys
 from maesn.envs.base import AnyEnv, Reward
-from maesn.episodes import Episodes
+from maesn.episodes import Episodes, TrialMemory
 from maesn.policies import PolicyInput
 from maesn.worlds import (
     AbstractWorld,
@@ -19,7 +20,6 @@ from maesn.worlds import (
     EpisodeError,
     Moment,
     SimulationFailure,
-    Start,
     Trajectory,
 )
 
@@ -47,7 +47,19 @@ class Collector:
 
         Raises:
             EpisodeError: physics or reward of an episode became non-finite.
+            ValueError: the policy's actions are of another kind than the environment's.
         """
+        return self.play(keys, agents, task_index, carry)[0]
+
+    def play(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> tuple[Episodes, Readings | HostReadings]:
+        """Play episodes as a call does, and keep the states.
+
+        Returns:
+            The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
+        """
+        self._check_actions(agents)
         tasks = self.world.tasks[np.asarray(task_index)]
         actors, start, fresh_carry = self._begin(keys, agents, tasks)
         carry = fresh_carry if carry is None else carry
@@ -59,10 +71,18 @@ class Collector:
             raise EpisodeError(
                 self.world.env.name, task, episode, failure.step, failure.reason
             ) from failure
-        episodes, finite = self._finish(actors, trajectory)
+        episodes, finite = self._finish(actors, trajectory, carry)
         if not bool(finite.all()):
             self._refuse(np.asarray(finite), np.asarray(task_index))
-        return episodes
+        return episodes, trajectory.readings
+
+    def _check_actions(self, agents: Agents) -> None:
+        env, kind = self.world.env, agents.policy.action_kind
+        if kind != env.action_kind:
+            raise ValueError(
+                f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
+                f"{kind}: choose a policy, or its `action_kind`, that fits."
+            )
 
     def _refuse(self, finite: np.ndarray, task_index: np.ndarray) -> None:
         task_slot, episode, step = np.argwhere(~finite)[0]
@@ -74,9 +94,7 @@ class Collector:
             "observation, action or reward is not finite",
         )
 
-    def _begin_batch(
-        self, keys: TaskKeys, agents: Agents, tasks: Any
-    ) -> tuple[Actors, Start, Carry]:
+    def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any, Carry]:
         """Draw contexts and initial states of all episodes."""
         env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
 
@@ -85,11 +103,10 @@ class Collector:
                 jax.random.fold_in(key, episode), 3
             )
             noise = jax.random.normal(context_key, (agent.context.noise_size,))
-            qpos, qvel = env.initial(start_key, task)
-            fields = env.model_fields(task)
-            carry = agent.policy.initial_carry()
+            hidden = agent.policy.initial_carry()
+            carry = TrialMemory(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
             context = agent.context.draw(noise)
-            return noise, context, action_key, (qpos, qvel, fields), carry
+            return noise, context, action_key, env.start(start_key, task), carry
 
         def begin_task(agent: Agent, key: Key, task: Any) -> Any:
             return jax.vmap(begin_episode, in_axes=(None, None, None, 0))(
@@ -98,7 +115,7 @@ class Collector:
 
         noise, context, action_keys, start, carry = agents.vmap(begin_task)(keys, tasks)
         actors = Actors(agents, tasks, noise, context, action_keys)
-        return actors, Start(*jax.tree.map(_join_batch_axes, start)), carry
+        return actors, jax.tree.map(_join_batch_axes, start), carry
 
     def _decide(self, actors: Actors, moment: Moment) -> Decision:
         """Ask the policies for the step of every episode."""
@@ -111,28 +128,34 @@ class Collector:
 
         def decide(
             agent: Agent, task: Any, context: Array, key: Key, now: Readings, before: Readings,
-            previous_action: Array, carry: Carry,
+            previous_action: Array, carry: TrialMemory, ended: Array,
         ) -> Any:  # fmt: skip
-            reward = env.reward(before, previous_action, now, task).total
+            reward = env.observed_reward(
+                agent.policy.observed_reward, before, previous_action, now, task
+            )
             policy_input = PolicyInput(
                 observation=_observe(env, now, task),
-                previous_action=previous_action,
-                previous_reward=jnp.where(start, 0.0, reward),
+                previous_action=jnp.where(start, carry.action, previous_action),
+                previous_reward=jnp.where(start, carry.reward, reward),
                 episode_start=start,
             )
-            distribution, carry = agent.policy(policy_input, context, carry)
+            distribution, hidden = agent.policy(agent.perceive(policy_input), context, carry.hidden)
             action = distribution.sample(jax.random.fold_in(key, moment.step))
-            return env.control(action), action, distribution, carry
+            # What is seen from here on may be NaN: it must not stay in the memory.
+            ended = ended | _ends(env, now)
+            hidden = jax.tree.map(lambda old, new: jnp.where(ended, old, new), carry.hidden, hidden)
+            carry = TrialMemory(hidden, carry.action, carry.reward)
+            return env.control(action), action, distribution, carry, ended
 
-        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0))
-        control, action, distribution, carry = actors.agents.vmap(per_task)(
+        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0))
+        control, *others = actors.agents.vmap(per_task)(
             actors.tasks, actors.context, actors.action_keys, readings, previous,
-            moment.previous_action, moment.carry,
+            moment.previous_action, moment.carry, moment.ended,
         )  # fmt: skip
-        return Decision(_join_batch_axes(control), action, distribution, carry)
+        return Decision(_join_batch_axes(control), *others)
 
     def _assemble(
-        self, actors: Actors, trajectory: Trajectory
+        self, actors: Actors, trajectory: Trajectory, memory: TrialMemory
     ) -> tuple[Episodes, Bool[Array, "task episode time"]]:
         """Turn what was read and done into episodes; also say which steps are finite."""
         shape = actors.context.shape[:2]
@@ -143,48 +166,72 @@ class Collector:
         action, behaviour = jax.tree.map(
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
-        judge = jax.vmap(jax.vmap(self._judge, in_axes=(0, 0, None)))
-        observation, reward, solved, ended = judge(readings, action, actors.tasks)
+        shown = actors.agents.policy.observed_reward
+        judge = jax.vmap(jax.vmap(partial(self._judge, shown), in_axes=(0, 0, None)))
+        observation, reward, observed, solved, ended = judge(readings, action, actors.tasks)
+        terminated = jax.vmap(jax.vmap(partial(_ends_by_nature, self.world.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
+        remember = jax.vmap(jax.vmap(TrialMemory.after))
         episodes = Episodes(
             observation=observation,
             action=action,
             reward=reward.total,
             goal_reward=reward.goal,
             valid=valid,
-            solved=jnp.logical_and(solved, valid),
-            terminated=ended[..., -1],
+            solved=jnp.logical_and(solved[..., 1:], valid),
+            solved_at_start=solved[..., 0],
+            terminated=terminated,
             noise=actors.noise,
             context=actors.context,
             behaviour=behaviour,
-            carry=trajectory.carry,
+            carry=remember(memory, trajectory.carry.hidden, action, observed, valid),
+            start=memory,
+            observed_reward=observed,
         )
         finite = jnp.isfinite(reward.total) & jnp.isfinite(action).all(-1)
         finite &= jnp.isfinite(observation[..., :-1, :]).all(-1)
         return episodes, finite | ~valid
 
     def _judge(
-        self, readings: Readings, action: Float[Array, "time action"], task: Any
-    ) -> tuple[Array, Reward, Array, Array]:
+        self,
+        shown: ObservedReward,
+        readings: Readings,
+        action: Float[Array, "time action"],
+        task: Any,
+    ) -> tuple[Array, Reward, Array, Array, Array]:
         """Evaluate the environment along one episode.
 
         Returns:
-            Observations `[time_plus_1, observation]`, rewards `[time]`, whether the goal region is
-            reached after each step `[time]`, and whether the episode has ended at or before each
-            state `[time_plus_1]`.
+            Observations `[time_plus_1, observation]`, rewards as they are paid and as they are
+            shown `[time]`, whether each state lies in the goal region and whether the episode has
+            ended at or before it `[time_plus_1]`.
         """
         env = self.world.env
         before = jax.tree.map(lambda x: x[:-1], readings)
         after = jax.tree.map(lambda x: x[1:], readings)
         observation = jax.vmap(lambda r: _observe(env, r, task))(readings)
         reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
-        solved = jax.vmap(lambda r: env.solved(r, task))(after)
-        ended = jnp.cumsum(jax.vmap(env.terminated)(readings)) > 0
-        return observation, reward, solved, ended
+        observed = jax.vmap(lambda r, a, n: env.observed_reward(shown, r, a, n, task))(
+            before, action, after
+        )
+        solved = jax.vmap(lambda r: env.solved(r, task))(readings)
+        ended = jnp.cumsum(jax.vmap(partial(_ends, env))(readings)) > 0
+        return observation, reward, observed, solved, ended
 
 
 def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
     return jnp.concatenate([env.observe(readings), env.instruction(task)])
+
+
+def _ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether an episode ends in this state, by nature or by its world's own clock."""
+    return env.terminated(readings) | env.truncated(readings)
+
+
+def _ends_by_nature(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether an episode of states `[time_plus_1]` is ended by nature: what comes first counts."""
+    first = jnp.argmax(jax.vmap(partial(_ends, env))(readings))
+    return env.terminated(jax.tree.map(lambda x: x[first], readings))
 
 
 def _join_batch_axes(x: Array) -> Array:

@@ -77,23 +77,14 @@ def action_distributions(
         episodes: one task's episodes.
         drawn: what the policy is fed in each episode.
     """
-    steps = episodes.valid.shape[1]
-    # Zeros instead of garbage, since the gradient of a masked NaN is NaN.
-    observation = jnp.where(episodes.valid[..., None], episodes.observation[:, :steps], 0.0)
 
-    def distribution(
-        observed: Float[Array, " observation"], context: Float[Array, " context"]
+    def unroll(
+        one: Episodes, inputs: PolicyInput, context: Float[Array, " context"]
     ) -> AbstractDistribution:
-        policy_input = PolicyInput(
-            observed,
-            previous_action=jnp.zeros(episodes.action.shape[-1]),
-            previous_reward=jnp.zeros(()),
-            episode_start=jnp.zeros((), bool),
-        )
-        return agent.policy(policy_input, context, None)[0]
+        carry = agent.policy.initial_carry() if one.start is None else one.start.hidden
+        return agent.policy.unroll(agent.perceive(inputs), one.valid, context, carry)[0]
 
-    per_episode = jax.vmap(distribution, in_axes=(0, None))
-    return jax.vmap(per_episode)(observation, drawn)
+    return jax.vmap(unroll)(episodes, episodes.policy_inputs(), drawn)
 
 
 def _actions(episodes: Episodes) -> Float[Array, "episode time action"]:

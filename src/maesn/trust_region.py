@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.numerics import AbstractDistribution, conjugate_gradient
+from maesn.numerics import AbstractDistribution, conjugate_gradient, multiply
 
 Parameters = TypeVar("Parameters")
 Vector = Float[Array, " parameter"]
@@ -94,7 +94,7 @@ class TrustRegion(eqx.Module):
         product = self._curvature(lambda x: distribution(unravel(x)), flat, weight)
         solution = conjugate_gradient(product, -gradient, self.cg_steps)
         direction = solution.solution
-        curvature = direction @ product(direction)
+        curvature = multiply(direction, product(direction))
         longest = jnp.sqrt(2 * self.max_kl / (curvature + CURVATURE_EPSILON)) * direction
         search = self._search(lambda x: evaluate(unravel(x)), flat, longest, before)
         info = TrustRegionInfo(

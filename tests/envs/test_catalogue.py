@@ -11,8 +11,11 @@ EVERY = FAMILIES | PROBES
 
 
 def test_names_are_unique_and_complete() -> None:
-    assert list(FAMILIES) == ["point", "wheeled"]
-    assert list(PROBES) == ["hidden_target", "delayed_target", "hidden_side", "hidden_end"]
+    assert list(FAMILIES) == ["point", "wheeled", "ant", "blockpush"]
+    assert list(PROBES) == [
+        *("hidden_target", "delayed_target", "hidden_side", "hidden_end"),
+        *("bandit", "chain"),
+    ]
     assert all(family.name == name for name, family in EVERY.items())
 
 

@@ -146,7 +146,8 @@ def test_outer_step(case: str) -> None:
     learner, old = learner_for(problem), to_library(problem.parameters)
     played = experience_for(learner, problem, ROWS)
     adaptation, index = learner.adaptation.at(0), jnp.asarray(ROWS)
-    actual, info = learner._improve(adaptation, old, index, played, jax.random.key(0))
+    state = GradientState(old, jnp.zeros((), int))
+    after, info = learner._improve(adaptation, state, index, played, jax.random.key(0))
     expected = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
     step = info.trust_region
     assert expected.accepted
@@ -155,7 +156,7 @@ def test_outer_step(case: str) -> None:
     np.testing.assert_allclose(step.loss_before, expected.loss_before, atol=1e-12)
     np.testing.assert_allclose(step.loss_after, expected.loss_after, atol=1e-8)
     np.testing.assert_allclose(step.kl, expected.kl, atol=1e-8)
-    assert_parameters_close(actual, expected.parameters, atol=1e-8)
+    assert_parameters_close(after.parameters, expected.parameters, atol=1e-8)
 
 
 @pytest.mark.usefixtures("x64", "quick_compilation")

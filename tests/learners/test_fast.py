@@ -9,6 +9,7 @@ import pytest
 from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import LATENT, UNEQUAL, make_problem, play, stack
 from learning_problems.translation import learner_for, to_library
+from playing import keys
 from reference.advantage import experience
 from reference.maesn import Agent, inner_update, start
 
@@ -46,7 +47,7 @@ def test_new_tasks_start_at_the_prior_and_move_by_the_schedule(
     theta = start(problem.parameters, 0).theta
     expected = [Agent(theta, np.zeros(LATENT), np.zeros(LATENT)) for _ in range(TASKS)]
     learner = fast_learner(preset)
-    state = learner.init(TASKS)
+    state = learner.init(keys(TASKS))
     for scale in scales:
         np.testing.assert_allclose(
             state.agents.context.mean, [agent.mean for agent in expected], atol=1e-10
@@ -75,7 +76,7 @@ def test_theta_and_step_sizes_stay() -> None:
     learner = fast_learner("maesn")
     problem, rng = make_problem(2, UNEQUAL), np.random.default_rng(0)
     theta = start(problem.parameters, 0).theta
-    state = learner.init(1)
+    state = learner.init(keys(1))
     moved = learner.update(
         state, stack([play(rng, theta, np.zeros(LATENT), np.zeros(LATENT), UNEQUAL)])
     )
@@ -93,10 +94,10 @@ def test_adaptation_resumes_where_it_stopped() -> None:
     batches = [
         stack([play(rng, theta, np.zeros(LATENT), np.zeros(LATENT), UNEQUAL)]) for _ in range(4)
     ]
-    state = learner.init(1)
+    state = learner.init(keys(1))
     for episodes in batches:
         state = learner.update(state, episodes)
-    half = learner.init(1)
+    half = learner.init(keys(1))
     for episodes in batches[:2]:
         half = learner.update(half, episodes)
     contexts = learner.contexts(half)

@@ -15,7 +15,7 @@ from reference.maesn import Settings
 
 from maesn.adaptation import Adaptation, InnerStep, StepSizes
 from maesn.context import Bias, BiasContext
-from maesn.learners import GradientInfo, GradientMetaLearner
+from maesn.learners import GradientInfo, GradientMetaLearner, GradientState
 from maesn.learners.objective import MetaParameters
 from maesn.learners.presets import POLICY_STEP, latent_space, maesn, maesn_theta, maml, maml_bias
 
@@ -41,7 +41,9 @@ def improve(
     if learner.inner_updates == 0:
         played = played[-1:]
     adaptation = learner.adaptation.at(0)
-    return learner._improve(adaptation, parameters, jnp.asarray(ROWS), played, jax.random.key(0))
+    state = GradientState(parameters, jnp.zeros((), int))
+    after, info = learner._improve(adaptation, state, jnp.asarray(ROWS), played, jax.random.key(0))
+    return after.parameters, info
 
 
 def assert_close(actual: Any, expected: Any, atol: float = 1e-8) -> None:

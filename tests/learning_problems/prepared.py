@@ -124,6 +124,7 @@ def pad(episodes: list[Episode], garbage: float = 0.0) -> Episodes:
         valid=valid,
         # Garbage as well: nothing is solved in the valid steps.
         solved=jnp.zeros_like(valid) if garbage == 0 else ~valid,
+        solved_at_start=jnp.zeros(len(lengths), bool),
         terminated=jnp.asarray(lengths < HORIZON),
         noise=jnp.asarray(np.stack([e.noise for e in episodes]), dtype=float),
         context=jnp.asarray(np.stack([e.latent for e in episodes]), dtype=float),

@@ -97,7 +97,7 @@ def to_reference(parameters: MetaParameters) -> Parameters:
 @eqx.filter_jit
 def advantages_of(estimator: AdvantageEstimator, episodes: Episodes) -> Advantages:
     """Return the library's advantages, `[task, ...]`."""
-    return jax.vmap(estimator)(episodes)
+    return estimator.of_tasks(episodes)
 
 
 def experience_for(

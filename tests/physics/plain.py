@@ -28,21 +28,44 @@ def plain(
     models: list[mujoco.MjModel], names: tuple[str, ...], frame_skip: int = 1
 ) -> list[Readings]:
     """The same episodes with `mj_step`, and `mj_forward` for what is derived from the state."""
-    episodes = []
-    for model, qpos, qvel, control in zip(models, *start(), controls().swapaxes(0, 1), strict=True):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        mujoco.mj_forward(model, data)
-        episodes.append([{name: getattr(data, name).copy() for name in names}])
-        for row in control:
-            data.ctrl[:] = row
-            mujoco.mj_step(model, data, frame_skip)
-            mujoco.mj_forward(model, data)
-            episodes[-1].append({name: getattr(data, name).copy() for name in names})
+    return plain_episodes(models, *start(), controls(), names, frame_skip)
+
+
+def plain_episodes(
+    models: list[mujoco.MjModel],
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    control: np.ndarray,
+    names: tuple[str, ...],
+    frame_skip: int = 1,
+) -> list[Readings]:
+    """One episode on each model, one after the other; `control` is `[time, simulation, ...]`."""
+    begins = zip(models, qpos, qvel, control.swapaxes(0, 1), strict=True)
+    episodes = [_episode(*begin, names, frame_skip) for begin in begins]
     return [
         {name: np.stack([moment[name] for moment in moments]) for name in names}
         for moments in zip(*episodes, strict=True)
     ]
+
+
+def _episode(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    control: np.ndarray,
+    names: tuple[str, ...],
+    frame_skip: int,
+) -> list[Readings]:
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(model, data)
+    moments = [{name: getattr(data, name).copy() for name in names}]
+    for row in control:
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data, frame_skip)
+        mujoco.mj_forward(model, data)
+        moments.append({name: getattr(data, name).copy() for name in names})
+    return moments
 
 
 def assert_equal(got: list[Readings], expected: list[Readings]) -> None:

@@ -21,6 +21,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     table = read_adaptation(path)
     for name in MEASURES:
         np.testing.assert_array_equal(table.measure(name), written.measure(name))
+    np.testing.assert_array_equal(table.solved_at_reset, written.solved_at_reset)
     assert (table.tasks, table.reward) == ("validation", "dense")
     assert table.episodes.tolist() == [0, 50, 100, 150]
     assert table.updates.tolist() == [0, 1, 2, 3]
@@ -57,10 +58,39 @@ def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:
     assert (reach.share, reach.episodes) == (2 / NUM_TASKS, 50)
 
 
+def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
+    rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
+    rates[:2, 0] = 0.02, 1.0
+    at_reset = np.zeros_like(rates)
+    at_reset[1] = 1.0
+    table = replace(adaptation_table(), success_rate=rates, solved_at_reset=at_reset)
+    assert np.flatnonzero(table.is_solved_at_reset).tolist() == [1]
+    reach = table.prior_reach
+    assert reach is not None
+    assert (reach.share, reach.num_tasks) == (1 / (NUM_TASKS - 1), NUM_TASKS - 1)
+    rest = table.select(~table.is_solved_at_reset)
+    assert (rest.num_tasks, rest.is_solved_at_reset.any()) == (NUM_TASKS - 1, False)
+    np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
+    everything = replace(table, solved_at_reset=np.ones_like(rates))
+    assert everything.prior_reach is None
+
+
+def test_a_table_of_an_earlier_version_is_read_and_says_nothing_of_resets(tmp_path: Path) -> None:
+    path = tmp_path / "test-sparse.csv"
+    written = replace(adaptation_table(), solved_at_reset=None)
+    write_adaptation(path, written)
+    table = read_adaptation(path)
+    assert table.solved_at_reset is None
+    assert not table.is_solved_at_reset.any()
+    assert table.prior_reach == written.prior_reach
+    np.testing.assert_array_equal(table.mean_return, written.mean_return)
+    assert table.select(np.arange(NUM_TASKS) < 2).num_tasks == 2
+
+
 def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
     table = adaptation_table()
     column = {name: table.measure(name)[:, :1] for name in MEASURES}
-    single = replace(table, episodes=table.episodes[:1], **column)
+    single = replace(table, episodes=table.episodes[:1], solved_at_reset=None, **column)
     assert single.episodes_per_update is None
     assert single.prior_reach is None
 

@@ -27,7 +27,6 @@ from maesn.report.figures.plane import (
     direction_scale,
     directions,
     final_positions,
-    reached,
     shared_limits,
 )
 from maesn.report.figures.structured_noise import plot_structured_noise
@@ -72,7 +71,7 @@ def test_exploration() -> None:
     share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
     assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
     assert maml.get_title() == "MAML"
-    assert untrained.get_title() == "untrained policy\n0% of the goals in 5 episodes"
+    assert untrained.get_title() == "untrained policy\n29% of the goals in 10 episodes"
     np.testing.assert_array_equal(segments(maesn), exploration().prior_paths)
     np.testing.assert_array_equal(segments(untrained), exploration().untrained_paths)
     for axes in figure.axes:
@@ -94,14 +93,12 @@ def test_lower_left_panels_keep_their_labels(number: int) -> None:
     assert axes[0].get_ylabel() == "y (m)"
 
 
-def test_the_share_of_the_untrained_policy_is_counted() -> None:
-    goals = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-    paths = fan(np.array([0.0, np.pi / 2]), 0.5)
-    paths[1, -3:] = np.nan  # an episode that ended early
-    # The second episode got as far as 17/20 of 0.5 m, 0.575 m from the second goal.
-    assert reached(goals, paths, 0.49).tolist() == [False, False, False]
-    assert reached(goals, paths, 0.57).tolist() == [True, False, False]
-    assert reached(goals, paths, 0.58).tolist() == [True, True, False]
+def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() -> None:
+    reach = exploration().untrained_reach
+    assert reach is not None
+    assert (reach.share, reach.episodes, reach.num_tasks) == (2 / 7, 10, 7)
+    everything = replace(exploration(), solved_at_reset=np.ones(NUM_TASKS))
+    assert everything.untrained_reach is None
 
 
 def test_final_positions_are_the_last_that_were_played() -> None:

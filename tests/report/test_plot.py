@@ -104,7 +104,8 @@ def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None
     run = write_run(tmp_path / "run", without=["metrics"])
     file = run / "figures" / "exploration.npz"
     arrays = dict(np.load(file))
-    np.savez(file, **{**arrays, "goals": arrays["goals"][:3]})
+    cut = ("goals", "untrained_success_rate", "solved_at_reset")
+    np.savez(file, **arrays | {name: arrays[name][:3] for name in cut})
     names, said = draw([run], tmp_path / "out")
     assert "latents-maesn-test-sparse" in names
     assert "prior episodes" not in said

@@ -127,11 +127,12 @@ def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"goals": None}, r"`goals` \[task, 2\] .* got fixed_paths, prior_latents"),
+        ({"goals": None}, r"`goals` \[task, 2\] .* got episodes_per_task, fixed_paths"),
         ({"goals": np.zeros((3, 3))}, r"`goals` \[task, 2\] .* got float64 \[3, 3\]"),
         ({"prior_paths": np.zeros((0, 5, 2))}, r"`prior_paths` .* got float64 \[0, 5, 2\]"),
         ({"prior_paths": np.array(["x"])}, r"`prior_paths` \[episode, time, 2\] .* got <U1 \[1\]"),
         ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, context\] .* got float64 \[2"),
+        ({"solved_at_reset": np.zeros(3)}, r"`solved_at_reset` \[8\] .* got float64 \[3\]"),
         ({"sparse_radius": np.zeros(2)}, r"`sparse_radius` \[\] .* got float64 \[2\]"),
         ({"goals": np.array([None])}, "something else that cannot be read"),
     ],

@@ -2,6 +2,7 @@
 
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 from maesn.report import print_adaptation_summary
 from maesn.report.adaptation_table import MEASURES
 from maesn.report.statistics import difference_interval, mean_interval
-from maesn.report.tables import IntervalTable, difference_table, summary_table
+from maesn.report.tables import IntervalTable, difference_table, summary_table, summary_tables
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
@@ -80,6 +81,28 @@ def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
     last = [cell.mean for cell in table.cells[-1]]
     printed = numbers(rows[-1])[::2]
     np.testing.assert_allclose(printed, np.array(last) * [1, 1, 100, 100, 100], atol=0.0501)
+
+
+def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> None:
+    at_reset = np.zeros((30, NUM_UPDATES + 1))
+    at_reset[[4, 7, 8]] = 1.0
+    tables = [replace(table, solved_at_reset=at_reset) for table in TABLES]
+    everything, others = summary_tables(tables, "MAESN")
+    assert everything.note == "3 of the 30 tasks are solved at reset."
+    assert everything.note in everything.to_markdown()
+    assert everything.note in shown(everything)
+    assert (others.title, others.note) == ("MAESN, without tasks solved at reset", "")
+    rest = [np.delete(table.mean_return[:, -1], [4, 7, 8]) for table in TABLES]
+    assert others.cells[-1][0] == mean_interval(np.stack(rest))
+    assert difference_table(tables, {"MAML": TABLES}, "").note == everything.note
+
+
+def test_where_no_task_is_solved_at_reset_there_is_one_table_without_a_note() -> None:
+    (summary,) = summary_tables(TABLES, "MAESN")
+    assert summary.note == ""
+    all_solved = replace(TABLES[0], solved_at_reset=np.ones((30, NUM_UPDATES + 1)))
+    (summary,) = summary_tables([all_solved], "MAESN")
+    assert summary.note == "30 of the 30 tasks are solved at reset."
 
 
 def test_one_task_has_means_without_intervals() -> None:

@@ -1,18 +1,19 @@
 """A new run that begins with what another one has learned."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-from small_runs import create, finish, goals, reopened, tensors, tiny_maesn
+from small_runs import create, goals, reopened, tiny_maesn, tiny_settings
 
 from maesn.context import BiasContext, LatentContext
 from maesn.policies import GaussianMLP
+from maesn.runs.beginning import begun_state
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
-from maesn.runs.training import init_from
 
 
 def save_changed(run: Run, change: float) -> Any:
@@ -27,10 +28,10 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
     learner = tiny_maesn(context=context)
     learned = save_changed(create(tmp_path / "source", learner), 1.0)
     np.savez(tmp_path / "mine.npz", goal=goals(7))
-    run = create(tmp_path / "run", learner, tasks=str(tmp_path / "mine.npz"), seed=9)
-    fresh = run.latest_state()
-    init_from(run, tmp_path / "source")
-    begun = reopened(run).latest()
+    settings = tiny_settings(tasks=str(tmp_path / "mine.npz"), seed=9)
+    begin = partial(begun_state, source_directory=tmp_path / "source")
+    run = Run.create(tmp_path / "run", learner, settings, first_state=begin)
+    fresh, begun = run.untrained_state(), reopened(run).latest()
     assert begun.iteration == begun.environment_steps == int(begun.state.iteration) == 0
     kept = [begun.state.parameters.policy, begun.state.parameters.step_sizes]
     wanted = [learned.parameters.policy, learned.parameters.step_sizes]
@@ -60,14 +61,7 @@ def test_a_source_that_does_not_fit_is_refused(
     tmp_path: Path, learner: Any, settings: dict[str, Any], said: str
 ) -> None:
     create(tmp_path / "source", learner, **settings)
-    run = create(tmp_path / "run", tiny_maesn())
-    before = tensors(run.checkpoints()[0])
+    begin = partial(begun_state, source_directory=tmp_path / "source")
     with pytest.raises(RunError, match=said):
-        init_from(run, tmp_path / "source")
-    assert tensors(run.checkpoints()[0]) == before
-
-
-def test_a_trained_run_cannot_begin_again(tmp_path: Path) -> None:
-    run = finish(create(tmp_path / "run"), iterations=3)
-    with pytest.raises(RunError, match=r"must be a new run .* has done 3 iterations"):
-        init_from(run, create(tmp_path / "source").directory)
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), first_state=begin)
+    assert not (tmp_path / "run").exists()

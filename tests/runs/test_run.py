@@ -5,6 +5,9 @@ import errno
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +117,32 @@ def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
     run = create(tmp_path / "a", tasks="validation")
     assert run.training_tasks.digest() == POINT.task_set("validation").digest()
     assert Run.open(run.directory).task_set("training").digest() == run.training_tasks.digest()
+
+
+CREATES = """
+import os, signal, sys
+from small_runs import Drift, tiny_settings
+from maesn.runs.run import Run
+def die(run):
+    os.kill(os.getpid(), signal.SIGKILL)
+Run.create(sys.argv[1], Drift(), tiny_settings(), first_state=die)
+"""
+
+
+def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    tests = str(Path(__file__).parents[1])
+    environment = os.environ | {"PYTHONPATH": tests}
+    died = subprocess.run(
+        [sys.executable, "-c", CREATES, str(directory)], env=environment, check=False
+    )
+    assert died.returncode == -signal.SIGKILL
+    assert (directory / "checkpoints").exists()
+    with pytest.raises(RunError, match="there is no run in"):
+        Run.open(directory)
+    made = create(directory)
+    assert Run.open(directory).config == made.config
+    assert sorted(entry.name for entry in directory.iterdir()) == ["checkpoints", "config.json"]
 
 
 def test_a_directory_in_use_is_left_alone(directory: Path) -> None:

@@ -130,6 +130,37 @@ def test_tasks_that_cannot_be_used(tmp_path: Path, write: Callable[[Path], Any],
     assert not (tmp_path / "sprung").exists()
 
 
+def laid(**changes: Any) -> dict[str, Any]:
+    tasks = FAMILIES["blockpush"].task_set("test", size=5).tasks
+    return tasks._asdict() | changes
+
+
+def test_laid_tables_of_a_user(tmp_path: Path) -> None:
+    block = np.array([4, 3, 2, 1, 0])  # of another integer type than the family's own
+    file = write_goals(tmp_path / "mine.npz", **laid(block=block))
+    found = load_tasks(file, FAMILIES["blockpush"]).tasks
+    assert (found.block.tolist(), found.block.dtype) == (block.tolist(), np.int32)
+    np.testing.assert_array_equal(found.layout, laid()["layout"])
+    run = create(tmp_path / "run", tiny_maesn(), family="blockpush", tasks=str(file))
+    assert run.latest_state().parameters.context.mean.shape == (5, 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"block": [0, 1, 7, 3, 4]}, "cannot be used: `block` must be .* to 4, got 7 in row 2"),
+        ({"block": [0, 1, -1, 3, 4]}, "`block` must be .* got -1 in row 2"),
+        ({"block": [0, 1, 2.5, 3, 4]}, "`block` .* must hold numbers of type int32, got float64"),
+        ({"block": [0, 1, 2**32, 3, 4]}, "`block` .* numbers that fit into int32, got 4294967296"),
+        ({"layout": np.zeros((5, 4, 2))}, r"`layout` .* shape \[tasks, 5, 2\], got \[5, 4, 2\]"),
+    ],
+)
+def test_laid_tables_that_mean_nothing(tmp_path: Path, changes: Any, said: str) -> None:
+    file = write_goals(tmp_path / "mine.npz", **laid(**changes))
+    with pytest.raises(RunError, match=said):
+        load_tasks(file, FAMILIES["blockpush"])
+
+
 def test_tasks_of_several_arrays_need_one_row_each(tmp_path: Path) -> None:
     two = POINT._replace(
         draw_tasks=lambda stream, size: (np.zeros((size, 2)), np.zeros(size, np.int32)),

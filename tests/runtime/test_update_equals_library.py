@@ -78,6 +78,7 @@ def synthetic(learner: GradientFastLearner, context: Any, seed: int) -> Episodes
         goal_reward=jnp.asarray(reward),
         valid=jnp.asarray(valid),
         solved=jnp.zeros(valid.shape, bool),
+        solved_at_start=jnp.zeros(shape, bool),
         terminated=jnp.asarray(length < steps),
         noise=jnp.asarray(noise),
         context=jnp.asarray(drawn.astype(dtype)),
@@ -88,7 +89,7 @@ def synthetic(learner: GradientFastLearner, context: Any, seed: int) -> Episodes
 
 def differences(learner: GradientFastLearner, num_updates: int, collect: Any) -> np.ndarray:
     """Largest difference of the latents after each of several updates, accumulating."""
-    state, robots, found = learner.init(NUM_TASKS), explorers(learner), []
+    state, robots, found = learner.init(keys(NUM_TASKS)), explorers(learner), []
     for update in range(num_updates):
         episodes = collect(state, update)
         state = learner.update(state, episodes)
@@ -138,7 +139,7 @@ def test_the_step_sizes_matter() -> None:
     learner = fast_learner()
     halves = jax.tree.map(lambda size: size / 2, learner.step_sizes)
     slower = dataclasses.replace(learner, step_sizes=halves)
-    episodes = synthetic(learner, learner.init(NUM_TASKS).agents.context, 0)
+    episodes = synthetic(learner, learner.init(keys(NUM_TASKS)).agents.context, 0)
     first, second = (
         adapted(explorers(each)[0], recorded(episodes, 0)) for each in (learner, slower)
     )

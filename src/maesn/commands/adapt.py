@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -9,8 +10,10 @@ from maesn import api
 from maesn.commands.options import parse
 from maesn.envs import RewardKind
 from maesn.report import print_adaptation_summary
-from maesn.runs.adaptation_files import adaptation_file
+from maesn.runs.adaptation_files import adaptation_file, engine_suffix
 from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
+from maesn.worlds import EngineName
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +39,9 @@ class Options:
     """Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from."""
     family: str | None = None
     """The run's family as `module:name`, if it is your own."""
+    engine: EngineName | None = None
+    """Engine that moves the world, native or mjx; None: the run's own."""
+    test_time: Annotated[AtTestTime, tyro.conf.arg(name="")] = NOTHING_ADDED
 
 
 def main(arguments: list[str]) -> None:
@@ -45,8 +51,9 @@ def main(arguments: list[str]) -> None:
     settings = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     directory = settings.pop("run")
     outcome = api.adapt(directory, **settings)
+    suffix = options.test_time.suffix + engine_suffix(options.engine)
     table = options.out or adaptation_file(
-        directory, options.tasks, options.reward, outcome.first_update
+        directory, options.tasks, options.reward, outcome.first_update, suffix
     )
     print_adaptation_summary(table)
     print(f"table: {table}")

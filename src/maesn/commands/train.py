@@ -4,13 +4,13 @@ import dataclasses
 import difflib
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.learners import PRESETS, GradientMetaLearner
+from maesn.learners import CURIOUS, METHODS, PRESETS, AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
 from maesn.runs.storage import RunError
@@ -21,7 +21,7 @@ class Options:
     """Meta-train a method on a family of tasks."""
 
     settings: Annotated[RunSettings, tyro.conf.arg(name="")]
-    learner: Annotated[GradientMetaLearner, tyro.conf.arg(name="")]
+    learner: Annotated[AbstractMetaLearner[Any, Any], tyro.conf.arg(name="")]
     run: Path | None = None
     """Directory of the new run; must be empty or not exist. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
@@ -31,13 +31,14 @@ class Options:
 def main(arguments: list[str]) -> None:
     """Run the command."""
     method, rest = _method(arguments)
-    default = Options(RunSettings(), PRESETS[method]())
+    default = Options(RunSettings(), METHODS[method]())
     options = parse(Options, f"train {method}", rest, default)
     enable_compilation_cache()
     settings = options.settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
     run = api.train(options.learner, settings, directory, init_from=options.init_from)
-    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")
+    own = f" --family {settings.family}" if ":" in settings.family else ""
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{own}")
 
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:
@@ -49,12 +50,13 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
+            f"METHOD{CURIOUS} is paid for what it finds out about the world as well.\n"
             "`maesn train METHOD --help` lists all settings with the method's defaults."
         )
         sys.exit(0)
     method = arguments[0]
-    if method not in PRESETS:
-        near = difflib.get_close_matches(method, PRESETS, n=1)
+    if method not in METHODS:
+        near = difflib.get_close_matches(method, METHODS, n=1)
         hint = f" Did you mean `{near[0]}`?" if near else ""
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
     return method, arguments[1:]

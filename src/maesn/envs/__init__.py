@@ -1,5 +1,9 @@
 """Environments and the families of tasks that they are asked to solve."""
 
+from maesn.envs.ant import Ant as Ant
+from maesn.envs.ant import ant as ant
+from maesn.envs.bandit import Bandit as Bandit
+from maesn.envs.bandit import bandit as bandit
 from maesn.envs.base import AbstractEnv as AbstractEnv
 from maesn.envs.base import AbstractMujocoEnv as AbstractMujocoEnv
 from maesn.envs.base import AbstractPureEnv as AbstractPureEnv
@@ -7,9 +11,14 @@ from maesn.envs.base import AnyEnv as AnyEnv
 from maesn.envs.base import Reward as Reward
 from maesn.envs.base import RewardKind as RewardKind
 from maesn.envs.base import Variant as Variant
+from maesn.envs.blockpush import BlockPush as BlockPush
+from maesn.envs.blockpush import BlockPushTask as BlockPushTask
+from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import PROBES as PROBES
 from maesn.envs.catalogue import find_family as find_family
+from maesn.envs.chain import Chain as Chain
+from maesn.envs.chain import chain as chain
 from maesn.envs.point import Point as Point
 from maesn.envs.point import point as point
 from maesn.envs.probes import HiddenEnd as HiddenEnd

@@ -2,16 +2,19 @@
 
 An environment says how an episode starts, what the agent sees, what it is paid, and when it ends.
 It holds no state and knows no batch. What moves the world is someone else's business: a physics
-engine for `AbstractMujocoEnv`, the environment's own `advance` for `AbstractPureEnv`.
+engine for `AbstractMujocoEnv`, the environment's own `advance` for `AbstractPureEnv`, and processes
+in which somebody else's environments run for `maesn.envs.foreign.GymnasiumEnv`.
 """
 
+import dataclasses
 from abc import abstractmethod
-from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import ActionKind, Key, ObservedReward, Readings
 
 RewardKind: TypeAlias = Literal["dense", "sparse"]
 """Dense in meta-training, sparse in meta-testing (section "Comparisons")."""
@@ -36,6 +39,15 @@ class Reward(NamedTuple):
         return self.goal + self.other
 
 
+class Start(NamedTuple):
+    """How an episode of a simulated world begins."""
+
+    qpos: Float[Array, "*simulation qpos"]
+    qvel: Float[Array, "*simulation qvel"]
+    model_fields: dict[str, Array]
+    """What the task changes in the dynamics, `[*simulation, ...]` each; empty if nothing."""
+
+
 class AbstractEnv(eqx.Module, Generic[Task]):
     """The world of one episode, as pure functions.
 
@@ -44,6 +56,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     """
 
     name: eqx.AbstractClassVar[str]
+    engine: eqx.AbstractClassVar[str]
+    """What moves the world; the key of `maesn.worlds.make_world`."""
     horizon: eqx.AbstractVar[int]
     """T, the number of control steps of an episode."""
     control_period: eqx.AbstractClassVar[float]
@@ -51,10 +65,15 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     observation_size: eqx.AbstractVar[int]
     """Components of an observation, instruction included."""
     action_size: eqx.AbstractVar[int]
+    """Components of an action; if actions are discrete, the number of choices."""
+    action_kind: ClassVar[ActionKind] = "continuous"
+    """Discrete actions reach `control` and `reward` as one-hot vectors."""
     reward_kind: eqx.AbstractVar[RewardKind]
     sparse_radius: eqx.AbstractVar[float]
     """Radius of the goal region."""
     variant: eqx.AbstractVar[Variant]
+    planar: ClassVar[bool] = True
+    """Whether `position` and `goal` mean something, so that figures can show them."""
 
     def __check_init__(self) -> None:
         # A misspelt kind or variant would not fail: it would silently count as the other one.
@@ -69,8 +88,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
             raise ValueError(f"`sparse_radius` must be at least 0, got {self.sparse_radius}.")
 
     @abstractmethod
-    def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:
-        """Return the positions and velocities that an episode starts from."""
+    def start(self, key: Key, task: Task) -> Any:
+        """Return how an episode starts: a pytree of arrays that the world understands."""
 
     @abstractmethod
     def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
@@ -94,9 +113,39 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     ) -> Reward:
         """Return the reward of one step."""
 
+    @property
+    def uninformative_reward(self) -> float:
+        """What an agent that reads sparse rewards is shown for the goal, far from it."""
+        return 0.0
+
+    def observed_reward(
+        self,
+        kind: ObservedReward,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Task,
+    ) -> Float[Array, ""]:
+        """Return the reward of one step as it is shown to an agent that reads rewards.
+
+        Far from the goal a sparse reward may differ from task to task: the reference pays what the
+        dense reward pays at the start, which tells how far away the goal is. What is shown there
+        is the same in all tasks.
+        """
+        env = self if kind == "paid" else dataclasses.replace(self, reward_kind="sparse")
+        reward = env.reward(readings, action, next_readings, task)
+        if env.reward_kind == "dense":
+            return reward.total
+        near = env.solved(next_readings, task)
+        return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
+
     @abstractmethod
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         """Whether the episode ends by nature in this state."""
+
+    @abstractmethod
+    def truncated(self, readings: Readings) -> Bool[Array, ""]:
+        """Whether the world itself cuts the episode off in this state, before `horizon`."""
 
     @abstractmethod
     def solved(self, readings: Readings, task: Task) -> Bool[Array, ""]:
@@ -106,30 +155,59 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         """Return the planar position (metres) by which figures show where the agent is."""
 
+    def judged_position(self, readings: Readings, task: Task) -> Float[Array, " 2"]:
+        """Return the planar position (metres) of what is to reach the goal, for pictures.
+
+        This is the agent, unless the task is to move something else.
+        """
+        return self.position(self.observe(readings))
+
     @abstractmethod
     def goal(self, task: Task) -> Float[Array, " 2"]:
         """Return the planar position (metres) by which figures show the task."""
+
+
+class AbstractSimulatedEnv(AbstractEnv[Task]):
+    """An environment whose world is a state of positions and velocities."""
+
+    @abstractmethod
+    def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:
+        """Return the positions and velocities that an episode starts from."""
 
     @abstractmethod
     def model_fields(self, task: Task) -> dict[str, Array]:
         """Return what the task changes in the dynamics: name of the quantity -> values."""
 
+    def start(self, key: Key, task: Task) -> Start:
+        return Start(*self.initial(key, task), self.model_fields(task))
 
-class AbstractMujocoEnv(AbstractEnv[Task]):
+    def truncated(self, readings: Readings) -> Bool[Array, ""]:
+        """Never: `horizon` is the only clock."""
+        return jnp.zeros((), bool)
+
+
+class AbstractMujocoEnv(AbstractSimulatedEnv[Task]):
     """An environment whose world is moved by a MuJoCo model."""
 
+    engine: ClassVar[str] = "mujoco.batch"
     model: eqx.AbstractClassVar[str]
     """File name of the model below `maesn/physics/models`, or the path of a user's own file."""
     readings: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the engine's quantities that the functions above read."""
+    frame_skip: ClassVar[int] = 1
+    """Physics steps per control step."""
+    nonfinite: ClassVar[Literal["raise", "report"]] = "raise"
+    """What a state that blows up is: an error, or something that `terminated` expects."""
 
 
-class AbstractPureEnv(AbstractEnv[Task]):
+class AbstractPureEnv(AbstractSimulatedEnv[Task]):
     """An environment that moves its own world, in JAX."""
+
+    engine: ClassVar[str] = "jax"
 
     @abstractmethod
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
         """Return the readings one control step later."""
 
 
-AnyEnv: TypeAlias = AbstractMujocoEnv[Any] | AbstractPureEnv[Any]
+AnyEnv: TypeAlias = AbstractEnv[Any]

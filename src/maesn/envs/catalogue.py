@@ -2,17 +2,24 @@
 
 import difflib
 
+from maesn.envs.ant import ant
+from maesn.envs.bandit import bandit
+from maesn.envs.blockpush import blockpush
+from maesn.envs.chain import chain
 from maesn.envs.point import point
 from maesn.envs.probes import hidden_end, hidden_side
 from maesn.envs.target_probes import delayed_target, hidden_target
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.wheeled import wheeled
 
-FAMILIES: dict[str, TaskFamily] = {family.name: family for family in (point, wheeled)}
+FAMILIES: dict[str, TaskFamily] = {
+    family.name: family for family in (point, wheeled, ant, blockpush)
+}
 """What is worth learning."""
 
 PROBES: dict[str, TaskFamily] = {
-    family.name: family for family in (hidden_target, delayed_target, hidden_side, hidden_end)
+    family.name: family
+    for family in (hidden_target, delayed_target, hidden_side, hidden_end, bandit, chain)
 }
 """What is known already; see `maesn.envs.probes`."""
 

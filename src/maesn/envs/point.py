@@ -94,6 +94,10 @@ class Point(AbstractPureEnv[Goal]):
             control_cost=CONTROL_COST,
         )
 
+    @property
+    def uninformative_reward(self) -> float:
+        return -C_MAX
+
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
 

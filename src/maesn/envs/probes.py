@@ -9,9 +9,12 @@ an error that a robot would hide behind noise.
 | `delayed_target` | credit: only a_0 counts, paid at the end    | 0; 0                            |
 | `hidden_side`    | coherent choice: the same side T times      | 1; 1                            |
 | `hidden_end`     | masks: nature ends the episode, NaN follows | steps lived; 1                  |
+| `chain`          | exploration: the far end pays, nothing else | 30/g; 51 - g, in whole steps    |
+| `bandit`         | memory: find the best arm, then pull it     | 6.66 of 10 on average, the same |
 
 One control step counts as one second, positions have no unit, velocities are not used (zero), and
-nothing is random but the policy. The task appears in no observation of a living episode.
+nothing is random but the policy (and what the arms of `bandit` pay). The task appears in no
+observation of a living episode.
 """
 
 from typing import ClassVar, TypeAlias

@@ -49,6 +49,10 @@ class TaskSet(eqx.Module):
         return sha.hexdigest()[:16]
 
 
+def accept_all(tasks: Any) -> None:
+    """Refuse nothing: every task of the right shape and type has a meaning."""
+
+
 class TaskFamily(NamedTuple):
     """An environment and its distribution over tasks."""
 
@@ -64,6 +68,9 @@ class TaskFamily(NamedTuple):
     """Fixes the sets of the family."""
     draw_ood_tasks: Callable[[np.random.Generator, int], Any] | None = None
     """Draws tasks of a kind that training never shows; None if the family has none."""
+    check_tasks: Callable[[Any], None] = accept_all
+    """Raises a `ValueError`, which says what was expected and what came, at tasks that have the
+    right shapes and types and yet no meaning, such as an index out of range."""
 
     def task_set(self, name: SetName, size: int = SET_SIZE) -> TaskSet:
         """Return one of the family's disjoint sets, the same in every process.

@@ -2,11 +2,18 @@
 
 from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
 from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
+from maesn.learners.curious import CuriousFastLearner as CuriousFastLearner
+from maesn.learners.curious import CuriousMetaLearner as CuriousMetaLearner
 from maesn.learners.fast import GradientFastLearner as GradientFastLearner
 from maesn.learners.fast import GradientFastState as GradientFastState
+from maesn.learners.fine_tuning import FineTuning as FineTuning
 from maesn.learners.gradient import GradientMetaLearner as GradientMetaLearner
 from maesn.learners.gradient import GradientState as GradientState
 from maesn.learners.info import GradientInfo as GradientInfo
+from maesn.learners.policy_steps import ProximalStep as ProximalStep
+from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
+from maesn.learners.presets import CURIOUS as CURIOUS
+from maesn.learners.presets import METHODS as METHODS
 from maesn.learners.presets import PRESETS as PRESETS
 from maesn.learners.presets import latent_space as latent_space
 from maesn.learners.presets import maesn as maesn
@@ -15,3 +22,16 @@ from maesn.learners.presets import maml as maml
 from maesn.learners.presets import maml_bias as maml_bias
 from maesn.learners.presets import maml_bias_only as maml_bias_only
 from maesn.learners.presets import method_name as method_name
+from maesn.learners.presets import rl2 as rl2
+from maesn.learners.recurrent import RecurrentInfo as RecurrentInfo
+from maesn.learners.recurrent import RecurrentMetaLearner as RecurrentMetaLearner
+from maesn.learners.recurrent import RecurrentState as RecurrentState
+from maesn.learners.recurrent_fast import RecurrentFastLearner as RecurrentFastLearner
+from maesn.learners.recurrent_fast import RecurrentFastState as RecurrentFastState
+from maesn.learners.recurrent_value import RecurrentValue as RecurrentValue
+from maesn.learners.rules import GradientRule as GradientRule
+from maesn.learners.rules import TrustRegionRule as TrustRegionRule
+from maesn.learners.scratch import IMPROVEMENTS as IMPROVEMENTS
+from maesn.learners.scratch import SCRATCH as SCRATCH
+from maesn.learners.scratch import PolicyGradient as PolicyGradient
+from maesn.learners.scratch import PolicyImprovement as PolicyImprovement

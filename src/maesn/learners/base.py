@@ -12,8 +12,9 @@ import equinox as eqx
 from jaxtyping import Array, Int
 
 from maesn.agent import Agents
-from maesn.axes import Key
-from maesn.episodes import Collect, Episodes
+from maesn.axes import Key, TaskKeys
+from maesn.context import AbstractContextValue
+from maesn.episodes import Collect, Episodes, TrialMemory
 
 FastState = TypeVar("FastState")
 MetaState = TypeVar("MetaState")
@@ -24,8 +25,13 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
     """Acts and improves in new tasks, all of them at once."""
 
     @abstractmethod
-    def init(self, num_tasks: int) -> FastState:
-        """Return the state before any experience, for that many tasks."""
+    def init(self, keys: TaskKeys) -> FastState:
+        """Return the state before any experience.
+
+        Args:
+            keys: one key per task slot. All that is random in slot i, now and in later updates,
+                comes from `keys[i]`, so it does not depend on how many slots there are.
+        """
 
     @abstractmethod
     def agents(self, state: FastState) -> Agents:
@@ -34,6 +40,41 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
     @abstractmethod
     def update(self, state: FastState, episodes: Episodes) -> FastState:
         """Learn from the episodes that `agents(state)` has played, `[task, episode, ...]`."""
+
+    def memory(self, state: FastState) -> TrialMemory | None:
+        """Return what the policies remember when the next episodes begin; None for nothing."""
+        return None
+
+    def episodes_per_update(self, episodes_per_task: int) -> int:
+        """Return how many episodes of a task an update learns from.
+
+        Args:
+            episodes_per_task: number of episodes that are played of each task at a time.
+        """
+        return episodes_per_task
+
+    @property
+    def trial_episodes(self) -> int | None:
+        """Number of episodes that meta-training has prepared for; None if there is no such limit.
+
+        What a policy with memory does later than that in a new task, it has never been trained for.
+        """
+        return None
+
+    def resume(self, context: AbstractContextValue, update: int = 0) -> FastState:
+        """Return the state of an earlier adaptation of which the contexts were kept.
+
+        Args:
+            context: one context per task, stacked.
+            update: number of updates that led to it.
+
+        Raises:
+            ValueError: contexts are not what this learner changes in a task, or not all of it.
+        """
+        raise ValueError(
+            f"`{type(self).__name__}` cannot go on from latents: they are not what it learns in a "
+            "task."
+        )
 
 
 class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
@@ -54,3 +95,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:
         """Return the number of meta-iterations that lie behind a state."""
+
+    def slots(self) -> tuple[Any, ...]:
+        """Return what tells this method from others; all other settings are free."""
+        return (type(self),)

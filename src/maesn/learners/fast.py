@@ -3,16 +3,17 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.advantage import AdvantageEstimator
 from maesn.agent import Agents
+from maesn.axes import TaskKeys
 from maesn.context import AbstractContext, AbstractContextValue
 from maesn.episodes import Episodes
 from maesn.learners.base import AbstractFastLearner
+from maesn.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 
 
@@ -38,19 +39,23 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     policy: AbstractPolicy
     learned_context: AbstractContextValue
     step_sizes: StepSizes
+    statistics: ObservationStatistics | None = None
+    """Of the observations in training; they stay as they are."""
 
-    def init(self, num_tasks: int) -> GradientFastState:
-        """Return the start in that many new tasks."""
-        return self.resume(self.context.start_new(self.learned_context, num_tasks))
+    def init(self, keys: TaskKeys) -> GradientFastState:
+        """Return the start in new tasks, one for each key. Nothing about it is random."""
+        return self._start(self.context.start_new(self.learned_context, keys.shape[0]))
 
     def resume(self, context: AbstractContextValue, update: int = 0) -> GradientFastState:
-        """Return a start from given contexts, such as those of an earlier adaptation.
+        """See `AbstractFastLearner.resume`; the count of updates is for the step schedule."""
+        if self.adaptation.policy is not None:
+            raise ValueError(
+                "this run's method adapts the policy as well, and the file holds latents alone."
+            )
+        return self._start(context, update)
 
-        Args:
-            context: one context per task, stacked.
-            update: number of updates that led to it, for the step schedule.
-        """
-        agents = Agents(self.policy, context, shares_policy=True)
+    def _start(self, context: AbstractContextValue, update: int = 0) -> GradientFastState:
+        agents = Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
         return GradientFastState(agents, jnp.asarray(update))
 
     def agents(self, state: GradientFastState) -> Agents:
@@ -64,7 +69,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
             self.step_sizes,
             self.context,
             episodes,
-            jax.vmap(self.advantage)(episodes),
+            self.advantage.of_tasks(episodes),
             scale=self.schedule(state.update),
         )
         return GradientFastState(moved, state.update + 1)

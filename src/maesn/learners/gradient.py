@@ -15,14 +15,18 @@ from jaxtyping import Array, Float, Int
 from maesn.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.agent import Agent, Agents
-from maesn.axes import Key, TaskKeys
+from maesn.axes import Key
 from maesn.context import AbstractContext
 from maesn.episodes import Collect, Episodes, concatenate
 from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.curvature import sampled_distributions
 from maesn.learners.fast import GradientFastLearner
 from maesn.learners.info import GradientInfo, describe_step
+from maesn.learners.keys import task_keys
 from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
+from maesn.normalization import ObservationStatistics, no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.settings import added_later
 from maesn.trust_region import TrustRegion
 
 
@@ -31,6 +35,8 @@ class GradientState(eqx.Module):
 
     parameters: MetaParameters
     iteration: Int[Array, ""]
+    statistics: ObservationStatistics | None = None
+    """Of all observations so far; None unless observations are normalised."""
 
 
 class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
@@ -57,7 +63,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Batches of episodes that the outer step learns from."""
     curvature_stride: int = 10
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
-    steps resemble each other); 1 for all. The reference uses all."""
+    steps resemble each other); 1 for all. The reference uses all. Where an inner step runs through
+    the policy, its derivative inside the curvature is sampled likewise (`learners.curvature`)."""
+    normalize_observations: bool = added_later(False)
+    """Whether the policy sees observations divided by their standard deviation, less their mean.
+    The paper does not."""
 
     def __check_init__(self) -> None:
         for name in ("meta_batch_size", "outer_batches", "curvature_stride"):
@@ -65,6 +75,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
                 raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
         if self.inner_updates < 0:
             raise ValueError(f"`inner_updates` must be at least 0, got {self.inner_updates}.")
+        if self.curvature_stride > 1 and self.policy.has_memory:
+            raise ValueError(
+                f"`curvature_stride` is {self.curvature_stride}, but a policy with memory needs "
+                "all steps of an episode: set it to 1."
+            )
 
     def init(
         self, key: Key, observation_size: int, action_size: int, num_tasks: int
@@ -85,10 +100,21 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         one_task = jax.tree.map(lambda x: x[0], self.context.start_new(context, 1))
         sizes = self.adaptation.init(Agent(policy, one_task))
         parameters = MetaParameters(policy, context, sizes)
-        return GradientState(parameters, jnp.zeros((), int))
+        statistics = no_observations(observation_size) if self.normalize_observations else None
+        return GradientState(parameters, jnp.zeros((), int), statistics)
 
     def iteration(self, state: GradientState) -> Int[Array, ""]:
         return state.iteration
+
+    def slots(self) -> tuple[Any, ...]:
+        """Return the context, the parts that an inner step changes, and if training has one."""
+        return (
+            type(self),
+            type(self.context),
+            self.adaptation.policy is not None,
+            self.adaptation.context is not None,
+            self.inner_updates > 0,
+        )
 
     def fast_learner(self, state: GradientState) -> GradientFastLearner:
         """Return the learner of new tasks: starts at the prior, adapts by policy gradient."""
@@ -100,6 +126,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             policy=state.parameters.policy,
             learned_context=state.parameters.context,
             step_sizes=state.parameters.step_sizes,
+            statistics=state.statistics,
         )
 
     def step(
@@ -112,22 +139,22 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         index = jax.random.choice(
             task_key, collect.num_tasks, (self.meta_batch_size,), replace=False
         )
-        agents = self._start(parameters, index)
+        agents = self._start(state, index)
         pre: list[Experience] = []
         for phase in range(self.inner_updates):
-            episodes = collect(_task_keys(play_key, phase, index.shape[0]), agents, index)
+            episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
             pre.append((episodes, advantages))
         post = self._play_outer(play_key, agents, index, collect)
         improved, info = self._improve(
             adaptation,
-            parameters,
+            state,
             index,
             (*pre, (post, self._advantages(post))),
             curvature_key,
         )
-        return GradientState(improved, state.iteration + 1), info
+        return improved, info
 
     def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
@@ -144,7 +171,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     ) -> Episodes:
         """Collect the episodes that the outer step learns from."""
         keys = [
-            _task_keys(key, self.inner_updates + batch, index.shape[0])
+            task_keys(key, self.inner_updates + batch, index.shape[0])
             for batch in range(self.outer_batches)
         ]
         post = collect(keys[0], agents, index)
@@ -153,12 +180,12 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return post
 
     @eqx.filter_jit
-    def _start(self, parameters: MetaParameters, index: Int[Array, " task"]) -> Agents:
-        return start_agents(self.context, parameters, index)
+    def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
+        return start_agents(self.context, state.parameters, index, state.statistics)
 
     @eqx.filter_jit
     def _advantages(self, episodes: Episodes) -> Advantages:
-        return jax.vmap(self.advantage)(episodes)
+        return self.advantage.of_tasks(episodes)
 
     @eqx.filter_jit
     def _adapt(
@@ -175,32 +202,40 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _improve(
         self,
         adaptation: Adaptation,
-        parameters: MetaParameters,
+        state: GradientState,
         index: Int[Array, " task"],
         played: tuple[Experience, ...],
         key: Key,
-    ) -> tuple[MetaParameters, GradientInfo]:
+    ) -> tuple[GradientState, GradientInfo]:
         """Do the outer step. Beyond this point only the meta-parameters vary."""
+        parameters = state.parameters
         *pre, (post, advantages) = played
-        objective = MetaObjective(self.context, adaptation, index, tuple(pre), post, advantages)
+        objective = MetaObjective(
+            self.context, adaptation, index, tuple(pre), post, advantages, state.statistics
+        )
         # Every step can be drawn, also where the stride does not divide the horizon.
         time = post.action.shape[-2]
         stride = min(self.curvature_stride, time)
         offset = jax.random.randint(key, (), 0, stride + time % stride)
-        thinned = post.every(stride, offset)
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
-            lambda varied: objective.distributions(varied, thinned),
-            step_weights(thinned),
+            lambda varied: sampled_distributions(objective, varied, stride, offset),
+            step_weights(post.every(stride, offset)),
         )
-        return improved, describe_step(objective, parameters, improved, step)
+        after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, played))
+        return after, describe_step(objective, parameters, improved, step)
 
 
-def _task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
-    """Return one key per task slot, for one of the collections of a meta-iteration."""
-    phase_key = jax.random.fold_in(key, phase)
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(num_slots))
+def _take_in(
+    statistics: ObservationStatistics | None, played: tuple[Experience, ...]
+) -> ObservationStatistics | None:
+    """Add all observations that an action followed."""
+    if statistics is None:
+        return None
+    for episodes, _ in played:
+        statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
+    return statistics
 
 
 def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from maesn.adaptation import StepSizes
 from maesn.episodes import Episodes
 from maesn.learners.objective import MetaObjective, MetaParameters
-from maesn.numerics import DiagonalGaussian, masked_mean
+from maesn.numerics import masked_mean
 from maesn.trust_region import TrustRegionInfo
 
 
@@ -83,9 +83,7 @@ def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
 
 
 def _mean_std(episodes: Episodes) -> Float[Array, ""]:
-    assert isinstance(episodes.behaviour, DiagonalGaussian)
-    std = jnp.exp(episodes.behaviour.log_std).mean(-1)
-    return masked_mean(std, episodes.valid)
+    return masked_mean(episodes.behaviour.std().mean(-1), episodes.valid)
 
 
 def _nonfinite_tasks(

@@ -4,11 +4,15 @@ Each function cites what it follows. Settings that are not named here are the de
 slots, which follow the reference.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from maesn.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.context import BiasContext, LatentContext, NoContext
+from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.curious import CuriousMetaLearner
 from maesn.learners.gradient import GradientMetaLearner
+from maesn.learners.recurrent import RecurrentMetaLearner
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
@@ -84,28 +88,33 @@ def _fill(settings: dict[str, Any], **defaults: Any) -> GradientMetaLearner:
     return GradientMetaLearner(**{**defaults, **settings})
 
 
-PRESETS = {
+def rl2(**settings: Any) -> RecurrentMetaLearner:
+    """RL2: a policy with memory, trained by PPO on trials of two episodes (Duan et al. 2016).
+
+    The paper gives no settings for it. Clip 0.2, lambda 0.95, discount 0.99 and 64 units are those
+    of garage's RL2; docs/methods/rl2.md says where the others are from.
+    """
+    return RecurrentMetaLearner(**settings)
+
+
+PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
     preset.__name__: preset
-    for preset in (maesn, maesn_theta, maml, maml_bias, maml_bias_only, latent_space)
+    for preset in (maesn, maesn_theta, maml, maml_bias, maml_bias_only, latent_space, rl2)
 }
 
 
-def method_name(learner: Any) -> str:
-    """Return the name of the preset whose slots a learner fills, or that of its class.
+def _curious(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
+    return lambda **settings: CuriousMetaLearner(preset(**settings))
 
-    A preset is told by its context, the parts that an inner step changes, and whether there is an
-    inner step in training. All other settings are free.
-    """
-    if not isinstance(learner, GradientMetaLearner):
-        return type(learner).__name__
-    names = [name for name, preset in PRESETS.items() if _slots(preset()) == _slots(learner)]
+
+CURIOUS = "+curiosity"
+"""What is appended to the name of a method that is paid for what it finds out."""
+
+METHODS = PRESETS | {name + CURIOUS: _curious(preset) for name, preset in PRESETS.items()}
+"""Every preset, and every preset with curiosity."""
+
+
+def method_name(learner: AbstractMetaLearner[Any, Any]) -> str:
+    """Return the name of the preset whose slots a learner fills, or that of its class."""
+    names = [name for name, preset in METHODS.items() if preset().slots() == learner.slots()]
     return names[0] if names else type(learner).__name__
-
-
-def _slots(learner: GradientMetaLearner) -> tuple[Any, ...]:
-    return (
-        type(learner.context),
-        learner.adaptation.policy is not None,
-        learner.adaptation.context is not None,
-        learner.inner_updates > 0,
-    )

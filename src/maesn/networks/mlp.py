@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from maesn.axes import Key
+from maesn.numerics import multiply
 
 
 class Linear(eqx.Module):
@@ -17,7 +18,7 @@ class Linear(eqx.Module):
     bias: Float[Array, "*batch outputs"]
 
     def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
-        return x @ self.weight + self.bias
+        return multiply(x, self.weight) + self.bias
 
 
 class MLP(eqx.Module):

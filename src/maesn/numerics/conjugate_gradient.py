@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from maesn.numerics.products import multiply
+
 
 class CGSolution(eqx.Module):
     """Approximate solution of A x = b.
@@ -73,7 +75,7 @@ def conjugate_gradient(
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
         return _next_iterate(iterate, product(iterate.direction), residual_tolerance), None
 
-    start = _Iterate(jnp.zeros_like(target), target, target, target @ target)
+    start = _Iterate(jnp.zeros_like(target), target, target, multiply(target, target))
     last, _ = jax.lax.scan(step, start, None, length=num_steps)
     return CGSolution(last.solution, jnp.sqrt(last.squared_norm))
 
@@ -82,13 +84,13 @@ def _next_iterate(
     iterate: _Iterate, image: Float[Array, "parameter"], residual_tolerance: float
 ) -> _Iterate:
     """One step, given the product A p_k as `image`."""
-    curvature = iterate.direction @ image
+    curvature = multiply(iterate.direction, image)
     # Negated comparisons, because NaN must count as unfinished and reach the solution.
     active = ~(iterate.squared_norm <= residual_tolerance) & ~(curvature <= 0.0)
     length = _guarded_ratio(active, iterate.squared_norm, curvature)
     solution = iterate.solution + length * iterate.direction
     residual = iterate.residual - length * image
-    squared_norm = residual @ residual
+    squared_norm = multiply(residual, residual)
     ratio = _guarded_ratio(active, squared_norm, iterate.squared_norm)
     following = _Iterate(solution, residual, residual + ratio * iterate.direction, squared_norm)
     return jax.tree.map(lambda new, old: jnp.where(active, new, old), following, iterate)

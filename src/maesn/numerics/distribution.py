@@ -34,6 +34,10 @@ class AbstractDistribution(eqx.Module):
         """Entropy H(p) = -E_p[log p(x)], in nats."""
 
     @abstractmethod
+    def std(self) -> Float[Array, "*sample"]:
+        """Standard deviation of every component of an event."""
+
+    @abstractmethod
     def fisher_product(self: Distribution, tangent: Distribution) -> Distribution:
         """Product F v of the Fisher information with a tangent.
 

@@ -87,6 +87,9 @@ class DiagonalGaussian(AbstractDistribution):
         """Entropy H(p) = Σ_d [ log σ_d + log(2πe)/2 ], d in [1, dim], in nats."""
         return jnp.sum(self.log_std + 0.5 * math.log(2 * math.pi * math.e), axis=-1)
 
+    def std(self) -> Float[Array, "*batch dim"]:
+        return jnp.exp(self.log_std)
+
     def fisher_product(self, tangent: "DiagonalGaussian") -> "DiagonalGaussian":
         """Product of the Fisher information with a tangent (v_μ, v_logσ).
 

@@ -68,6 +68,48 @@ def generalized_advantages(
     return _discounted_sum(difference, discount * trace)
 
 
+def trial_advantages(
+    reward: Float[Array, "time"],
+    value: Float[Array, "time"],
+    valid: Bool[Array, "time"],
+    discount: float | Float[Array, ""],
+    trace: float | Float[Array, ""],
+) -> Float[Array, "time"]:
+    """Generalised advantage estimates over a trial: several episodes, one behind the other.
+
+    As `generalized_advantages` with V_n = 0, but with gaps: an episode that ended early is
+    followed by invalid steps, and then by the next episode. The recursion runs over the valid
+    steps as if they were neighbours. So what an early episode finds out is credited with what
+    later ones are paid, discounted by the steps between (Duan et al. 2016, section 2.2).
+
+    Args:
+        reward: r_t, t in [0, T-1], over all episodes of the trial.
+        value: V_t, estimated before the action of step t.
+        valid: true where a step was played.
+        discount: γ in [0, 1].
+        trace: λ in [0, 1].
+
+    Returns:
+        A_t where valid, else 0.
+    """
+
+    def step(
+        following: tuple[Float[Array, ""], Float[Array, ""]], now: tuple[Array, Array, Array]
+    ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]:
+        next_value, next_advantage = following
+        paid, expected, is_valid = now
+        advantage = paid + discount * next_value - expected + discount * trace * next_advantage
+        passed_on = (
+            jnp.where(is_valid, expected, next_value),
+            jnp.where(is_valid, advantage, next_advantage),
+        )
+        return passed_on, jnp.where(is_valid, advantage, 0.0)
+
+    end = (jnp.zeros((), value.dtype), jnp.zeros((), value.dtype))
+    _, advantages = jax.lax.scan(step, end, (reward, value, valid), reverse=True)
+    return advantages
+
+
 def masked_mean(
     values: Float[Array, "*shape"],
     valid: Bool[Array, "*shape"],

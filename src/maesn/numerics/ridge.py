@@ -7,6 +7,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from maesn.numerics.conjugate_gradient import conjugate_gradient
+from maesn.numerics.products import multiply
 
 # Diagonal added to the equilibrated Gram matrix, in units of ε. Rounding moves its eigenvalues by
 # up to 20 ε (measured in single precision with features like the wheeled robot's and the ant's).
@@ -67,7 +68,7 @@ def _solve_normal_equations(
     rows: Float[Array, "row feature"], target: Float[Array, "row"], ridge: float
 ) -> Float[Array, "feature"]:
     """Solve (XᵀX + ρI) w = Xᵀy by steps 1 to 3 of `ridge_regression`."""
-    gram = _multiply(rows.T, rows)
+    gram = multiply(rows.T, rows)
     scale = jax.lax.rsqrt(jnp.diagonal(gram) + ridge)
     factor = _factorize(gram * scale[:, None] * scale[None, :])
 
@@ -79,10 +80,10 @@ def _solve_normal_equations(
 
     def product(vector: Float[Array, "feature"]) -> Float[Array, "feature"]:
         coefficients = unwhiten(vector)
-        return whiten(_multiply(_multiply(rows, coefficients), rows) + ridge * coefficients)
+        return whiten(multiply(multiply(rows, coefficients), rows) + ridge * coefficients)
 
-    first = unwhiten(whiten(_multiply(target, rows)))
-    residual = _multiply(target - _multiply(rows, first), rows) - ridge * first
+    first = unwhiten(whiten(multiply(target, rows)))
+    residual = multiply(target - multiply(rows, first), rows) - ridge * first
     refinement = conjugate_gradient(
         product, whiten(residual), num_steps=_REFINEMENT_STEPS, residual_tolerance=0.0
     )
@@ -102,8 +103,3 @@ def _factorize(scaled: Float[Array, "feature feature"]) -> Float[Array, "feature
     usual = jnp.linalg.cholesky(scaled.at[diagonal].set(1.0 + jitter))
     cautious = jnp.linalg.cholesky(scaled.at[diagonal].set(1.0 + jitter * size))
     return jnp.where(jnp.all(jnp.isfinite(usual)), usual, cautious)
-
-
-def _multiply(left: Float[Array, "..."], right: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Matrix product in full precision: accelerators round single precision to 10 bits or less."""
-    return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)

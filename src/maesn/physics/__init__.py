@@ -4,5 +4,9 @@ from maesn.physics.base import AbstractSimulator as AbstractSimulator
 from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
+from maesn.physics.graphics import RenderingError as RenderingError
 from maesn.physics.loading import load_model as load_model
 from maesn.physics.native import NativeSimulator as NativeSimulator
+from maesn.physics.rendering import Renderer as Renderer
+from maesn.physics.rendering import View as View
+from maesn.physics.rendering import footprint as footprint

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Float64, Shaped
+from jaxtyping import Bool, Float, Float64, Int, Shaped
 
 # Engine quantities by their MuJoCo name ("qpos", "qvel", "subtree_com", ...), in SI units and in
 # MuJoCo's layout. Every array is a copy that later steps leave alone.
@@ -54,37 +54,45 @@ class AbstractSimulator(ABC):
     @abstractmethod
     def reset(
         self,
-        qpos: Float[np.ndarray, "simulation qpos"],
-        qvel: Float[np.ndarray, "simulation qvel"],
+        qpos: Float[np.ndarray, "row qpos"],
+        qvel: Float[np.ndarray, "row qvel"],
         model_fields: ModelFields | None = None,
+        simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """Put every simulation into a state, with nothing left of what it did before.
+        """Put simulations into a state, with nothing left of what they did before.
 
         Args:
             qpos: generalised positions.
             qvel: generalised velocities.
             model_fields: dynamics that differ between simulations. Fields that are not named have
                 the model's own values, whatever an earlier reset gave them.
+            simulations: indices, ascending, of those that are reset and that the rows belong to;
+                None for all. The others stay where they are.
 
         Returns:
-            The readings of that state.
+            The readings of all simulations.
 
         Raises:
             PhysicsError: a state or a field is not finite.
         """
 
     @abstractmethod
-    def step(self, control: Float[np.ndarray, "simulation control"]) -> Readings:
+    def step(
+        self,
+        control: Float[np.ndarray, "simulation control"],
+        abandoned: Bool[np.ndarray, " simulation"] | None = None,
+    ) -> Readings:
         """Advance every simulation by one control step.
 
         Args:
             control: what the actuators are given, held constant over the step.
+            abandoned: simulations that nobody looks at until the next reset: they may blow up.
 
         Returns:
             The readings of the new state: none of them is a substep behind.
 
         Raises:
-            PhysicsError: a control is not finite, or a simulation has blown up.
+            PhysicsError: a control is not finite, or a simulation that is looked at has blown up.
         """
 
     @abstractmethod

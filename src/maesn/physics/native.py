@@ -7,11 +7,11 @@ Measured behaviour of `mujoco.batch` on which this file rests is pinned in
 import importlib
 import os
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from maesn.physics.base import (
     AbstractSimulator,
@@ -21,6 +21,9 @@ from maesn.physics.base import (
     Readings,
 )
 from maesn.physics.loading import load_model
+
+_Mask: TypeAlias = Bool[np.ndarray, " simulation"]
+_Rows: TypeAlias = slice | np.ndarray
 
 # What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
 # describes the state one substep earlier unless it is computed again.
@@ -85,28 +88,35 @@ class NativeSimulator(AbstractSimulator):
 
     def reset(
         self,
-        qpos: Float[np.ndarray, "simulation qpos"],
-        qvel: Float[np.ndarray, "simulation qvel"],
+        qpos: Float[np.ndarray, "row qpos"],
+        qvel: Float[np.ndarray, "row qvel"],
         model_fields: ModelFields | None = None,
+        simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
         """See `AbstractSimulator.reset`."""
-        batch = self._open()
-        _check_rows("qpos", qpos, self._qpos.shape)
-        _check_rows("qvel", qvel, self._qvel.shape)
-        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._write_model_fields(model_fields or {})
-        self._qpos[...] = qpos
-        self._qvel[...] = qvel
+        batch, rows = self._open(), slice(None) if simulations is None else simulations
+        _check_rows("qpos", qpos, self._qpos, rows)
+        _check_rows("qvel", qvel, self._qvel, rows)
+        batch.reset(simulations, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._write_model_fields(model_fields or {}, rows)
+        self._qpos[rows] = qpos
+        self._qvel[rows] = qvel
         if self._derives:
-            self._run(batch.forward)
+            others = np.ones(self._num_simulations, bool)
+            others[rows] = False
+            self._run(batch.forward, others, ids=simulations)
         return self._read()
 
-    def step(self, control: Float[np.ndarray, "simulation control"]) -> Readings:
+    def step(
+        self,
+        control: Float[np.ndarray, "simulation control"],
+        abandoned: _Mask | None = None,
+    ) -> Readings:
         """See `AbstractSimulator.step`."""
         batch = self._open()
-        _check_rows("control", control, self._control.shape)
+        _check_rows("control", control, self._control)
         self._control[...] = control
-        self._run(batch.step, nstep=self._frame_skip, stage=self._stage)
+        self._run(batch.step, abandoned, nstep=self._frame_skip, stage=self._stage)
         return self._read()
 
     def close(self) -> None:
@@ -121,22 +131,26 @@ class NativeSimulator(AbstractSimulator):
             raise RuntimeError("the simulator is closed: make a new one")
         return self._batch
 
-    def _run(self, call: Any, **arguments: int) -> None:
+    def _run(self, call: Any, abandoned: _Mask | None = None, **arguments: Any) -> None:
+        watched = np.ones(self._num_simulations, bool) if abandoned is None else ~abandoned
         try:
             call(**arguments)
         except self._engine.SimulationError as error:
-            raise PhysicsError(error.ids.tolist(), str(error)) from error
+            failed = error.ids[watched[error.ids]].tolist()
+            if failed:
+                raise PhysicsError(failed, str(error)) from error
         if self._raises:
-            self._check_physics()
+            self._check_physics(watched)
 
-    def _check_physics(self) -> None:
+    def _check_physics(self, watched: _Mask) -> None:
         if _is_sound(self._qpos) and _is_sound(self._qvel) and not self._batch.warning.any():
             return
         # A reset clears the counters, so whatever they hold happened since then.
         count = self._batch.warning[:, :, 1]
         failed = ~(_sound_rows(self._qpos) & _sound_rows(self._qvel)) | count.any(axis=1)
-        simulations = np.flatnonzero(failed).tolist()
-        raise PhysicsError(simulations, self._reason(simulations[0]))
+        simulations = np.flatnonzero(failed & watched).tolist()
+        if simulations:
+            raise PhysicsError(simulations, self._reason(simulations[0]))
 
     def _reason(self, simulation: int) -> str:
         info, count = self._batch.warning[simulation].T
@@ -154,14 +168,14 @@ class NativeSimulator(AbstractSimulator):
         # The engine's arrays are live: the next step writes over them.
         return {name: np.array(value, np.float64) for name, value in self._readings.items()}
 
-    def _write_model_fields(self, fields: ModelFields) -> None:
-        """Give each simulation its own dynamics, and the model's own to fields not named."""
+    def _write_model_fields(self, fields: ModelFields, rows: _Rows) -> None:
+        """Give simulations their own dynamics, and the model's own to fields not named."""
         for name in self._expanded - fields.keys():
-            self._batch.expand(name)[...] = _own_value(self._model, name)
+            self._batch.expand(name)[rows] = _own_value(self._model, name)
         for name, value in fields.items():
             expanded = self._batch.expand(name)
-            _check_rows(name, value, expanded.shape)
-            expanded[...] = value
+            _check_rows(name, value, expanded, rows)
+            expanded[rows] = value
         if fields or self._expanded:
             # Inertia weights and the like follow from the fields: the solver reads those.
             self._run(self._batch.set_const)
@@ -192,15 +206,18 @@ def _check_settings(
         raise ValueError(f'`nonfinite` must be "raise" or "report", got {nonfinite!r}')
 
 
-def _check_rows(name: str, rows: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Refuse rows of a wrong shape, and numbers that MuJoCo would silently replace."""
-    if rows.shape != shape:
-        raise ValueError(f"`{name}` must have the shape {shape}, got {rows.shape}")
-    if not _is_sound(rows):
-        failed = np.flatnonzero(~_sound_rows(rows)).tolist()
+def _check_rows(
+    name: str, values: np.ndarray, whole: np.ndarray, rows: _Rows = slice(None)
+) -> None:
+    """Refuse values of a wrong shape, and numbers that MuJoCo would silently replace."""
+    shape = whole[rows].shape
+    if values.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {values.shape}")
+    if not _is_sound(values):
+        failed = np.flatnonzero(~_sound_rows(values))
         raise PhysicsError(
-            failed,
-            f"`{name}` must be finite and below {_LARGEST:.0e} in size, got {rows[failed[0]]}: "
+            np.arange(whole.shape[0])[rows][failed].tolist(),
+            f"`{name}` must be finite and below {_LARGEST:.0e} in size, got {values[failed[0]]}: "
             "look for what computed it, because MuJoCo would go on without it",
         )
 

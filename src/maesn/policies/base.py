@@ -4,23 +4,26 @@ from abc import abstractmethod
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Carry, Key
+from maesn.axes import ActionKind, Carry, Key, ObservedReward
 from maesn.numerics import AbstractDistribution
 
 
 class PolicyInput(NamedTuple):
-    """What a policy may base its action on at time t of one episode.
+    """What a policy may base its action on at time t of one episode, or at all times of one.
 
     Feed-forward policies read the observation alone. The rest is what a policy with memory needs
-    to learn from its own experience (RL2), and it costs nothing where it is not read.
+    to learn from its own experience (RL2), and it costs nothing where it is not read. At the start
+    of an episode, action and reward are those of the episode before in the same trial; 0 in the
+    first one.
     """
 
-    observation: Float[Array, " observation"]
-    previous_action: Float[Array, " action"]
-    previous_reward: Float[Array, ""]
-    episode_start: Bool[Array, ""]
+    observation: Float[Array, "*time observation"]
+    previous_action: Float[Array, "*time action"]
+    previous_reward: Float[Array, "*time"]
+    episode_start: Bool[Array, "*time"]
 
 
 class AbstractPolicy(eqx.Module):
@@ -36,9 +39,44 @@ class AbstractPolicy(eqx.Module):
     def initial_carry(self) -> Carry:
         """Return the memory at the start of a trial; `None` for a policy without one."""
 
+    @property
+    def action_kind(self) -> ActionKind:
+        """Whether actions are vectors of real numbers, or choices (one-hot vectors)."""
+        return "continuous"
+
+    @property
+    def observed_reward(self) -> ObservedReward:
+        """Which reward the policy is shown as the previous one."""
+        return "paid"
+
+    def unroll(
+        self,
+        inputs: PolicyInput,
+        valid: Bool[Array, " time"],
+        context: Float[Array, " context"],
+        carry: Carry,
+    ) -> tuple[AbstractDistribution, Carry]:
+        """Return the distributions along a stretch of time, and the memory after it.
+
+        The same as calling the policy step by step. A policy without memory needs no more than
+        this; one with memory overrides it.
+
+        Args:
+            inputs: of every step, with a leading axis `time`. Must be finite where invalid, too.
+            valid: where it is false, the memory is kept as it is.
+            context: what the policy is fed throughout.
+            carry: memory before the first step.
+        """
+        return jax.vmap(lambda policy_input: self(policy_input, context, carry)[0])(inputs), carry
+
 
 class AbstractPolicySettings(eqx.Module):
     """Settings of a policy: builds its weights for an environment's sizes."""
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the policy remembers earlier steps."""
+        return False
 
     @abstractmethod
     def init(

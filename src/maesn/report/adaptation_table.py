@@ -2,12 +2,12 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from maesn.report.reading import ReportError
 
@@ -15,6 +15,8 @@ Curves = Float[np.ndarray, "task update"]
 
 MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
 COLUMNS = ("task", "update", "episodes", *MEASURES)
+# Tables of earlier versions lack it; whatever reads one must do without.
+SOLVED_AT_RESET = "solved_at_reset"
 
 
 class PriorReach(NamedTuple):
@@ -24,6 +26,18 @@ class PriorReach(NamedTuple):
     """Share of the tasks whose goal some episode reached."""
     episodes: int
     """Number of episodes per task."""
+    num_tasks: int
+    """Number of tasks; those that are solved at reset are no matter of exploration."""
+
+
+def prior_reach(
+    success_rate: Float[np.ndarray, " task"],
+    is_solved_at_reset: Bool[np.ndarray, " task"],
+    episodes: int,
+) -> PriorReach | None:
+    """Return what the prior reaches; None if all tasks are solved at reset."""
+    explored = success_rate[~is_solved_at_reset] > 0
+    return PriorReach(float(explored.mean()), episodes, len(explored)) if len(explored) else None
 
 
 @dataclass(frozen=True)
@@ -48,6 +62,8 @@ class AdaptationTable:
     """Share of the steps that are spent in the goal region."""
     first_update: int = 0
     """Number of updates that lie before column 0; not 0 if an earlier adaptation went on."""
+    solved_at_reset: Curves | None = None
+    """Share of the episodes that start in the goal region; None in tables of earlier versions."""
 
     @property
     def num_tasks(self) -> int:
@@ -65,12 +81,24 @@ class AdaptationTable:
         return int(self.episodes[1] - self.episodes[0]) if len(self.episodes) > 1 else None
 
     @property
+    def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
+        """Which tasks some episode starts in the goal region of; none if the table does not say."""
+        if self.solved_at_reset is None:
+            return np.zeros(self.num_tasks, bool)
+        return np.asarray((self.solved_at_reset > 0).any(axis=1))
+
+    def select(self, tasks: Bool[np.ndarray, " task"]) -> "AdaptationTable":
+        """Return the table of some of the tasks."""
+        names = MEASURES if self.solved_at_reset is None else (*MEASURES, SOLVED_AT_RESET)
+        return replace(self, **{name: getattr(self, name)[tasks] for name in names})
+
+    @property
     def prior_reach(self) -> PriorReach | None:
         """What the prior reaches; None if the table does not tell."""
         if self.first_update or self.episodes_per_update is None:
             return None
-        share = float(np.mean(self.success_rate[:, 0] > 0))
-        return PriorReach(share, self.episodes_per_update)
+        rates, solved = self.success_rate[:, 0], self.is_solved_at_reset
+        return prior_reach(rates, solved, self.episodes_per_update)
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""
@@ -114,7 +142,8 @@ def read_adaptation(path: Path) -> AdaptationTable:
             f"{_remedy(path)}."
         )
     tasks, _, reward = path.stem.rpartition("-")
-    curves = {name: _grid(rows, name, first, path) for name in MEASURES}
+    present = [name for name in (*MEASURES, SOLVED_AT_RESET) if name in rows[0]]
+    curves = {name: _grid(rows, name, first, path) for name in present}
     counts = episodes[0].astype(np.int64)
     return AdaptationTable(tasks, reward, counts, **curves, first_update=first)
 
@@ -123,8 +152,12 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            _check_columns(reader.fieldnames or (), path)
-            return [_numbers(row, f"`{path}`, line {reader.line_num}", path) for row in reader]
+            present = reader.fieldnames or ()
+            _check_columns(present, path)
+            columns = (*COLUMNS, SOLVED_AT_RESET) if SOLVED_AT_RESET in present else COLUMNS
+            return [
+                _numbers(row, columns, f"`{path}`, line {reader.line_num}", path) for row in reader
+            ]
     except (OSError, UnicodeError, csv.Error) as error:
         raise ReportError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
 
@@ -138,8 +171,10 @@ def _check_columns(present: Sequence[str], path: Path) -> None:
         )
 
 
-def _numbers(row: Mapping[str, str | None], place: str, path: Path) -> dict[str, float]:
-    return {name: _number(row[name], f"`{name}` in {place}", path) for name in COLUMNS}
+def _numbers(
+    row: Mapping[str, str | None], columns: Sequence[str], place: str, path: Path
+) -> dict[str, float]:
+    return {name: _number(row[name], f"`{name}` in {place}", path) for name in columns}
 
 
 def _number(text: str | None, what: str, path: Path) -> float:

@@ -28,6 +28,8 @@ from maesn.report.runs import (
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import save_figure
 
+_RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
+
 Say: TypeAlias = Callable[[str], None]
 
 # Of a run adapted to several task sets, the first of these says how many goals are reached.
@@ -145,7 +147,7 @@ def _plot_exploration(series: Sequence[Series], out: Path, say: Say) -> list[Pat
     exploring = [panel for panel in map(_exploring, series) if panel is not None]
     drawn = {panel.series.name for panel in exploring}
     missing = [line.runs[0] for line in series if line.name not in drawn]
-    _say_missing(missing, "exploration trajectories", "`maesn plot DIR` records them", say)
+    _say_missing(missing, "exploration trajectories", _RECORDING, say)
     if not exploring:
         return []
     for panel in exploring:
@@ -183,7 +185,7 @@ def _say_share(panel: ExploringSeries, say: Say) -> None:
     reach = None if table is None else table.prior_reach
     if table is not None and reach is not None:
         say(
-            f"{panel.series.label}: {reach.share:.0%} of the {table.num_tasks} goals "
+            f"{panel.series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
             f"({table.tasks} tasks) are reached within {reach.episodes} prior episodes."
         )
 

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from maesn.report.adaptation_table import AdaptationTable, read_adaptation
+from maesn.report.adaptation_table import (
+    AdaptationTable,
+    PriorReach,
+    prior_reach,
+    read_adaptation,
+)
 from maesn.report.reading import ReportError, read_arrays, read_json, read_json_lines, take_array
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -126,6 +131,18 @@ class Exploration:
     """Episodes of the trained policy with one latent; None for methods without latents."""
     prior_latents: Float[np.ndarray, "episode context"] | None
     """The latents drawn in `prior_paths`; None for methods without latents."""
+    untrained_success_rate: Float[np.ndarray, " task"]
+    """Share of an untrained policy's episodes that reach each goal."""
+    solved_at_reset: Float[np.ndarray, " task"]
+    """Share of them that start there."""
+    episodes_per_task: int
+    """Number of those episodes per task."""
+
+    @property
+    def untrained_reach(self) -> PriorReach | None:
+        """What an untrained policy reaches; None if all tasks are solved at reset."""
+        solved = self.solved_at_reset > 0
+        return prior_reach(self.untrained_success_rate, solved, self.episodes_per_task)
 
 
 def exploration_file(path: Path) -> Path:
@@ -149,9 +166,10 @@ def read_exploration(path: Path) -> Exploration | None:
 
     has_latents = "fixed_paths" in arrays
     prior = take("prior_paths", "episode", "time", 2)
+    goals = take("goals", "task", 2)
     return Exploration(
         training_goals=take("training_goals", "row", 2),
-        goals=take("goals", "task", 2),
+        goals=goals,
         sparse_radius=float(take("sparse_radius")),
         prior_paths=prior,
         untrained_paths=take("untrained_paths", "episode", "time", 2),
@@ -161,6 +179,9 @@ def read_exploration(path: Path) -> Exploration | None:
             if has_latents and "prior_latents" in arrays
             else None
         ),
+        untrained_success_rate=take("untrained_success_rate", len(goals)),
+        solved_at_reset=take("solved_at_reset", len(goals)),
+        episodes_per_task=int(take("episodes_per_task")),
     )
 
 

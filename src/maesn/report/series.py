@@ -12,7 +12,9 @@ from maesn.report.runs import Run
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
 
 # What decides whether returns can be compared at all.
-_WORLD = ("family", "variant", "sparse_radius")
+_WORLD = ("family", "variant", "sparse_radius", "engine")
+# Settings that are written only where they are not what they always were before they existed.
+_UNWRITTEN = {"engine": "native"}
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -40,18 +42,20 @@ class Series:
 def group_worlds(runs: Sequence[Run]) -> dict[str, list[Run]]:
     """Return the runs of each world, in the order given, by a name for a directory.
 
-    A world is a family, its variant and the sparse radius. The name has the family, and the others
-    where they are needed to tell two worlds apart.
+    A world is a family, its variant, the sparse radius and the engine. The name has the family, and
+    the others where they are needed to tell two worlds apart.
     """
     worlds: defaultdict[tuple[str, ...], list[Run]] = defaultdict(list)
     for run in runs:
-        worlds[tuple(_text(run.settings.get(name)) for name in _WORLD)].append(run)
+        settings = {**_UNWRITTEN, **run.settings}
+        worlds[tuple(_text(settings.get(name)) for name in _WORLD)].append(run)
     named: dict[str, list[Run]] = {}
     for world, members in worlds.items():
         others = [other for other in worlds if other[0] == world[0]]
         parts = [world[0]]
         parts += [world[1]] if any(other[1] != world[1] for other in others) else []
         parts += [f"radius-{world[2]}"] if any(other[2] != world[2] for other in others) else []
+        parts += [world[3]] if any(other[3] != world[3] for other in others) else []
         named[re.sub(r"[^\w.]+", "-", "-".join(parts))] = members
     return named
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Bool
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
@@ -50,6 +52,8 @@ class IntervalTable:
     """One interval per row and measure."""
     sign: str = ""
     """`"+"` where a number is a difference."""
+    note: str = ""
+    """A sentence about the tasks; empty if there is nothing to be said."""
 
     @property
     def labels(self) -> str:
@@ -61,7 +65,8 @@ class IntervalTable:
 
         Fits into 80 columns; `to_markdown` has both ends.
         """
-        table = Table(title=self.title, caption=f"± half the {self.labels}", box=None)
+        caption = "\n".join(filter(None, (self.note, f"± half the {self.labels}")))
+        table = Table(title=self.title, caption=caption, box=None)
         for heading in self.headings:
             table.add_column(heading, justify="right")
         rows = [self._texts(cells, self._short) for cells in self.cells]
@@ -79,7 +84,8 @@ class IntervalTable:
         lines = [f"**{self.title}**", "", _row(heads), _row(["---:"] * len(heads))]
         for names, cells in zip(self.names, self.cells, strict=True):
             lines.append(_row((*names, *self._texts(cells, self._full))))
-        return "\n".join([*lines, "", f"In brackets: {self.labels}.", ""])
+        notes = " ".join(filter(None, (f"In brackets: {self.labels}.", self.note)))
+        return "\n".join([*lines, "", notes, ""])
 
     def write_markdown(self, path: Path) -> None:
         """Write the Markdown table to a file; its directory is made if need be."""
@@ -103,6 +109,33 @@ class IntervalTable:
         return f"{mean} [{', '.join(ends)}]"
 
 
+def summary_tables(tables: Sequence[AdaptationTable], title: str) -> list[IntervalTable]:
+    """Summarise adaptation to all tasks and, where some are solved at reset, to the others alone.
+
+    Args:
+        tables: one per seed of the same method, adapted to the same tasks.
+        title: of the tables.
+    """
+    unsolved = ~_solved_at_reset(tables)
+    summaries = [summary_table(tables, title)]
+    if unsolved.any() and not unsolved.all():
+        others = [table.select(unsolved) for table in tables]
+        summaries.append(summary_table(others, f"{title}, without tasks solved at reset"))
+    return summaries
+
+
+def _solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " task"]:
+    flags = [table.is_solved_at_reset for table in tables]
+    return np.any(flags, axis=0) if len({len(flag) for flag in flags}) == 1 else flags[0]
+
+
+def _note(tables: Sequence[AdaptationTable]) -> str:
+    """Say how many tasks need not be solved, because their episodes start in the goal region."""
+    solved = _solved_at_reset(tables)
+    count, verb = int(solved.sum()), "is" if solved.sum() == 1 else "are"
+    return f"{count} of the {len(solved)} tasks {verb} solved at reset." if count else ""
+
+
 def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTable:
     """Summarise adaptation, update by update.
 
@@ -119,6 +152,7 @@ def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTabl
             for update, count in zip(tables[0].updates, tables[0].episodes, strict=True)
         ),
         tuple(zip(*intervals, strict=True)),
+        note=_note(tables),
     )
 
 
@@ -133,10 +167,11 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
         ReportError: if the file is missing or broken.
     """
     console = Console() if console is None else console
-    table = summary_table([read_adaptation(path)], f"Adaptation: {path.stem}").to_rich()
-    # A narrow terminal may break lines, but no number is cut off.
-    width = Measurement.get(console, console.options.update(max_width=MAX_WIDTH), table).maximum
-    console.print(table, width=max(console.width, width), crop=False)
+    for summary in summary_tables([read_adaptation(path)], f"Adaptation: {path.stem}"):
+        table = summary.to_rich()
+        # A narrow terminal may break lines, but no number is cut off.
+        width = Measurement.get(console, console.options.update(max_width=MAX_WIDTH), table).maximum
+        console.print(table, width=max(console.width, width), crop=False)
 
 
 def difference_table(
@@ -163,7 +198,8 @@ def difference_table(
         )
         for tables in others.values()
     )
-    return IntervalTable(title, ("method",), tuple((name,) for name in others), cells, sign="+")
+    names = tuple((name,) for name in others)
+    return IntervalTable(title, ("method",), names, cells, sign="+", note=_note(reference))
 
 
 def _row(cells: Sequence[str]) -> str:

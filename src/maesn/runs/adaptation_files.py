@@ -15,15 +15,26 @@ from maesn.evaluate import AdaptationOutcome, as_rows
 from maesn.runs.storage import RunError, explained, write_whole
 
 
-def adaptation_file(directory: Path, tasks: str, reward: RewardKind, first_update: int = 0) -> Path:
+def adaptation_file(
+    directory: Path, tasks: str, reward: RewardKind, first_update: int = 0, suffix: str = ""
+) -> Path:
     """Return where a table of adaptation curves goes by default.
 
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `from-UPDATE-` before it if the adaptation went on from an earlier one.
+    `from-UPDATE-` before it if the adaptation went on from an earlier one. The suffix says what
+    was added to the learner, and which engine was asked for by name.
     """
     name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
     prefix = f"from-{first_update}-" if first_update else ""
-    return directory / "adaptation" / f"{prefix}{name}-{reward}.csv"
+    return directory / "adaptation" / f"{prefix}{name}-{reward}{suffix}.csv"
+
+
+def engine_suffix(engine: str | None) -> str:
+    """Return the suffix of a table that an engine has played which was asked for by name.
+
+    Two engines' tables never share a file, and so never a figure.
+    """
+    return "" if engine is None else f"-on-{engine}"
 
 
 def latents_file(table: Path) -> Path:

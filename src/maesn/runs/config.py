@@ -8,10 +8,12 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.envs import AbstractMujocoEnv, AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
+from maesn.envs import AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.serialization import fields_from_json, fields_to_json, from_json, to_json
 from maesn.runs.storage import RunError, read_json, write_json
+from maesn.settings import added_later
+from maesn.worlds import EngineName, engine_of
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
 SCHEMA = 1
@@ -28,6 +30,8 @@ _ENTRIES = {
 }
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
+# Engine -> the packages that it needs beside those.
+_ENGINE_PACKAGES = {"mujoco.mjx": ("mujoco-mjx",)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +61,9 @@ class RunSettings:
     """Iterations between two checkpoints; one more is written at the end and on Ctrl-C."""
     num_threads: int = 0
     """Threads of the physics engine; 0: one for each CPU."""
+    engine: EngineName = added_later("native")
+    """native: MuJoCo on the CPU, and whatever moves other families. mjx: MuJoCo on the accelerator,
+    for families on a MuJoCo model."""
 
     def __post_init__(self) -> None:
         smallest = {
@@ -101,7 +108,7 @@ def new_config(
     """Return what a new run will write down.
 
     Raises:
-        RunError: the learner cannot be stored.
+        RunError: the learner cannot be stored, or the engine cannot move the family.
     """
     try:
         # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
@@ -109,14 +116,17 @@ def new_config(
     except ValueError as error:
         raise RunError(str(error)) from error
     assert isinstance(stored, AbstractMetaLearner)
-    on_host = isinstance(make_env(family, settings), AbstractMujocoEnv)
+    try:
+        engine = engine_of(make_env(family, settings), settings.engine)
+    except ValueError as error:
+        raise RunError(str(error)) from error
     return RunConfig(
         settings=settings,
         learner=stored,
         family=family.name,
         task_digest=tasks.digest(),
-        engine="mujoco.batch" if on_host else "jax",
-        versions=installed_versions(),
+        engine=engine,
+        versions=installed_versions(engine),
     )
 
 
@@ -129,6 +139,9 @@ def make_env(
         family: whose environment.
         settings: of the run.
         reward_kind: dense or sparse; None for that of training.
+
+    Raises:
+        RunError: the environment cannot have these settings, or cannot be learned in.
     """
     options: dict[str, Any] = {
         "variant": settings.variant,
@@ -136,13 +149,21 @@ def make_env(
     }
     if settings.sparse_radius is not None:
         options["sparse_radius"] = settings.sparse_radius
-    return family.make_env(**options)
+    try:
+        return family.make_env(**options)
+    except ValueError as error:
+        raise RunError(str(error)) from error
 
 
-def installed_versions() -> dict[str, str]:
+def installed_versions(engine: str) -> dict[str, str]:
     """Return the versions that decide whether a run can be repeated bit for bit."""
-    packages = {name: importlib.metadata.version(name) for name in _PACKAGES}
+    names = (*_PACKAGES, *_ENGINE_PACKAGES.get(engine, ()))
+    packages = {name: importlib.metadata.version(name) for name in names if _is_installed(name)}
     return {"python": platform.python_version(), **packages}
+
+
+def _is_installed(package: str) -> bool:
+    return any(importlib.metadata.distributions(name=package))
 
 
 def write_config(directory: Path, config: RunConfig) -> None:

@@ -11,6 +11,7 @@ from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, GradientFastLearner
+from maesn.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.gaussian_mlp import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
@@ -141,13 +142,31 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
 
 def _policy(learner: GradientFastLearner) -> GaussianPolicy:
     assert isinstance(learner.policy, GaussianMLPPolicy)
-    layers = learner.policy.mlp.layers
+    weights = [np.asarray(layer.weight, np.float32) for layer in learner.policy.mlp.layers]
+    biases = [np.asarray(layer.bias, np.float32) for layer in learner.policy.mlp.layers]
+    if learner.statistics is not None:
+        weights[0], biases[0] = _with_normalization(learner.statistics, weights[0], biases[0])
     std = np.maximum(np.exp(np.asarray(learner.policy.log_std, np.float64)), MINIMUM_STD)
     return GaussianPolicy(
-        weights=tuple(np.asarray(layer.weight, np.float32) for layer in layers),
-        biases=tuple(np.asarray(layer.bias, np.float32) for layer in layers),
+        weights=tuple(weights),
+        biases=tuple(biases),
         std=std,
     )
+
+
+def _with_normalization(
+    statistics: ObservationStatistics, weight: np.ndarray, bias: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fold the normalisation of observations into the first layer.
+
+    With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). So the robot computes
+    the same policy without knowing of it. In double precision, because the two parts may cancel.
+    """
+    mean = np.asarray(statistics.mean, np.float64)
+    scaled = weight.astype(np.float64)
+    scaled[: len(mean)] /= np.asarray(statistics.scale, np.float64)[:, None]
+    shifted = bias - mean @ scaled[: len(mean)]
+    return scaled.astype(np.float32), shifted.astype(np.float32)
 
 
 def _latent(value: object) -> RuntimeLatent:

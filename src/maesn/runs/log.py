@@ -52,6 +52,11 @@ class Progress(NamedTuple):
     environment_steps: int
     """Control steps so far."""
 
+    def told(self, name: str) -> float | None:
+        """Return the entry of `info` with that last part of its path, whatever step it is of."""
+        found = [value for path, value in self.info.items() if path.split("/")[-1] == name]
+        return found[0] if found else None
+
 
 class JsonLines:
     """A file with one JSON object for each iteration, which can be cut back to any of them."""

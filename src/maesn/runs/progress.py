@@ -53,7 +53,8 @@ def train_live(
         _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
-        _say(console, f"{run.directory} has done its {total} iterations already.")
+        done = run.latest().iteration
+        _say(console, f"{run.directory} has done {done} of {total} iterations: nothing is left.")
     return last
 
 
@@ -65,9 +66,10 @@ def describe(progress: Progress) -> str:
         parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
     if "success_after" in info:
         parts.append(f"success {info['success_after']:.0%}")
-    if "trust_region/kl" in info:
-        accepted = info.get("trust_region/accepted", 1.0)
-        parts.append(f"KL {info['trust_region/kl']:.4f}" if accepted else "step rejected")
+    kl = progress.told("kl")
+    if kl is not None:
+        rejected = progress.told("accepted") == 0.0
+        parts.append("step rejected" if rejected else f"KL {kl:.4f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")
     if progress.compile_seconds > 1:
         parts.append(f"compiled for {progress.compile_seconds:.0f} s")

@@ -11,6 +11,7 @@ DIR/tensorboard/     events for TensorBoard
 """
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ from maesn.runs.task_sources import (
     resolve_family,
     save_tasks,
 )
-from maesn.worlds import AbstractWorld, make_world
+from maesn.worlds import AbstractWorld, EngineName, make_world
 
 CHECKPOINTS = "checkpoints"
 TASKS = "tasks.npz"
@@ -79,14 +80,16 @@ class Run:
         learner: AbstractMetaLearner[Any, Any],
         settings: RunSettings,
         family: TaskFamily | None = None,
+        first_state: "Callable[[Run], Any] | None" = None,
     ) -> "Run":
-        """Make a new run directory with the untrained state in it.
+        """Make a new run directory with the state in it that training begins with.
 
         Args:
             directory: must be empty or not exist.
             learner: the method and its settings.
             settings: of the run.
             family: a family of your own; None for the one that `settings.family` names.
+            first_state: returns the state to begin with; None for the untrained one.
 
         Raises:
             RunError: the directory is in use or cannot be written, or a setting is wrong.
@@ -99,11 +102,12 @@ class Run:
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
+        run.world().close()  # before anything is written: the engine may lack something
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / TASKS, tasks, family)
-            run.save_state(run.untrained_state())
+            run.save_state((first_state or cls.untrained_state)(run))
             # Last, so that a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
         return run
@@ -155,16 +159,28 @@ class Run:
         return self.training_tasks if name == "training" else find_tasks(name, self.family)
 
     def world(
-        self, tasks: TaskSet | None = None, reward_kind: RewardKind | None = None
+        self,
+        tasks: TaskSet | None = None,
+        reward_kind: RewardKind | None = None,
+        engine: EngineName | None = None,
     ) -> AbstractWorld:
         """Return a world to play in.
 
         Args:
             tasks: None for what this run trains on.
             reward_kind: dense or sparse; None for that of training.
+            engine: what moves it; None for the run's own.
+
+        Raises:
+            EngineError: the engine is not installed.
+            RunError: the engine lacks something that the family needs.
         """
         tasks = self.training_tasks if tasks is None else tasks
-        return make_world(self.env(reward_kind), tasks, num_threads=self.settings.num_threads)
+        engine = self.settings.engine if engine is None else engine
+        try:
+            return make_world(self.env(reward_kind), tasks, self.settings.num_threads, engine)
+        except ValueError as error:
+            raise RunError(str(error)) from error
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""

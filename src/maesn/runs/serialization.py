@@ -16,8 +16,18 @@ import equinox as eqx
 from maesn.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.advantage import AdvantageEstimator
 from maesn.context import BiasContext, LatentContext, NoContext
-from maesn.learners import GradientMetaLearner
-from maesn.policies import GaussianMLP
+from maesn.curiosity import Curiosity
+from maesn.learners import (
+    CuriousMetaLearner,
+    GradientMetaLearner,
+    ProximalStep,
+    RecurrentMetaLearner,
+    RecurrentValue,
+    TrustRegionStep,
+)
+from maesn.numerics import MinibatchDescent
+from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
+from maesn.settings import is_left_out, may_be_missing
 from maesn.trust_region import TrustRegion
 
 Settings = TypeVar("Settings")
@@ -30,13 +40,22 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         Adaptation,
         AdvantageEstimator,
         BiasContext,
+        CategoricalMLP,
+        CuriousMetaLearner,
+        Curiosity,
         GaussianMLP,
         GradientMetaLearner,
         InnerStep,
         LatentContext,
+        MinibatchDescent,
         NoContext,
+        ProximalStep,
+        Recurrent,
+        RecurrentMetaLearner,
+        RecurrentValue,
         StepSchedule,
         TrustRegion,
+        TrustRegionStep,
     )
 }
 
@@ -80,6 +99,7 @@ def fields_to_json(settings: Any) -> dict[str, Any]:
     return {
         field.name: _encode(getattr(settings, field.name), hints[field.name])
         for field in dataclasses.fields(settings)
+        if not is_left_out(field, getattr(settings, field.name))
     }
 
 
@@ -88,21 +108,27 @@ def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Setti
 
     Args:
         kind: class of the settings.
-        document: exactly the fields of that class.
+        document: exactly the fields of that class; those of `added_later` may be missing.
 
     Raises:
         ValueError: a field is unknown, missing, or of the wrong type.
     """
     hints = get_type_hints(kind)
-    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    names = [field.name for field in fields]
+    required = {field.name for field in fields if not may_be_missing(field)}
     for complaint, wrong in (
         ("has no field", sorted(document.keys() - set(names))),
-        ("lacks the field", sorted(set(names) - document.keys())),
+        ("lacks the field", sorted(required - document.keys())),
     ):
         if wrong:
             raise ValueError(f"`{kind.__name__}` {complaint} `{wrong[0]}`; it has {names}.")
     return kind(
-        **{name: _decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
+        **{
+            name: _decode(document[name], hints[name], f"{kind.__name__}.{name}")
+            for name in names
+            if name in document
+        }
     )
 
 

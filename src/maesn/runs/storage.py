@@ -15,6 +15,8 @@ logger = logging.getLogger(__name__)
 
 # A file of this suffix was being written when its process died; nothing reads it.
 PARTIAL = ".partial"
+# Stands in a directory that is being filled. Where it has stayed, its process died over that.
+UNFINISHED = ".unfinished"
 
 _ADVICE = {
     errno.ENOSPC: "free some space there, or choose another directory",
@@ -53,10 +55,14 @@ def explained(action: str, path: Path) -> Iterator[None]:
 def new_directory(directory: Path) -> Iterator[None]:
     """Make a directory for the block to fill, and remove it again if the block fails.
 
+    What a process left behind that was killed over the same is cleared away.
+
     Raises:
         RunError: it is in use or cannot be made.
     """
     with explained("make", directory):
+        if (directory / UNFINISHED).exists():
+            shutil.rmtree(directory)
         directory.mkdir(parents=True, exist_ok=True)
         occupied = any(directory.iterdir())
     if occupied:
@@ -66,7 +72,9 @@ def new_directory(directory: Path) -> Iterator[None]:
         )
     try:
         with explained("fill", directory):
+            (directory / UNFINISHED).touch()
             yield
+            (directory / UNFINISHED).unlink()
     except BaseException:
         shutil.rmtree(directory, ignore_errors=True)
         raise

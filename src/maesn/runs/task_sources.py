@@ -106,14 +106,16 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """Read tasks of a family from an `.npz` file; nothing in it is executed.
 
     The file holds the arrays that `family.task_names` lists, each with one row per task: for
-    `wheeled` and `point` the array `goal`, `[row, 2]` in metres.
+    `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
+    integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
 
     Args:
         path: of the file.
         family: says which arrays are needed, of which shape.
 
     Raises:
-        RunError: the file is unreadable, an array is missing or misshapen, or a value not finite.
+        RunError: the file is unreadable, an array is missing or misshapen, or a value not finite
+            or without a meaning.
     """
     one_task = family.draw_tasks(np.random.default_rng(0), 1)
     leaves, structure = jax.tree.flatten(one_task)
@@ -128,7 +130,12 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
             f"the arrays of `{path}` must all have one row for each task, and at least one; "
             f"they have {', '.join(map(str, sorted(rows)))} rows."
         )
-    return TaskSet(jax.tree.unflatten(structure, tasks))
+    drawn = jax.tree.unflatten(structure, tasks)
+    try:
+        family.check_tasks(drawn)
+    except ValueError as error:
+        raise RunError(f"the tasks of `{path}` cannot be used: {error}.") from error
+    return TaskSet(drawn)
 
 
 def save_tasks(path: Path, tasks: TaskSet, family: TaskFamily) -> None:
@@ -179,6 +186,9 @@ def _fit(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
         raise RunError(f"{what} must hold numbers of type {like.dtype}, got {array.dtype}.")
     with np.errstate(over="ignore"):  # what overflows is refused in the next line
         fitted = array.astype(like.dtype)
+    if array.dtype.kind in "iu" and like.dtype.kind in "iu" and (fitted != array).any():
+        too_large = array[fitted != array][0]
+        raise RunError(f"{what} must hold numbers that fit into {like.dtype}, got {too_large}.")
     if not np.isfinite(fitted).all():
         row = int(np.argwhere(~np.isfinite(fitted))[0][0])
         raise RunError(f"{what} must be finite, got {array[row]} in row {row}.")

@@ -5,7 +5,6 @@ import logging
 import math
 import time
 from collections.abc import Generator
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,12 +14,13 @@ from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
 from maesn.episodes import Collect, Episodes
 from maesn.rollout import Collector
-from maesn.runs.checkpoint import Snapshot, named_leaves, restore
+from maesn.runs.checkpoint import Snapshot, named_leaves
 from maesn.runs.compilation import CompileClock
-from maesn.runs.config import CONFIG, installed_versions, read_config
+from maesn.runs.config import CONFIG, installed_versions
 from maesn.runs.log import Progress, RunLog
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError, locked
+from maesn.worlds import AbstractWorld
 
 logger = logging.getLogger(__name__)
 
@@ -51,9 +51,11 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
         TrainingError: losses or gradients were not finite several times in a row.
-        EpisodeError: the physics of an episode blew up.
+        EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
+    if total < 0:
+        raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
     with contextlib.ExitStack() as stack:
         stack.enter_context(locked(run.directory / CONFIG))
         start = run.latest()
@@ -61,7 +63,8 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         stack.callback(log.close)
         if start.iteration:
             _compare_versions(run)
-        training = _Training(run, log, start)
+        world = stack.enter_context(contextlib.closing(run.world()))
+        training = _Training(run, world, log, start)
         stack.callback(training.end)
         while training.snapshot.iteration < total:
             yield training.advance()
@@ -70,13 +73,13 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
 class _Training:
     """A run between two iterations."""
 
-    def __init__(self, run: Run, log: RunLog, snapshot: Snapshot) -> None:
+    def __init__(self, run: Run, world: AbstractWorld, log: RunLog, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
         self._run = run
         self._log = log
         self._saved = snapshot.iteration
         self._nonfinite = 0
-        self._collect = _Counter(Collector(run.world(), run.settings.episodes_per_task))
+        self._collect = _Counter(Collector(world, run.settings.episodes_per_task))
 
     def advance(self) -> Progress:
         """Do one iteration and write it down."""
@@ -125,7 +128,7 @@ class _Training:
         """Say that a step was not finite, and give up after several in a row."""
         broken = [name for name, value in progress.info.items() if not math.isfinite(value)]
         tasks = int(progress.info.get("nonfinite_tasks", 0))
-        accepted = bool(progress.info.get("trust_region/accepted", 0.0))
+        accepted = bool(progress.told("accepted"))
         if accepted or not (broken or tasks):
             self._nonfinite = 0
             return
@@ -149,7 +152,7 @@ class _Training:
 
 
 def _compare_versions(run: Run) -> None:
-    now = installed_versions()
+    now = installed_versions(run.config.engine)
     for name, version in run.config.versions.items():
         if now.get(name) != version:
             logger.warning(
@@ -181,52 +184,3 @@ class _Counter:
         episodes = self._collect(keys, agents, task_index, carry)
         self.steps += int(np.asarray(episodes.valid).sum())
         return episodes
-
-
-def init_from(run: Run, source_directory: str | Path) -> None:
-    """Let a new run begin with what another one has learned, on tasks of its own.
-
-    The policy, the step sizes, and all else that tasks share come from the source. What belongs to
-    single tasks, such as the latents, begins afresh, and so does the count of iterations.
-
-    Args:
-        run: not trained yet.
-        source_directory: of the other run.
-
-    Raises:
-        RunError: the run has been trained already, or the source does not fit.
-    """
-    done = run.latest().iteration
-    if done:
-        raise RunError(
-            f"`{run.directory}` must be a new run to begin with what another one has learned, but "
-            f"has done {done} iterations itself: make a new one."
-        )
-    same_family = read_config(Path(source_directory)).family == run.config.family
-    source = Run.open(source_directory, run.family if same_family else None)
-    _check_sizes(run, source)
-    fresh = run.untrained_state()
-    iteration, rows = run.learner.iteration(fresh), _rows_of_tasks(run)
-    values = named_leaves(source.latest_state())
-    for name, leaf in named_leaves(fresh).items():
-        if name in rows or leaf is iteration:
-            values[name] = leaf
-    run.save_state(restore(fresh, values, source.directory))
-
-
-def _check_sizes(run: Run, source: Run) -> None:
-    ours, theirs = run.env(), source.env()
-    for name in ("observation_size", "action_size"):
-        wanted, found = getattr(ours, name), getattr(theirs, name)
-        if wanted != found:
-            raise RunError(
-                f"`{source.directory}` must have an environment of `{name}` {wanted} as "
-                f"`{run.directory}` has, got {found}: begin with a run in the same environment."
-            )
-
-
-def _rows_of_tasks(run: Run) -> set[str]:
-    """Return the names of the leaves that grow with the number of tasks: one row for each."""
-    shapes = named_leaves(run.structure())
-    larger = named_leaves(run.structure(len(run.training_tasks) + 1))
-    return {name for name, leaf in shapes.items() if leaf.shape != larger[name].shape}

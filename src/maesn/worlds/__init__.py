@@ -1,8 +1,11 @@
 """Worlds: batched episodes of one family."""
 
-from typing import Any
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, Literal, TypeAlias, get_args
 
-from maesn.envs.base import AbstractMujocoEnv, AnyEnv
+from maesn.envs.base import AnyEnv
+from maesn.envs.base import Start as Start
 from maesn.envs.tasks import TaskSet
 from maesn.worlds.base import AbstractWorld as AbstractWorld
 from maesn.worlds.base import Act as Act
@@ -11,20 +14,65 @@ from maesn.worlds.base import Decision as Decision
 from maesn.worlds.base import EpisodeError as EpisodeError
 from maesn.worlds.base import Moment as Moment
 from maesn.worlds.base import SimulationFailure as SimulationFailure
-from maesn.worlds.base import Start as Start
 from maesn.worlds.base import Trajectory as Trajectory
 from maesn.worlds.device import DeviceWorld as DeviceWorld
+from maesn.worlds.mjx import MjxWorld as MjxWorld
 from maesn.worlds.native import NativeWorld as NativeWorld
+from maesn.worlds.scene import Scene as Scene
+from maesn.worlds.scene import arena as arena
+from maesn.worlds.scene import places as places
+from maesn.worlds.simulators import open_simulator as open_simulator
 
 
-def make_world(env: AnyEnv, tasks: TaskSet, **options: Any) -> AbstractWorld:
+def _gymnasium_world(*arguments: Any) -> AbstractWorld:
+    # Gymnasium is an extra of the installation.
+    return import_module("maesn.worlds.foreign").GymnasiumWorld(*arguments)
+
+
+# What moves an environment -> the world in which it does.
+_WORLDS: dict[str, Callable[[Any, TaskSet, int], AbstractWorld]] = {
+    "gymnasium": _gymnasium_world,
+    "jax": DeviceWorld,
+    "mujoco.batch": NativeWorld,
+    "mujoco.mjx": MjxWorld,
+}
+
+EngineName: TypeAlias = Literal["native", "mjx"]
+"""`native` is each environment's own engine; `mjx` moves MuJoCo's models on an accelerator."""
+
+
+def engine_of(env: AnyEnv, engine: EngineName = "native") -> str:
+    """Return what moves an environment, as run directories record it.
+
+    Raises:
+        ValueError: there is no such engine, or it cannot move the environment.
+    """
+    if engine not in get_args(EngineName):
+        names = " or ".join(map(repr, get_args(EngineName)))
+        raise ValueError(f"`engine` must be {names}, got {engine!r}")
+    if engine == "native":
+        return env.engine
+    if env.engine == "mujoco.batch":
+        return "mujoco.mjx"
+    raise ValueError(
+        f'`engine` must be "native" for `{env.name}`, which is moved by {env.engine}, got '
+        f'{engine!r}: "mjx" is for families on a MuJoCo model alone'
+    )
+
+
+def make_world(
+    env: AnyEnv, tasks: TaskSet, num_threads: int = 0, engine: EngineName = "native"
+) -> AbstractWorld:
     """Return the world that moves this kind of environment.
 
     Args:
-        env: decides the engine: MuJoCo on the host, or JAX.
+        env: decides the engine: MuJoCo on the host, JAX, or processes of foreign environments.
         tasks: the tasks that can be played.
-        options: passed to the world, such as `num_threads` of `NativeWorld`.
+        num_threads: threads or processes that play; 0 means one for each CPU.
+        engine: "mjx" moves a MuJoCo environment on the accelerator instead of on the host.
+
+    Raises:
+        EngineError: the engine is not installed.
+        ValueError: the engine cannot move the environment.
     """
-    if isinstance(env, AbstractMujocoEnv):
-        return NativeWorld(env, tasks, **options)
-    return DeviceWorld(env, tasks)
+    return _WORLDS[engine_of(env, engine)](env, tasks, num_threads)

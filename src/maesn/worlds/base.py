@@ -11,22 +11,13 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agents
 from maesn.axes import Carry, EpisodeKeys, HostReadings, Readings
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
 from maesn.numerics import AbstractDistribution
-
-
-class Start(NamedTuple):
-    """How a batch of episodes begins, task-major over `simulation`."""
-
-    qpos: Float[Array, "simulation qpos"]
-    qvel: Float[Array, "simulation qvel"]
-    model_fields: dict[str, Array]
-    """What the tasks change in the dynamics, `[simulation, ...]` each; empty if nothing."""
 
 
 class Actors(eqx.Module):
@@ -44,10 +35,12 @@ class Actors(eqx.Module):
 class Decision(NamedTuple):
     """What the policies decide at one step of every episode."""
 
-    control: Float[Array, "simulation control"]
+    control: Float[Array | np.ndarray, "simulation control"]
     action: Float[Array, "task episode action"]
     behaviour: AbstractDistribution
     carry: Carry
+    ended: Bool[Array, "task episode"]
+    """Whether the episode has terminated, in this state or in an earlier one."""
 
 
 class Moment(NamedTuple):
@@ -59,6 +52,8 @@ class Moment(NamedTuple):
     previous_readings: Readings | HostReadings
     previous_action: Float[Array | np.ndarray, "task episode action"]
     carry: Carry
+    ended: Bool[Array | np.ndarray, "task episode"]
+    """Of the decision before; False at the start."""
 
 
 @runtime_checkable
@@ -111,17 +106,27 @@ class AbstractWorld(ABC):
     def tasks(self) -> TaskSet:
         """The tasks that can be played."""
 
+    @property
     @abstractmethod
-    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+    def max_simulations(self) -> int | None:
+        """How many simulations should be played at once at most; None for any number."""
+
+    @abstractmethod
+    def play(self, act: Act, actors: Actors, start: Any, carry: Carry) -> Trajectory:
         """Play one episode of `env.horizon` steps in every simulation.
 
         Args:
             act: pure function that decides each step. Passing the same object again avoids a
                 second compilation.
             actors: who acts.
-            start: how the episodes begin.
+            start: how the episodes begin: what `env.start` returns, stacked over `simulation`.
             carry: memory of the policies at the start, `[task, episode, ...]`.
 
         Raises:
-            SimulationFailure: the physics of a simulation blew up.
+            SimulationFailure: the physics of a simulation blew up while its episode lived, or a
+                foreign environment did what it must not.
         """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop the threads and processes that play; playing again would start them anew."""

@@ -1,21 +1,35 @@
-"""Worlds written in JAX: a whole batch of episodes is one compiled scan."""
+"""Worlds moved by JAX: a whole batch of episodes is one compiled scan."""
 
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Carry, Readings
-from maesn.envs.base import AbstractPureEnv
+from maesn.envs.base import AbstractPureEnv, AnyEnv, Start
 from maesn.envs.tasks import TaskSet
-from maesn.worlds.base import AbstractWorld, Act, Actors, Decision, Moment, Start, Trajectory
+from maesn.worlds.base import AbstractWorld, Act, Actors, Decision, Moment, Trajectory
+
+
+@runtime_checkable
+class Advance(Protocol):
+    """Moves all simulations by one control step. Equal ones share a compiled program."""
+
+    def __call__(
+        self,
+        state: Any,
+        control: Float[Array, "simulation control"],
+        ended: Bool[Array, " simulation"],
+    ) -> tuple[Any, Readings]:
+        """Return the states one control step later, and what is read in them."""
 
 
 class DeviceWorld(AbstractWorld):
-    """Plays an `AbstractPureEnv` on whatever device JAX uses."""
+    """Plays an `AbstractPureEnv` on whatever device JAX uses, which has threads of its own."""
 
-    def __init__(self, env: AbstractPureEnv[Any], tasks: TaskSet) -> None:
+    def __init__(self, env: AbstractPureEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
         self._env = env
         self._tasks = tasks
 
@@ -27,36 +41,82 @@ class DeviceWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
+    @property
+    def max_simulations(self) -> None:
+        return None
+
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. Nothing in here can fail: JAX raises no numerical errors."""
-        return _scan_episodes(self._env, act, actors, start, carry)
+        first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
+        advance = _PureAdvance(self._env)
+        return scan_episodes(self._env, advance, act, actors, first, first, carry)[0]
+
+    def close(self) -> None:
+        """Do nothing: whatever plays here is JAX's own."""
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _scan_episodes(
-    env: AbstractPureEnv[Any], act: Act, actors: Actors, start: Start, carry: Carry
-) -> Trajectory:
-    first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
-    no_action = jnp.zeros((*actors.context.shape[:2], env.action_size))
-    advance = jax.vmap(env.advance)
+class _PureAdvance(NamedTuple):
+    """`Advance` of an environment whose readings are all that its states consist of."""
 
-    def step(moment: Moment, _: None) -> tuple[Moment, tuple[Readings, Decision]]:
+    env: AbstractPureEnv[Any]
+
+    def __call__(
+        self,
+        state: Readings,
+        control: Float[Array, "simulation control"],
+        ended: Bool[Array, " simulation"],
+    ) -> tuple[Readings, Readings]:
+        readings = jax.vmap(self.env.advance)(state, control)
+        return readings, readings
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def scan_episodes(
+    env: AnyEnv,
+    advance: Advance,
+    act: Act,
+    actors: Actors,
+    state: Any,
+    first: Readings,
+    carry: Carry,
+) -> tuple[Trajectory, Bool[Array, "time task episode"]]:
+    """Play one episode of `env.horizon` steps in every simulation, in one compiled program.
+
+    Args:
+        env: what is played.
+        advance: moves the simulations.
+        act: decides each step.
+        actors: who acts.
+        state: of all simulations at the start, as `advance` takes it.
+        first: readings of that state.
+        carry: memory of the policies at the start, `[task, episode, ...]`.
+
+    Returns:
+        What was read and done, and which episodes had ended at each decision.
+    """
+    batch = actors.context.shape[:2]
+    no_action, no_end = jnp.zeros((*batch, env.action_size)), jnp.zeros(batch, bool)
+
+    def step(now: tuple[Any, Moment], _: None) -> tuple[Any, tuple[Readings, Decision]]:
+        state, moment = now
         decision = act(actors, moment)
-        readings = advance(cast(Readings, moment.readings), decision.control)
+        state, readings = advance(state, jnp.asarray(decision.control), decision.ended.reshape(-1))
         following = Moment(
             step=moment.step + 1,
             readings=readings,
             previous_readings=moment.readings,
             previous_action=decision.action,
             carry=decision.carry,
+            ended=decision.ended,
         )
-        return following, (readings, decision._replace(carry=None))
+        return (state, following), (readings, decision._replace(carry=None))
 
-    moment = Moment(jnp.zeros((), int), first, first, no_action, carry)
-    last, (readings, decisions) = jax.lax.scan(step, moment, length=env.horizon)
-    return Trajectory(
+    moment = Moment(jnp.zeros((), int), first, first, no_action, carry, no_end)
+    (_, last), (readings, decisions) = jax.lax.scan(step, (state, moment), length=env.horizon)
+    trajectory = Trajectory(
         readings=jax.tree.map(lambda x, xs: jnp.concatenate([x[None], xs]), first, readings),
         action=decisions.action,
         behaviour=decisions.behaviour,
         carry=last.carry,
     )
+    return trajectory, decisions.ended

@@ -14,7 +14,6 @@ from maesn.report.figures.plane import (
     draw_goals,
     draw_paths,
     plane_axes,
-    reached,
     shared_limits,
 )
 from maesn.report.runs import Exploration
@@ -48,7 +47,7 @@ class ExploringSeries:
 def plot_exploration(exploring: Sequence[ExploringSeries]) -> Figure:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
-    The untrained policy is that of the first series; its share is counted on the drawn episodes.
+    The untrained policy is that of the first series.
 
     Args:
         exploring: one panel each, in one world.
@@ -65,9 +64,8 @@ def plot_exploration(exploring: Sequence[ExploringSeries]) -> Figure:
         axes.set_title(panel.title)
     draw_goals(panels[-1], first.goals, first.sparse_radius)
     draw_paths(panels[-1], first.untrained_paths, BLACK)
-    hits = reached(first.goals, first.untrained_paths, first.sparse_radius)
-    reach = PriorReach(float(hits.mean()), len(first.untrained_paths))
-    panels[-1].set_title(f"untrained policy\n{_share(reach)}")
+    untrained = first.untrained_reach
+    panels[-1].set_title("untrained policy" + (f"\n{_share(untrained)}" if untrained else ""))
     _label_outer(panels, columns=_num_columns(len(panels)))
     return figure
 

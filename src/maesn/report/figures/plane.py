@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -124,13 +124,6 @@ def final_positions(paths: Positions) -> Float[np.ndarray, "episode 2"]:
     played = np.isfinite(paths).all(-1)
     last = paths.shape[1] - 1 - np.argmax(played[:, ::-1], axis=1)
     return np.asarray(paths[np.arange(len(paths)), last])
-
-
-def reached(goals: Points, paths: Positions, radius: float) -> Bool[np.ndarray, " point"]:
-    """Whether some episode comes within `radius` of each goal."""
-    return np.array(
-        [bool((np.linalg.norm(paths - goal, axis=-1) <= radius).any()) for goal in goals]
-    )
 
 
 def directions(points: Points) -> Float[np.ndarray, " point"]:

@@ -1,0 +1,113 @@
+"""Who finds a reward that is far away: TRPO, REINFORCE, and VIME, on the sparse chain.
+
+    python benchmarks/vime_chain.py --out results/vime_chain
+
+Every seed plays several tasks, each with weights and random draws of its own. A run has found the
+reward at the first update before which some episode was paid. Policies, batches and the step of
+TRPO are the same for all three.
+"""
+
+import csv
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from maesn.curiosity import Curiosity
+from maesn.envs import chain
+from maesn.evaluate import AdaptationCurves, adapt
+from maesn.learners import SCRATCH, AbstractFastLearner
+from maesn.policies import GaussianMLP
+from maesn.rollout import Collector
+from maesn.worlds import make_world
+
+METHODS = ("trpo", "reinforce", "vime")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is compared."""
+
+    seeds: int = 5
+    """Seeds 0, 1, ... are played."""
+    tasks: int = 4
+    """Tasks per seed."""
+    updates: int = 80
+    """Updates per run."""
+    episodes_per_task: int = 10
+    """Episodes of 50 steps per update."""
+    bonus: float = Curiosity().weight
+    """What VIME pays for a transition of typical information gain."""
+    out: Path | None = None
+    """Directory for the table; None: it is printed alone."""
+
+
+def learner(name: str, settings: Settings) -> AbstractFastLearner:
+    """Return a method for the chain's one observation and one action."""
+    options = {"policy": GaussianMLP(hidden_sizes=(32,))}
+    if name == "vime":
+        options["curiosity"] = Curiosity(weight=settings.bonus)
+    return SCRATCH[name](1, 1, **options)
+
+
+def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int | float]:
+    """Summarise the runs of one method and one seed."""
+    paid = curves.success_rate > 0
+    first = np.where(paid.any(axis=1), paid.argmax(axis=1), np.inf)
+    return {
+        "method": name,
+        "seed": seed,
+        "runs": len(paid),
+        "found": int(paid.any(axis=1).sum()),
+        "median_first_update": float(np.median(first)),
+        "final_success_rate": round(float(curves.success_rate[:, -1].mean()), 3),
+        "final_return": round(float(curves.mean_return[:, -1].mean()), 3),
+    }
+
+
+def main(settings: Settings) -> None:
+    """Play all methods and seeds, and print one line for each."""
+    tasks = chain.task_set("test", size=settings.tasks)
+    collect = Collector(
+        make_world(chain.make_env(reward_kind="sparse"), tasks), settings.episodes_per_task
+    )
+    rows = []
+    for name in METHODS:
+        for seed in range(settings.seeds):
+            start = time.perf_counter()
+            outcome = adapt(
+                learner(name, settings),
+                collect,
+                updates=settings.updates,
+                episodes_per_task=settings.episodes_per_task,
+                seed=seed,
+            )
+            rows.append(row(name, seed, outcome.curves))
+            print(*rows[-1].values(), f"{time.perf_counter() - start:.0f} s", sep="\t", flush=True)
+    summarise(rows, settings)
+    if settings.out is not None:
+        settings.out.mkdir(parents=True, exist_ok=True)
+        with (settings.out / "table.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def summarise(rows: list[dict[str, str | int | float]], settings: Settings) -> None:
+    """Print what the seeds of each method come to."""
+    print(f"\nsparse chain, {settings.updates} updates of {settings.episodes_per_task} episodes")
+    for name in METHODS:
+        mine = [row for row in rows if row["method"] == name]
+        found, runs = (sum(int(row[key]) for row in mine) for key in ("found", "runs"))
+        seeds = sum(int(row["found"]) > 0 for row in mine)
+        success = np.mean([float(row["final_success_rate"]) for row in mine])
+        print(
+            f"{name:10s} found the reward in {found} of {runs} runs, {seeds} of {len(mine)} seeds; "
+            f"success rate at the end {success:.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))

@@ -1,0 +1,91 @@
+"""A Bernoulli bandit: a probe of learning by remembering, with a known optimum.
+
+See `maesn.envs.probes` for what probes are. The one of Duan et al. (2016, section 3.1,
+https://arxiv.org/abs/1611.02779): an arm pays 1 with a probability of its own, else 0. The Bayes
+optimal return over all tasks, uniform probabilities, follows from dynamic programming over counts
+of payments; `benchmarks/bandit.py` computes it.
+"""
+
+from typing import ClassVar, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import ActionKind, Key, Readings
+from maesn.envs.base import Reward, RewardKind, Variant
+from maesn.envs.probes import AbstractProbe
+from maesn.envs.tasks import TaskFamily
+
+Probabilities: TypeAlias = Float[Array, " arm"]
+
+ARMS, PULLS = 5, 10  # the smallest of the bandits of Duan et al.
+
+
+class Bandit(AbstractProbe[Probabilities]):
+    """Arms that pay 1 with an unknown probability each, for an agent that sees nothing else.
+
+    Action (one of `action_size` arms): which one to pull. Observation (1): always 0. Reward, dense
+    and sparse: 1 if the arm pays, else 0. An episode has T pulls. "Solved" means that it has paid.
+
+    State: `qpos` holds the number of pulls so far and the draws u_t ~ U(0, 1) of all pulls, `qvel`
+    the arm that was pulled last (one-hot). Arm k pays at pull t if u_t < p_k.
+    """
+
+    name: ClassVar[str] = "bandit"
+    action_kind: ClassVar[ActionKind] = "discrete"
+    planar: ClassVar[bool] = False
+
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = 0.0
+    horizon: int = PULLS
+    observation_size: int = 1
+    action_size: int = ARMS
+
+    def initial(self, key: Key, task: Probabilities) -> tuple[Array, Array]:
+        draws = jax.random.uniform(key, (self.horizon,))
+        return jnp.append(0.0, draws), jnp.zeros(self.action_size)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
+        return action
+
+    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+        return {"qpos": readings["qpos"].at[0].add(1.0), "qvel": control}
+
+    def observe(self, readings: Readings) -> Float[Array, " 1"]:
+        return jnp.zeros(1)
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Probabilities,
+    ) -> Reward:
+        paid = self.solved(next_readings, task).astype(action.dtype)
+        return Reward(paid, jnp.zeros(()))
+
+    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+        return jnp.zeros((), bool)
+
+    def solved(self, readings: Readings, task: Probabilities) -> Bool[Array, ""]:
+        # Before the first pull no arm is pulled, and the probability below is 0.
+        pulls, draws = readings["qpos"][0].astype(int), readings["qpos"][1:]
+        return draws[jnp.maximum(pulls - 1, 0)] < readings["qvel"] @ task
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        """Return the origin: there is no place."""
+        return jnp.zeros(2)
+
+    def goal(self, task: Probabilities) -> Float[Array, " 2"]:
+        """Return the origin: there is no place."""
+        return jnp.zeros(2)
+
+
+def _draw_probabilities(stream: np.random.Generator, size: int) -> np.ndarray:
+    return stream.uniform(0.0, 1.0, (size, ARMS)).astype(np.float32)
+
+
+bandit = TaskFamily("bandit", Bandit, _draw_probabilities, ("probabilities",), seed=35)

@@ -1,0 +1,88 @@
+"""A probe of exploration: the reward is far away, and nothing on the way says so.
+
+See `maesn.envs.probes` for what probes are.
+"""
+
+from typing import ClassVar, TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key, Readings
+from maesn.envs.base import Reward, RewardKind, Variant
+from maesn.envs.probes import AbstractProbe
+from maesn.envs.tasks import TaskFamily
+
+Distance: TypeAlias = Float[Array, ""]
+
+LENGTH = 30.0  # full steps from one end to the other
+NEAREST = 28.0  # where the reward begins at the nearest
+
+
+class Chain(AbstractProbe[Distance]):
+    """A corridor between two walls, whose far end is paid: 30 steps of 50 must go that way.
+
+    Observation (1): position, as a share of the length. Action (1): the step, clipped to [-1, 1];
+    the agent starts at 0, and walls stand there and at 30. With x_t its position and g the task,
+    28 to 30:
+
+        dense:   r_t = (x_{t+1} - x_t) / g                          the return is x_T / g
+        sparse:  r_t = 1 where x_{t+1} >= g - sparse_radius, else 0
+
+    Steps drawn from N(0, 1) reach about 12 in an episode, and a reward is as good as never found
+    by chance: the sparse chain is for agents that look for it. (Houthooft et al. 2016 use sparse
+    mountain car for this.)
+    """
+
+    name: ClassVar[str] = "chain"
+
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = 0.0
+    horizon: int = 50
+    observation_size: int = 1
+    action_size: int = 1
+
+    def initial(self, key: Key, task: Distance) -> tuple[Float[Array, " 1"], Float[Array, " 1"]]:
+        return jnp.zeros(1), jnp.zeros(1)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " 1"]:
+        return jnp.clip(action, -1.0, 1.0)
+
+    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+        position = jnp.clip(readings["qpos"] + control, 0.0, LENGTH)
+        return {"qpos": position, "qvel": readings["qvel"]}
+
+    def observe(self, readings: Readings) -> Float[Array, " 1"]:
+        return readings["qpos"] / LENGTH
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Distance,
+    ) -> Reward:
+        step = (next_readings["qpos"][0] - readings["qpos"][0]) / task
+        reached = self.solved(next_readings, task).astype(step.dtype)
+        return Reward(step if self.reward_kind == "dense" else reached, jnp.zeros(()))
+
+    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+        return jnp.zeros((), bool)
+
+    def solved(self, readings: Readings, task: Distance) -> Bool[Array, ""]:
+        return readings["qpos"][0] >= task - self.sparse_radius
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return jnp.append(LENGTH * observation, 0.0)
+
+    def goal(self, task: Distance) -> Float[Array, " 2"]:
+        return jnp.stack([task, jnp.zeros(())])
+
+
+def _draw_distances(stream: np.random.Generator, size: int) -> np.ndarray:
+    return stream.uniform(NEAREST, LENGTH, size).astype(np.float32)
+
+
+chain = TaskFamily("chain", Chain, _draw_distances, ("distance",), seed=36)

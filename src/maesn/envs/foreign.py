@@ -1,0 +1,227 @@
+"""Families of environments that others wrote, for Gymnasium's interface.
+
+Observations are flattened. Actions are mapped once, for all tasks: the policy's action a is
+unbounded, and component i of the control is
+
+    u_i = clip(middle_i + half_i a_i, lower_i, upper_i),
+
+with the middle and half the width of the action space: a = 0 is the middle, and +-1 are the bounds.
+A `Discrete` action space becomes a choice, a one-hot vector.
+
+The reward is the environment's own, as is the end of an episode: `terminated` is the task's, and
+`truncated` is a clock's. Success is `info["is_success"]` or else `info["success"]`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from maesn.axes import ActionKind, Key, Readings
+from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
+from maesn.envs.tasks import TaskFamily
+from maesn.foreign import Interface, InterfaceError, describe
+
+# Seconds. Making an environment can take long on a machine that does much else.
+TIME_LIMIT = 120.0
+# Hosted environments hold memory: about 20 MB each where a model has meshes.
+MAX_ENVIRONMENTS = 500
+
+
+def nowhere(_: Any) -> Float[Array, " 2"]:
+    """Return no position: figures that need one are left out."""
+    return jnp.full(2, jnp.nan)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How the environments of a family are made, hosted and shown."""
+
+    make_env: Callable[[Any, str], Any]
+    """Called with a task and "dense" or "sparse"."""
+    time_limit: float
+    """Seconds that one call of an environment may take."""
+    max_environments: int
+    """Environments that adaptation may keep at once."""
+    position: Callable[[Any], Any]
+    """Planar position (metres) for figures from an observation, or `nowhere`."""
+    goal: Callable[[Any], Any]
+    """Planar position (metres) for figures from a task, or `nowhere`."""
+
+
+class AbstractGymnasiumEnv(AbstractEnv[Any]):
+    """Somebody else's environment, which runs in processes of its own.
+
+    Each family is a class, made by `gymnasium_family`.
+    """
+
+    engine: ClassVar[str] = "gymnasium"
+
+    interface: eqx.AbstractClassVar[Interface]
+    recipe: eqx.AbstractClassVar[Recipe]
+
+    horizon: int
+    observation_size: int
+    action_size: int
+    reward_kind: RewardKind
+    sparse_radius: float = 0.0
+    """Not known here: 0."""
+    variant: Variant = "reference"
+
+    def start(self, key: Key, task: Any) -> UInt32[Array, ""]:
+        """Return the seed that the episode is reset with."""
+        return jax.random.bits(key, dtype=jnp.uint32)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+        if self.action_kind == "discrete":
+            return action
+        lower, upper = (
+            jnp.asarray(bounds, jnp.float32)
+            for bounds in (self.interface.lower, self.interface.upper)
+        )
+        return jnp.clip((lower + upper) / 2 + (upper - lower) / 2 * action, lower, upper)
+
+    def observe(self, readings: Readings) -> Float[Array, " observed"]:
+        return readings["observation"]
+
+    def instruction(self, task: Any) -> Float[Array, " 0"]:
+        return jnp.zeros(0)
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Any,
+    ) -> Reward:
+        """Return the environment's reward, which does not say what is due to the goal: all."""
+        return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
+
+    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+        return readings["terminated"] > 0
+
+    def truncated(self, readings: Readings) -> Bool[Array, ""]:
+        return readings["truncated"] > 0
+
+    def solved(self, readings: Readings, task: Any) -> Bool[Array, ""]:
+        return readings["solved"] > 0
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return self.recipe.position(observation)
+
+    def goal(self, task: Any) -> Float[Array, " 2"]:
+        return self.recipe.goal(task)
+
+
+def gymnasium_family(
+    name: str,
+    make_env: Callable[[Any, str], Any],
+    draw_tasks: Callable[[np.random.Generator, int], Any],
+    *,
+    task_names: tuple[str, ...] = ("task",),
+    seed: int = 0,
+    horizon: int | None = None,
+    control_period: float | None = None,
+    position: Callable[[Any], Any] = nowhere,
+    goal: Callable[[Any], Any] = nowhere,
+    time_limit: float = TIME_LIMIT,
+    max_environments: int = MAX_ENVIRONMENTS,
+) -> TaskFamily:
+    """Return a family of tasks in a Gymnasium environment.
+
+    The first use of the family makes one environment, to look at its spaces.
+
+    Args:
+        name: of the family.
+        make_env: returns the environment of a task (one row of what `draw_tasks` returns, as
+            NumPy arrays) that pays the "dense" or the "sparse" reward, its second argument. An
+            environment with a method `set_task(task)` is kept and told the next task; any other
+            is made anew for every task.
+        draw_tasks: draws that many tasks, as an array with one row per task, or a pytree of them.
+            They are held in JAX's single precision.
+        task_names: names of these arrays in a user's `.npz` file of tasks.
+        seed: fixes the family's task sets.
+        horizon: steps of an episode at most; None for the environment's `spec.max_episode_steps`.
+        control_period: seconds between two steps; None for what `metadata["render_fps"]` says.
+        position: returns the planar position (metres) for figures from an observation, in JAX.
+        goal: returns the planar position (metres) for figures from a task, in JAX. Figures that
+            need the two are left out if one is `nowhere`.
+        time_limit: seconds that one call of an environment may take before it counts as hanging.
+        max_environments: adaptation takes fewer tasks at a time to keep no more environments
+            than that; each episode that is played at the same time has one.
+    """
+    recipe = Recipe(make_env, time_limit, max_environments, position, goal)
+
+    @cache
+    def family_class() -> type[AbstractGymnasiumEnv]:
+        tasks = draw_tasks(np.random.default_rng([seed, 0]), 1)
+        found = _look_at(name, make_env, tasks)
+        return _family_class(name, found, recipe, control_period)
+
+    def make(
+        variant: Variant = "reference",
+        reward_kind: RewardKind = "dense",
+        sparse_radius: float = 0.0,
+    ) -> AbstractGymnasiumEnv:
+        """A Gymnasium environment."""
+        if variant != "reference" or sparse_radius:
+            raise ValueError(
+                f"`variant` and `sparse_radius` have no meaning in `{name}`, whose rewards are "
+                "its environment's own: leave them out."
+            )
+        kind = family_class()
+        return kind(
+            horizon=_known(name, "horizon", horizon, kind.interface.max_episode_steps),
+            observation_size=kind.interface.observation_size,
+            action_size=len(kind.interface.lower),
+            reward_kind=reward_kind,
+        )
+
+    return TaskFamily(name, make, draw_tasks, task_names, seed)
+
+
+def _family_class(
+    family_name: str, found: Interface, how: Recipe, period: float | None
+) -> type[AbstractGymnasiumEnv]:
+    class GymnasiumEnv(AbstractGymnasiumEnv):
+        """A Gymnasium environment."""
+
+        name: ClassVar[str] = family_name
+        control_period: ClassVar[float] = _known(
+            family_name, "control_period", period, found.control_period
+        )
+        action_kind: ClassVar[ActionKind] = "discrete" if found.discrete else "continuous"
+        planar: ClassVar[bool] = nowhere not in (how.position, how.goal)
+        interface: ClassVar[Interface] = found
+        recipe: ClassVar[Recipe] = how
+
+    return GymnasiumEnv
+
+
+def task_row(tasks: Any, row: int) -> Any:
+    """Return one task as `make_env` and `set_task` get it: NumPy arrays of single precision."""
+    return jax.tree.map(lambda x: np.asarray(jnp.asarray(x)[row]), tasks)
+
+
+def _look_at(name: str, make_env: Callable[[Any, str], Any], tasks: Any) -> Interface:
+    env = make_env(task_row(tasks, 0), "dense")
+    try:
+        return describe(env)
+    except InterfaceError as error:
+        raise InterfaceError(f"`{name}`: {error}") from error
+    finally:
+        env.close()
+
+
+def _known(name: str, argument: str, given: Any, found: Any) -> Any:
+    if given is None and found is None:
+        raise InterfaceError(
+            f"`{argument}` must be given for `{name}`, because its environment does not say it."
+        )
+    return found if given is None else given

@@ -1,0 +1,194 @@
+"""One environment inside a worker: begun, stepped, and checked at every step."""
+
+import pickle
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from maesn.foreign.interface import Interface, InterfaceError, describe
+
+# Names under which environments tell of success; the first is Gymnasium's goal environments'.
+_SUCCESS = ("is_success", "success")
+
+
+class Reading(NamedTuple):
+    """What an environment has returned."""
+
+    observation: np.ndarray
+    reward: float
+    terminated: bool
+    truncated: bool
+    solved: bool
+
+
+class HostedError(Exception):
+    """An environment did what it must not; the message says what."""
+
+
+class HostedEnvironment:
+    """An environment that plays one episode after the other, of whatever task.
+
+    After its end, an episode keeps its last reading and earns nothing, while others go on: the
+    environment is not asked again before it is reset.
+
+    Args:
+        make_env: the user's; called with a task and the kind of reward. It is called once if what
+            it returns has a method `set_task`, and for every new task otherwise.
+        reward: "dense" or "sparse".
+        interface: what every task must look like.
+    """
+
+    def __init__(
+        self, make_env: Callable[[Any, str], Any], reward: str, interface: Interface
+    ) -> None:
+        self._make_env = make_env
+        self._reward = reward
+        self._interface = interface
+        self._env: gymnasium.Env[Any, Any] | None = None
+        self._task: bytes | None = None
+        self._last: Reading | None = None
+
+    def begin(self, task: bytes, seed: int) -> Reading:
+        """Begin an episode.
+
+        Args:
+            task: pickled, so that two tasks can be compared whatever they are made of.
+            seed: of the episode.
+
+        Raises:
+            HostedError: the environment raised, or what it returned cannot be used.
+        """
+        env = self._with_task(task)
+        result = _ask("reset", lambda: env.reset(seed=seed))
+        if not (isinstance(result, tuple) and len(result) == 2):
+            raise HostedError(f"`reset` must return (observation, info), got {result!r}")
+        observation, info = result
+        reading = Reading(self._flatten(observation), 0.0, False, False, _solved(info))
+        self._last = reading
+        return reading
+
+    def step(self, control: np.ndarray) -> Reading:
+        """Go on by one step, unless the episode has ended.
+
+        Args:
+            control: within the bounds, flattened.
+
+        Raises:
+            HostedError: the environment raised, or what it returned cannot be used.
+        """
+        assert self._env is not None
+        assert self._last is not None
+        if self._last.terminated or self._last.truncated:
+            self._last = self._last._replace(reward=0.0)
+            return self._last
+        if not np.isfinite(control).all():
+            raise HostedError(f"the policy's action must be finite, got the control {control}")
+        env, action = self._env, _action(self._env.action_space, control)
+        result = _ask("step", lambda: env.step(action))
+        if not (isinstance(result, tuple) and len(result) == 5):
+            raise HostedError(
+                f"`step` must return (observation, reward, terminated, truncated, info), got "
+                f"{result!r}"
+            )
+        observation, reward, terminated, truncated, info = result
+        self._last = Reading(
+            self._flatten(observation),
+            _finite_reward(reward),
+            bool(terminated),
+            bool(truncated),
+            _solved(info),
+        )
+        return self._last
+
+    def close(self) -> None:
+        """Release what the environment holds."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+    def _with_task(self, task: bytes) -> gymnasium.Env[Any, Any]:
+        if self._env is not None and task == self._task:
+            return self._env
+        value = pickle.loads(task)
+        if self._env is not None and self._env.has_wrapper_attr("set_task"):
+            set_task = self._env.get_wrapper_attr("set_task")
+            _ask("set_task", lambda: set_task(value))
+        else:
+            self.close()
+            self._env = _ask("make_env", lambda: self._make_env(value, self._reward))
+        self._task = task
+        self._check_interface(self._env)
+        return self._env
+
+    def _check_interface(self, env: gymnasium.Env[Any, Any]) -> None:
+        try:
+            found = describe(env)
+        except InterfaceError as error:
+            raise HostedError(str(error)) from error
+        for name in ("observation", "discrete", "lower", "upper"):
+            wanted, got = getattr(self._interface, name), getattr(found, name)
+            if wanted != got:
+                space = "observation" if name == "observation" else "action"
+                raise HostedError(
+                    f"the {space} space must be that of the family's first task in every task, "
+                    f"with `{name}` {wanted}, got {got}"
+                )
+
+    def _flatten(self, observation: Any) -> np.ndarray:
+        assert self._env is not None
+        space = self._env.observation_space
+        if isinstance(space, spaces.Box) and np.shape(observation) != space.shape:
+            raise HostedError(
+                f"the observation must have the shape {space.shape} of its space, got "
+                f"{np.shape(observation)}"
+            )
+        flat = _ask("the observation", lambda: spaces.flatten(space, observation))
+        with np.errstate(over="ignore"):  # what overflows is refused below
+            vector = np.asarray(flat, np.float32)
+        if vector.shape != (self._interface.observation_size,):
+            raise HostedError(
+                f"the observation must have {self._interface.observation_size} components, got "
+                f"{vector.size}"
+            )
+        if not np.isfinite(vector).all():
+            index = int(np.argmin(np.isfinite(vector)))
+            raise HostedError(f"the observation is not finite: component {index} is {flat[index]}")
+        return vector
+
+
+def _ask(what: str, question: Callable[[], Any]) -> Any:
+    """Return the answer of a user's code, or say what it raised and where."""
+    try:
+        return question()
+    except Exception as error:  # whatever it is, it belongs to the user
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        raise HostedError(
+            f"{what if ' ' in what else f'`{what}`'} raised {type(error).__name__}: {error} "
+            f"({frame.filename}, line {frame.lineno})"
+        ) from error
+
+
+def _action(space: spaces.Space[Any], control: np.ndarray) -> Any:
+    if isinstance(space, spaces.Discrete):
+        return space.start + int(np.argmax(control))
+    assert isinstance(space, spaces.Box)
+    action = control.astype(space.dtype).reshape(space.shape)
+    return np.clip(action, space.low, space.high)  # bounds may not be numbers of single precision
+
+
+def _finite_reward(reward: Any) -> float:
+    try:
+        value = float(reward)
+    except (TypeError, ValueError) as error:
+        raise HostedError(f"the reward must be a number, got {reward!r}") from error
+    if not np.isfinite(np.float32(value)):
+        raise HostedError(f"the reward is not finite: {value}")
+    return value
+
+
+def _solved(info: Mapping[str, Any]) -> bool:
+    return next((bool(info[name]) for name in _SUCCESS if name in info), False)

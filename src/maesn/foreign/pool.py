@@ -1,0 +1,220 @@
+"""Processes that host environments, seen from the process that learns.
+
+Gymnasium's own `AsyncVectorEnv` starts a process for every environment, cannot let one rest that
+has ended while others go on, and does not tell which one raised or hangs. Here a process hosts a
+share of the environments, so that hundreds of episodes are played by as many processes as there
+are CPUs.
+"""
+
+import contextlib
+import json
+import mmap
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection, Pipe, wait
+from typing import Any, TypeAlias
+
+import cloudpickle
+import numpy as np
+from jaxtyping import Float
+
+from maesn.foreign.hosted import Reading
+from maesn.foreign.worker import MARK
+
+# What the environments have returned, one row each; see `maesn.foreign.hosted.Reading`.
+Readings: TypeAlias = dict[str, Float[np.ndarray, "simulation ..."]]
+
+# Seconds that a new process may take until it calls its first environment: the imports of a user's
+# module can be long, on a machine that does other things as well.
+START_LIMIT = 300.0
+# Seconds in which a worker may close its environments before it is killed.
+_GRACE = 2.0
+_CHECKS_PER_LIMIT = 10
+
+# With the parent's path, so that whatever could be imported there can be imported here.
+_PROGRAM = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from maesn.foreign.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+)
+
+
+class WorkerError(RuntimeError):
+    """An environment failed, hangs, or took its process down.
+
+    Attributes:
+        simulation: which one, as a row of the arrays that `begin` was given.
+        reason: what it did.
+    """
+
+    def __init__(self, simulation: int, reason: str) -> None:
+        super().__init__(f"simulation {simulation}: {reason}")
+        self.simulation = simulation
+        self.reason = reason
+
+
+class WorkerPool:
+    """Worker processes, each of which hosts every n-th environment.
+
+    Args:
+        recipe: arguments of `maesn.foreign.hosted.HostedEnvironment`. Functions in it that cannot
+            be imported elsewhere (of a script, or without a name) are sent as they are.
+        num_workers: number of processes.
+        time_limit: seconds that one call of one environment may take.
+    """
+
+    def __init__(self, recipe: tuple[Any, ...], num_workers: int, time_limit: float) -> None:
+        self._time_limit = time_limit
+        self._workers: list[_Worker] = []
+        try:
+            content = cloudpickle.dumps(recipe)
+            for _ in range(num_workers):
+                self._workers.append(_Worker(content))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def process_ids(self) -> list[int]:
+        """Of the workers."""
+        return [worker.process.pid for worker in self._workers]
+
+    def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
+        """Begin an episode in every simulation.
+
+        Args:
+            tasks: one for each simulation, pickled.
+            seeds: of the episodes.
+
+        Raises:
+            WorkerError: an environment cannot be used; the pool must be closed.
+        """
+        return self._ask("begin", len(tasks), tasks, seeds)
+
+    def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
+        """Advance every simulation whose episode has not ended.
+
+        Raises:
+            WorkerError: an environment cannot be used; the pool must be closed.
+        """
+        return self._ask("step", len(controls), controls)
+
+    def close(self) -> None:
+        """Stop all workers, and whatever processes their environments have started."""
+        workers, self._workers = self._workers, []
+        for worker in workers:
+            worker.connection.close()
+        deadline = time.monotonic() + _GRACE
+        for worker in workers:
+            worker.stop(deadline)
+
+    def _ask(self, request: str, num_simulations: int, *columns: Any) -> Readings:
+        stride = len(self._workers)
+        for first, worker in enumerate(self._workers[:num_simulations]):
+            # A worker that is gone already is found out when its answer is missing.
+            with contextlib.suppress(OSError):
+                worker.connection.send((request, *(column[first::stride] for column in columns)))
+        pending = {
+            worker.connection: (first, worker)
+            for first, worker in enumerate(self._workers[:num_simulations])
+        }
+        readings: Readings = {}
+        watch = _Watch(self._time_limit)
+        while pending:
+            ready = wait(list(pending), self._time_limit / _CHECKS_PER_LIMIT)
+            for connection in ready:
+                assert isinstance(connection, Connection)
+                first, worker = pending.pop(connection)
+                self._write(readings, _answer(worker, first, stride), first, num_simulations)
+            for first, worker in pending.values():
+                watch.look(worker, first, stride)
+        return readings
+
+    def _write(
+        self, readings: Readings, values: tuple[np.ndarray, ...], first: int, num_simulations: int
+    ) -> None:
+        for name, value in zip(Reading._fields, values, strict=True):
+            if name not in readings:
+                readings[name] = np.empty((num_simulations, *value.shape[1:]), np.float32)
+            readings[name][first :: len(self._workers)] = value
+
+
+class _Worker:
+    """One process and the connection to it."""
+
+    def __init__(self, recipe: bytes) -> None:
+        with contextlib.ExitStack() as stack:
+            self.connection, theirs = Pipe()
+            stack.callback(theirs.close)
+            shared = stack.enter_context(tempfile.TemporaryFile())
+            shared.truncate(MARK.size)
+            self._mark = mmap.mmap(shared.fileno(), MARK.size)
+            descriptors = (theirs.fileno(), shared.fileno())
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *map(str, descriptors)],
+                pass_fds=descriptors,
+                # JAX may be imported by a user's module; the accelerator is not the workers'.
+                env=os.environ | {"JAX_PLATFORMS": "cpu"},
+                stdin=subprocess.DEVNULL,
+                # A session of its own: Ctrl-C is the parent's to handle.
+                start_new_session=True,
+            )
+        with contextlib.suppress(OSError):  # found out when its answer is missing
+            self.connection.send_bytes(recipe)
+
+    def mark(self) -> tuple[int, int]:
+        """Return the number of calls so far, and the environment of the last one."""
+        calls, environment = MARK.unpack_from(self._mark, 0)
+        return calls, environment
+
+    def stop(self, deadline: float) -> None:
+        """Wait until the deadline for the process to end, and end it then."""
+        try:
+            self.process.wait(max(deadline - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            self._mark.close()
+
+
+class _Watch:
+    """Notices workers whose environment does not return."""
+
+    def __init__(self, time_limit: float) -> None:
+        self._time_limit = time_limit
+        self._seen: dict[int, tuple[int, float]] = {}
+
+    def look(self, worker: _Worker, first: int, stride: int) -> None:
+        """Raise `WorkerError` if the worker's mark has not moved within the limit."""
+        calls, environment = worker.mark()
+        now = time.monotonic()
+        seen, since = self._seen.get(first, (-1, now))
+        if calls != seen:
+            self._seen[first] = (calls, now)
+        elif now - since > (self._time_limit if calls else max(self._time_limit, START_LIMIT)):
+            raise WorkerError(
+                first + stride * environment,
+                f"the environment has not returned within `time_limit`, {self._time_limit:g} s",
+            )
+
+
+def _answer(worker: _Worker, first: int, stride: int) -> tuple[np.ndarray, ...]:
+    try:
+        answer = worker.connection.recv()
+    except (EOFError, OSError) as error:
+        code = worker.process.wait()
+        raise WorkerError(
+            first + stride * worker.mark()[1],
+            f"the environment has ended its process (exit code {code})",
+        ) from error
+    if isinstance(answer[0], int):
+        index, reason = answer
+        raise WorkerError(first + stride * index, reason)
+    return answer

@@ -1,0 +1,34 @@
+"""The families of the library as Gymnasium environments: `maesn/Wheeled-v0` and so on.
+
+Importing this package registers them, which `gymnasium.make("maesn.gym:maesn/Wheeled-v0")` does by
+itself. `gymnasium.make_vec` of the same names plays many episodes at once on the batched engine.
+"""
+
+from importlib.util import find_spec
+
+if find_spec("gymnasium") is None:
+    raise ImportError("`maesn.gym` needs Gymnasium, which is not installed: pip install maesn[gym]")
+
+import gymnasium
+
+from maesn.envs import FAMILIES
+from maesn.gym.env import TaskEnv as TaskEnv
+from maesn.gym.stepping import Stepper as Stepper
+from maesn.gym.vector import TaskVectorEnv as TaskVectorEnv
+
+IDS: dict[str, str] = {
+    "wheeled": "maesn/Wheeled-v0",
+    "ant": "maesn/Ant-v0",
+    "blockpush": "maesn/BlockPush-v0",
+    "point": "maesn/Point-v0",
+}
+"""Family -> the name under which Gymnasium makes it."""
+
+for _family, _id in IDS.items():
+    if _family in FAMILIES and _id not in gymnasium.registry:
+        gymnasium.register(
+            _id,
+            entry_point="maesn.gym:TaskEnv",
+            vector_entry_point="maesn.gym:TaskVectorEnv",
+            kwargs={"family": _family},
+        )

@@ -1,0 +1,110 @@
+"""A family of tasks as a Gymnasium environment: one episode at a time."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from jaxtyping import Float
+
+from maesn.gym.stepping import RENDER_MODES, Stepper, TaskChoice, View
+from maesn.worlds import Scene
+
+Observation = Float[np.ndarray, " observation"]
+
+
+class TaskEnv(gymnasium.Env[Any, Any]):
+    """One episode at a time of a family, in a task that is drawn or chosen.
+
+    Args:
+        family: as for `Stepper`, like every other setting.
+        render_mode: `rgb_array` for pictures from `render`; None for none.
+        settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`; see `Stepper`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self, family: Any = "wheeled", *, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        self._stepper = Stepper(family, 1, num_threads=1, **settings)
+        self.observation_space = self._stepper.observation_space
+        self.action_space = self._stepper.action_space
+        self.render_mode = checked_render_mode(render_mode)
+        self.metadata = metadata_of(self._stepper)
+        self._scene: Scene | None = None
+        self._ended = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: of the draws from here on; None to go on drawing as before.
+            options: `{"task": index}` chooses the task of this episode.
+
+        Returns:
+            Observation and information: `task`, `is_success`.
+        """
+        super().reset(seed=seed)
+        task: TaskChoice = (options or {}).get("task")
+        view = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], task)
+        self._ended = False
+        return view.observation[0], self._information(view)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advance by one control step.
+
+        Args:
+            action: in the action space; beyond it the actuators saturate.
+
+        Returns:
+            Observation, reward, whether the episode has terminated, whether it has run out of
+            time, and information: `task`, `is_success`, `goal_reward`.
+        """
+        if self._ended:
+            raise gymnasium.error.ResetNeeded("no episode is running: call `reset` before `step`.")
+        rows = np.asarray(action, np.float32)[None]
+        after = self._stepper.step(rows, np.zeros(1, bool))
+        reward = float(after.reward[0])
+        terminated, truncated = bool(after.terminated[0]), bool(after.truncated[0])
+        self._ended = terminated or truncated
+        information = self._information(after.view) | {"goal_reward": float(after.goal_reward[0])}
+        return after.view.observation[0], reward, terminated, truncated, information
+
+    def render(self) -> Any:
+        """Return a picture of the present state, or None without a `render_mode`."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("`render` needs `render_mode='rgb_array'` in `gymnasium.make`.")
+            return None
+        if self._scene is None:
+            self._scene = self._stepper.open_scene()
+        return self._stepper.draw(self._scene, 0)
+
+    def close(self) -> None:
+        """Release the engine and the drawing library; may be called twice."""
+        self._stepper.close()
+        if self._scene is not None:
+            self._scene.close()
+
+    def _information(self, view: View) -> dict[str, Any]:
+        return {"task": int(self._stepper.task_index[0]), "is_success": bool(view.solved[0])}
+
+
+def checked_render_mode(render_mode: str | None) -> str | None:
+    """Return a render mode if there is such.
+
+    Raises:
+        ValueError: there is not.
+    """
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise ValueError(
+            f"`render_mode` must be {', '.join(RENDER_MODES)} or None, got {render_mode!r}."
+        )
+    return render_mode
+
+
+def metadata_of(stepper: Stepper) -> dict[str, Any]:
+    """Return what Gymnasium wants to know of the pictures."""
+    rate = round(1 / stepper.env.control_period)
+    return {"render_modes": list(RENDER_MODES), "render_fps": max(rate, 1)}

@@ -1,0 +1,242 @@
+"""Episodes of one family, stepped from outside: what both kinds of Gymnasium environment share."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.spaces import Box
+from jaxtyping import Array, Bool, Float, Int
+
+from maesn.axes import HostReadings, Readings
+from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
+from maesn.envs.base import Reward, Start
+from maesn.physics import PhysicsError
+from maesn.runs.task_sources import find_tasks, resolve_family
+from maesn.worlds import EpisodeError, Scene, arena, open_simulator
+
+TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
+"""Index of a task in its set, for all episodes or for each; None for one that is drawn."""
+
+# Of the pictures, in pixels.
+WIDTH, HEIGHT = 480, 360
+RENDER_MODES = ("rgb_array",)
+
+
+class View(NamedTuple):
+    """What is seen of the present states, one row for each episode."""
+
+    observation: Float[np.ndarray, "episode observation"]
+    solved: Bool[np.ndarray, " episode"]
+    """Whether the goal region is reached in this state."""
+
+
+class Transition(NamedTuple):
+    """What a step has brought, one row for each episode."""
+
+    view: View
+    reward: Float[np.ndarray, " episode"]
+    goal_reward: Float[np.ndarray, " episode"]
+    """The part of `reward` that is paid for the goal; the rest are control costs and the like."""
+    terminated: Bool[np.ndarray, " episode"]
+    truncated: Bool[np.ndarray, " episode"]
+
+
+class Stepper:
+    """Episodes of one family that advance together, each in a task of its own.
+
+    Args:
+        family: of tasks: the name of one that comes with the library, `module:name` of your own,
+            or itself.
+        num_episodes: how many advance together.
+        task: index of the task of every episode, or of each; None to draw one at every start.
+        tasks: the set that the index counts in: training, validation, test, ood, or the path of an
+            `.npz` file.
+        reward: dense or sparse.
+        variant: whose reward formulas.
+        sparse_radius: radius of the goal region in metres; None for the family's own.
+        num_threads: threads of the MuJoCo engine; 0 means one for each CPU.
+
+    Raises:
+        RunError: there is no such family or set of tasks.
+        ValueError: another setting is wrong.
+    """
+
+    def __init__(
+        self,
+        family: str | TaskFamily,
+        num_episodes: int,
+        *,
+        task: TaskChoice = None,
+        tasks: str = "training",
+        reward: RewardKind = "dense",
+        variant: Variant = "reference",
+        sparse_radius: float | None = None,
+        num_threads: int = 0,
+    ) -> None:
+        family = resolve_family(family) if isinstance(family, str) else family
+        radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
+        self.env: AnyEnv = family.make_env(variant=variant, reward_kind=reward, **radius)
+        if self.env.action_kind != "continuous":
+            raise ValueError(
+                f"`family` must have continuous actions to be stepped here, but those of "
+                f"`{family.name}` are {self.env.action_kind}: play it with `maesn.Collector`."
+            )
+        self.tasks = find_tasks(tasks, family)
+        self.num_episodes = num_episodes
+        self._chosen = self._checked(task)
+        self._simulator = open_simulator(self.env, num_episodes, num_threads)
+        self.task_index = np.zeros(num_episodes, np.int64)
+        self._present: Any = None  # the tasks of these indices
+        self._readings: HostReadings = {}
+        self._steps = np.zeros(num_episodes, np.int64)
+
+    @property
+    def observation_space(self) -> Box:
+        """Of one episode: unbounded, in the order and the units of the environment's page."""
+        return Box(-np.inf, np.inf, (self.env.observation_size,), np.float32)
+
+    @property
+    def action_space(self) -> Box:
+        """Of one episode: [-1, 1] covers the range of the actuators, see `docs/gymnasium.md`."""
+        return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
+
+    def begin(
+        self,
+        rows: Int[np.ndarray, " row"],
+        streams: Sequence[np.random.Generator],
+        task: TaskChoice = None,
+    ) -> View:
+        """Start some episodes anew.
+
+        Args:
+            rows: indices of the episodes, ascending.
+            streams: one for every episode; those of `rows` draw the start, and the task if it is
+                not chosen.
+            task: index of the task, for all or for each episode; None for what was chosen when
+                the environment was made.
+
+        Returns:
+            The states of all episodes.
+        """
+        chosen = self._chosen if task is None else self._checked(task)
+        seeds = np.zeros(self.num_episodes, np.uint32)
+        for row in rows:
+            drawn = streams[row].integers(len(self.tasks)) if chosen is None else chosen[row]
+            self.task_index[row] = drawn
+            seeds[row] = streams[row].integers(2**32, dtype=np.uint32)
+        self._present = jax.tree.map(jnp.asarray, self.tasks[self.task_index])
+        start = _start(self.env, seeds, self._present)
+        qpos, qvel, fields = jax.tree.map(lambda x: np.asarray(x)[rows], tuple(start))
+        simulations = None if len(rows) == self.num_episodes else rows
+        try:
+            readings = self._simulator.reset(qpos, qvel, fields, simulations)
+        except PhysicsError as error:
+            raise self._error(error) from error
+        self._readings, self._steps[rows] = _single(readings), 0
+        return View(*_seen(_look(self.env, self._readings, self._present)))
+
+    def step(
+        self, action: Float[np.ndarray, "episode action"], ended: Bool[np.ndarray, " episode"]
+    ) -> Transition:
+        """Advance all episodes by one step.
+
+        Args:
+            action: in the action space; beyond it the actuators saturate.
+            ended: episodes that are over. What happens to them means nothing.
+
+        Raises:
+            EpisodeError: the physics of an episode blew up.
+        """
+        before, action = self._readings, action.astype(np.float32)
+        control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
+        try:
+            self._readings = _single(self._simulator.step(control, ended))
+        except PhysicsError as error:
+            raise self._error(error) from error
+        self._steps += 1
+        judged = _judge(self.env, before, action, self._readings, self._present)
+        view, reward, terminated, cut = judged
+        total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
+        out_of_time = (self._steps >= self.env.horizon) | cut
+        return Transition(View(*_seen(view)), total, goal, terminated, out_of_time & ~terminated)
+
+    def open_scene(self) -> Scene:
+        """Return what draws the states.
+
+        Raises:
+            RenderingError: the system has no library to draw with.
+        """
+        view = arena(self.env, self.tasks.tasks, self._readings)
+        return Scene(self.env, view, WIDTH, HEIGHT)
+
+    def draw(self, scene: Scene, episode: int) -> np.ndarray:
+        """Return a picture of the present state of one episode."""
+        now = {name: value[episode] for name, value in self._readings.items()}
+        return scene.draw(now, jax.tree.map(lambda x: x[episode], self._present))
+
+    def close(self) -> None:
+        """Release the engine's threads and memory; may be called twice."""
+        self._simulator.close()
+
+    def _checked(self, task: TaskChoice) -> Int[np.ndarray, " episode"] | None:
+        if task is None:
+            return None
+        chosen = np.asarray(task)
+        whole = chosen.dtype.kind in "iu" and chosen.shape in ((), (self.num_episodes,))
+        if not whole or (chosen < 0).any() or (chosen >= len(self.tasks)).any():
+            raise ValueError(
+                f"`task` must be an index from 0 to {len(self.tasks) - 1}, or one for each of "
+                f"{self.num_episodes} episodes, got {task!r}."
+            )
+        return np.broadcast_to(chosen, (self.num_episodes,))
+
+    def _error(self, error: PhysicsError) -> EpisodeError:
+        row = error.simulations[0]
+        task, step = int(self.task_index[row]), int(self._steps[row])
+        return EpisodeError(self.env.name, task, row, step, error.reason)
+
+
+def _single(readings: HostReadings) -> HostReadings:
+    """Return readings in the precision in which the library's worlds judge them."""
+    # What blew up may be finite in double precision and infinite in single.
+    with np.errstate(over="ignore"):
+        return {name: value.astype(np.float32) for name, value in readings.items()}
+
+
+def _seen(values: Any) -> Any:
+    """Return copies that the caller may change."""
+    return jax.tree.map(np.array, values)
+
+
+@partial(jax.jit, static_argnums=0)
+def _start(env: AnyEnv, seeds: Array, tasks: Any) -> Start:
+    return jax.vmap(lambda seed, task: env.start(jax.random.key(seed), task))(seeds, tasks)
+
+
+@partial(jax.jit, static_argnums=0)
+def _control(env: AnyEnv, action: Array) -> Array:
+    return jax.vmap(env.control)(action)
+
+
+def _look_at(env: AnyEnv, readings: Readings, task: Any) -> tuple[Array, Array]:
+    observation = jnp.concatenate([env.observe(readings), env.instruction(task)])
+    return observation, env.solved(readings, task)
+
+
+@partial(jax.jit, static_argnums=0)
+def _look(env: AnyEnv, readings: Readings, tasks: Any) -> tuple[Array, Array]:
+    return jax.vmap(partial(_look_at, env))(readings, tasks)
+
+
+@partial(jax.jit, static_argnums=0)
+def _judge(
+    env: AnyEnv, before: Readings, action: Array, after: Readings, tasks: Any
+) -> tuple[tuple[Array, Array], Reward, Array, Array]:
+    def judge(before: Readings, action: Array, after: Readings, task: Any) -> Any:
+        reward = env.reward(before, action, after, task)
+        return _look_at(env, after, task), reward, env.terminated(after), env.truncated(after)
+
+    return jax.vmap(judge)(before, action, after, tasks)

@@ -1,0 +1,176 @@
+"""A family of tasks as a Gymnasium vector environment: many episodes on the batched engine."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import logger
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from jaxtyping import Bool, Float, Int
+
+from maesn.gym.env import checked_render_mode, metadata_of
+from maesn.gym.stepping import Stepper, View
+from maesn.worlds import Scene
+
+Observations = Float[np.ndarray, "episode observation"]
+PerEpisode = Float[np.ndarray, " episode"]
+Flags = Bool[np.ndarray, " episode"]
+
+_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+
+
+class TaskVectorEnv(VectorEnv[Any, Any, Any]):
+    """Many episodes of a family, moved together; `gymnasium.make_vec` makes it.
+
+    Episode i is, bit for bit, the one that `TaskEnv` plays when it is reset with `seed + i` and
+    given the same actions.
+
+    Args:
+        family: as for `Stepper`, like every other setting.
+        num_envs: how many episodes are played at once.
+        render_mode: `rgb_array` for pictures from `render`; None for none.
+        autoreset_mode: `NEXT_STEP`: the step after the end of an episode ignores the action and
+            returns the start of the next one, with reward 0. `DISABLED`: episodes that have ended
+            must be reset before the next step, `reset(options={"reset_mask": ended})`.
+        settings: `task` (for all or for each episode), `tasks`, `reward`, `variant`,
+            `sparse_radius`, `num_threads`; see `Stepper`.
+    """
+
+    def __init__(
+        self,
+        family: Any = "wheeled",
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **settings: Any,
+    ) -> None:
+        self._mode = _checked_mode(autoreset_mode)
+        self._stepper = Stepper(family, num_envs, **settings)
+        self.num_envs = num_envs
+        self.single_observation_space = self._stepper.observation_space
+        self.single_action_space = self._stepper.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.render_mode = checked_render_mode(render_mode)
+        self.metadata = metadata_of(self._stepper) | {"autoreset_mode": self._mode}
+        self._streams = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._scene: Scene | None = None
+        self._running = False
+        self._ended = np.ones(num_envs, bool)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Start episodes.
+
+        Args:
+            seed: of the draws from here on: episode i draws with `seed + i`, or with the i-th of
+                several; None to go on drawing as before.
+            options: `{"task": index}` chooses the task of these episodes, for all of them or for
+                each; `{"reset_mask": mask}` starts those of the mask and leaves the others alone.
+
+        Returns:
+            Observations and information of all episodes: `task`, `is_success`.
+        """
+        options = options or {}
+        rows = self._rows_to_reset(options)
+        for row, own_seed in zip(rows, self._seeds(seed)[rows], strict=True):
+            if own_seed is not None:
+                self._streams[row] = seeding.np_random(int(own_seed))[0]
+        view = self._stepper.begin(rows, self._streams, options.get("task"))
+        self._running, self._ended[rows] = True, False
+        return view.observation, self._information(view)
+
+    def step(self, actions: Any) -> tuple[Observations, PerEpisode, Flags, Flags, dict[str, Any]]:
+        """Advance all episodes by one control step.
+
+        Args:
+            actions: one row for each episode, in the action space.
+
+        Returns:
+            Observations, rewards, which episodes have terminated, which have run out of time, and
+            information: `task`, `is_success`, `goal_reward`.
+        """
+        over = self._ended
+        self._refuse_step(over)
+        after = self._stepper.step(np.asarray(actions, np.float32), over)
+        view = (
+            self._stepper.begin(np.flatnonzero(over), self._streams) if over.any() else after.view
+        )
+        reward, goal = (np.where(over, 0.0, paid) for paid in (after.reward, after.goal_reward))
+        terminated, truncated = after.terminated & ~over, after.truncated & ~over
+        self._ended = terminated | truncated
+        information = self._information(view) | _columns(goal_reward=goal)
+        return view.observation, reward, terminated, truncated, information
+
+    def render(self) -> Any:
+        """Return a picture of the present state of every episode, or None without a mode."""
+        if self.render_mode is None:
+            logger.warn("`render` needs `render_mode='rgb_array'` in `gymnasium.make_vec`.")
+            return None
+        if self._scene is None:
+            self._scene = self._stepper.open_scene()
+        return tuple(self._stepper.draw(self._scene, row) for row in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """Release the engine and the drawing library."""
+        self._stepper.close()
+        if self._scene is not None:
+            self._scene.close()
+
+    def _rows_to_reset(self, options: dict[str, Any]) -> Int[np.ndarray, " row"]:
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise ValueError(
+                f"`reset_mask` must be {self.num_envs} booleans with at least one True, got {mask}."
+            )
+        if not self._running and not mask.all():
+            raise ResetNeeded("no episode is running: `reset` all of them first.")
+        return np.flatnonzero(mask)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
+        if isinstance(seed, int):
+            seed = [seed + row for row in range(self.num_envs)]
+        seeds = np.array([None] * self.num_envs if seed is None else seed, object)
+        if len(seeds) != self.num_envs:
+            raise ValueError(
+                f"`seed` must be one number or one for each of {self.num_envs} episodes, got "
+                f"{len(seeds)}."
+            )
+        return seeds
+
+    def _refuse_step(self, over: Flags) -> None:
+        if not self._running:
+            raise ResetNeeded("no episode is running: call `reset` before `step`.")
+        if over.any() and self._mode is AutoresetMode.DISABLED:
+            raise ResetNeeded(
+                f"the episodes {np.flatnonzero(over).tolist()} have ended and are not reset by "
+                'themselves: call `reset(options={"reset_mask": mask})` before `step`.'
+            )
+
+    def _information(self, view: View) -> dict[str, Any]:
+        return _columns(task=self._stepper.task_index.copy(), is_success=view.solved)
+
+
+def _columns(**columns: np.ndarray) -> dict[str, Any]:
+    """Return information as Gymnasium wants it: each entry with a mask of whom it belongs to."""
+    masks = {f"_{name}": np.ones(len(column), bool) for name, column in columns.items()}
+    return columns | masks
+
+
+def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    wanted = AutoresetMode(mode)
+    if wanted not in _MODES:
+        names = " or ".join(known.name for known in _MODES)
+        raise ValueError(
+            f"`autoreset_mode` must be {names}, got {wanted.name}: its observation after the last "
+            "step would belong to the next episode."
+        )
+    return wanted

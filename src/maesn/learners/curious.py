@@ -1,0 +1,220 @@
+"""Curiosity for any learner: it is handed the episodes with a bonus added to their rewards."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.agent import Agents
+from maesn.axes import Key, TaskKeys
+from maesn.curiosity import Curiosity, CuriosityState
+from maesn.episodes import Collect, Episodes, TrialMemory
+from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
+from maesn.networks import BayesianNetwork
+
+
+class CuriousFastState(eqx.Module):
+    """State of a `CuriousFastLearner`."""
+
+    learner: Any
+    curiosity: CuriosityState
+    """One model per task."""
+    keys: TaskKeys
+    """Of all further draws of each task."""
+    update: Int[Array, ""]
+    """Number of updates so far."""
+
+
+class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
+    """A fast learner that is paid for what each task's model of the dynamics finds out.
+
+    With TRPO from scratch this is VIME.
+    """
+
+    learner: AbstractFastLearner[Any]
+    """Learns from reward and bonus."""
+    curiosity: Curiosity
+    observation_size: int
+    action_size: int
+    network: BayesianNetwork | None = None
+    """What the models know at the start; None for nothing."""
+
+    def init(self, keys: TaskKeys) -> CuriousFastState:
+        learner_keys, model_keys, keys = jnp.moveaxis(
+            jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0
+        )
+        models = jax.vmap(self._fresh)(model_keys)
+        learner = self.learner.init(learner_keys)
+        return CuriousFastState(learner, models, keys, jnp.zeros((), int))
+
+    def agents(self, state: CuriousFastState) -> Agents:
+        return self.learner.agents(state.learner)
+
+    def memory(self, state: CuriousFastState) -> TrialMemory | None:
+        return self.learner.memory(state.learner)
+
+    def episodes_per_update(self, episodes_per_task: int) -> int:
+        return self.learner.episodes_per_update(episodes_per_task)
+
+    @property
+    def trial_episodes(self) -> int | None:
+        return self.learner.trial_episodes
+
+    def update(self, state: CuriousFastState, episodes: Episodes) -> CuriousFastState:
+        """Learn from reward and bonus, then let the models learn from what was seen."""
+        keys = _split_each(state.keys, state.update)
+        paid, bonus = self._pay(keys[:, 0], state.curiosity, episodes)
+        learned = self.learner.update(state.learner, _with_bonus(episodes, bonus))
+        models = self._learn(keys[:, 1], paid)
+        return CuriousFastState(learned, models, state.keys, state.update + 1)
+
+    def _fresh(self, key: Key) -> CuriosityState:
+        if self.network is not None:
+            return self.curiosity.start(self.network)
+        return self.curiosity.init(key, self.observation_size, self.action_size)
+
+    @eqx.filter_jit
+    def _pay(
+        self, keys: TaskKeys, models: CuriosityState, episodes: Episodes
+    ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
+        # One task after the other: the gradients of single transitions are large.
+        return jax.lax.map(lambda x: self.curiosity.pay(*x), (keys, models, episodes))
+
+    @eqx.filter_jit
+    def _learn(self, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
+        return jax.vmap(self.curiosity.learn)(keys, models)
+
+
+class CuriousState(eqx.Module):
+    """State of a `CuriousMetaLearner`."""
+
+    learner: Any
+    curiosity: CuriosityState
+    """One model for all tasks, whose dynamics are the same."""
+
+
+class CuriosityInfo(eqx.Module):
+    """What a person wants to know of the curiosity of one meta-iteration."""
+
+    bonus: Float[Array, ""]
+    """Mean bonus of an episode in the last collection."""
+    typical_gain: Float[Array, ""]
+    """Mean of the last median information gains, in nats for a step of size 1."""
+
+
+class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
+    """A meta-learner that is paid for what one model of the dynamics finds out.
+
+    Every collection of a meta-iteration is paid by the model of its beginning; at its end the
+    model learns. What is learned of the dynamics passes on to new tasks.
+    """
+
+    learner: AbstractMetaLearner[Any, Any]
+    """Learns from reward and bonus."""
+    curiosity: Curiosity = Curiosity()
+    """What the bonus is."""
+
+    def init(
+        self, key: Key, observation_size: int, action_size: int, num_tasks: int
+    ) -> CuriousState:
+        learner_key, model_key = jax.random.split(key)
+        return CuriousState(
+            self.learner.init(learner_key, observation_size, action_size, num_tasks),
+            self.curiosity.init(model_key, observation_size, action_size),
+        )
+
+    def iteration(self, state: CuriousState) -> Int[Array, ""]:
+        return self.learner.iteration(state.learner)
+
+    def slots(self) -> tuple[Any, ...]:
+        """Return those of the learner, which is another method if it is curious."""
+        return (type(self), *self.learner.slots())
+
+    def fast_learner(self, state: CuriousState) -> CuriousFastLearner:
+        """Return the learner of new tasks; its models begin with what this one knows."""
+        network = state.curiosity.network
+        inputs, outputs = network.input_size, network.output_size
+        return CuriousFastLearner(
+            learner=self.learner.fast_learner(state.learner),
+            curiosity=self.curiosity,
+            observation_size=outputs,
+            action_size=inputs - outputs,
+            network=network,
+        )
+
+    def step(
+        self, key: Key, state: CuriousState, collect: Collect
+    ) -> tuple[CuriousState, dict[str, Any]]:
+        """Do one meta-iteration.
+
+        Returns:
+            The new state, and what the learner says of its step with `curiosity` beside it. The
+            returns are those of the first and the last collection, without bonus.
+        """
+        learner_key, pay_key, learn_key = jax.random.split(key, 3)
+        paying = _PayingCollect(self.curiosity, pay_key, state.curiosity, collect)
+        learned, info = self.learner.step(learner_key, state.learner, paying)
+        told = {field.name: getattr(info, field.name) for field in dataclasses.fields(info)}
+        told |= {"return_before": paying.returns[0], "return_after": paying.returns[-1]}
+        told["curiosity"] = CuriosityInfo(paying.bonus, paying.state.medians.moments()[0][0])
+        return CuriousState(learned, _learn(self.curiosity, learn_key, paying.state)), told
+
+
+class _PayingCollect:
+    """`Collect` that adds the bonus to the rewards."""
+
+    def __init__(
+        self, curiosity: Curiosity, key: Key, state: CuriosityState, collect: Collect
+    ) -> None:
+        self.state = state
+        self.returns: list[Float[Array, ""]] = []
+        """Mean return of each collection, without bonus."""
+        self.bonus: Float[Array, ""] = jnp.zeros(())
+        self._curiosity = curiosity
+        self._key = key
+        self._collect = collect
+
+    @property
+    def num_tasks(self) -> int:
+        return self._collect.num_tasks
+
+    def __call__(
+        self,
+        keys: TaskKeys,
+        agents: Agents,
+        task_index: Int[Array, " task"],
+        carry: TrialMemory | None = None,
+    ) -> Episodes:
+        episodes = self._collect(keys, agents, task_index, carry)
+        key = jax.random.fold_in(self._key, len(self.returns))
+        self.state, bonus = _pay(self._curiosity, key, self.state, episodes)
+        self.returns.append(episodes.undiscounted_return.mean())
+        self.bonus = bonus.sum(-1).mean()
+        return _with_bonus(episodes, bonus)
+
+
+@eqx.filter_jit
+def _pay(
+    curiosity: Curiosity, key: Key, state: CuriosityState, episodes: Episodes
+) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
+    return curiosity.pay(key, state, episodes)
+
+
+@eqx.filter_jit
+def _learn(curiosity: Curiosity, key: Key, state: CuriosityState) -> CuriosityState:
+    return curiosity.learn(key, state)
+
+
+def _with_bonus(episodes: Episodes, bonus: Float[Array, "task episode time"]) -> Episodes:
+    """Return the episodes with rewards to learn from; what the policy was shown stays."""
+    shown = episodes.reward if episodes.observed_reward is None else episodes.observed_reward
+    return dataclasses.replace(episodes, reward=episodes.reward + bonus, observed_reward=shown)
+
+
+def _split_each(keys: TaskKeys, update: Int[Array, ""]) -> Any:
+    """Return two keys per task for one update, `[task, 2]`."""
+    folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, update)
+    return jax.vmap(jax.random.split)(folded)

@@ -1,0 +1,190 @@
+"""RL2: learning inside a task is what a policy with memory does (Duan et al. 2016).
+
+https://arxiv.org/abs/1611.02779. A trial is several episodes of one task between which memory is
+kept. Meta-training improves the policy on whole trials, so that it pays to find out in the first
+episode what the others need. In a new task nothing is updated but the memory.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.agent import Agents
+from maesn.axes import Key
+from maesn.context import Nothing
+from maesn.episodes import Collect, Episodes
+from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.keys import task_keys
+from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
+from maesn.learners.recurrent_fast import RecurrentFastLearner
+from maesn.learners.recurrent_value import RecurrentValue, ValueState
+from maesn.learners.trials import Trials, join_episodes
+from maesn.numerics import masked_mean, standardize, trial_advantages
+from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
+
+
+class RecurrentState(eqx.Module):
+    """State of a `RecurrentMetaLearner`."""
+
+    policy: AbstractPolicy
+    optimizer: Any
+    """State of the policy's optimiser."""
+    value: ValueState
+    iteration: Int[Array, ""]
+
+
+class RecurrentInfo(eqx.Module):
+    """What a human wants to know of one meta-iteration: scalars only."""
+
+    return_before: Float[Array, ""]
+    """Mean undiscounted return of the first episodes of the trials."""
+    return_after: Float[Array, ""]
+    """Mean undiscounted return of their last episodes."""
+    success_after: Float[Array, ""]
+    """Share of the last episodes that reach the goal region."""
+    action_std: Float[Array, ""]
+    """Mean standard deviation of the actions."""
+    entropy: Float[Array, ""]
+    """Mean entropy of the action distributions, in nats."""
+    explained_variance: Float[Array, ""]
+    """Share of the variance of the returns that the value function knew before it was fitted."""
+    policy_step: Any
+    """What the step of the policy says."""
+
+
+class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
+    """Plays trials and improves a policy with memory on them."""
+
+    policy: AbstractPolicySettings = Recurrent()
+    """The policy's network."""
+    policy_step: AbstractPolicyStep = ProximalStep()
+    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO)."""
+    value: RecurrentValue = RecurrentValue()
+    """The baseline that advantages are measured from."""
+    meta_batch_size: int = 20
+    """Training tasks per meta-iteration, drawn without replacement. In each of them
+    `episodes_per_task` trials are played in parallel."""
+    trial_episodes: int = 2
+    """Episodes of a trial. With 2, a meta-iteration takes as many steps as one of MAESN."""
+    discount: float = 0.99
+    """gamma, the weight of a reward one step later; it runs on across the episodes of a trial."""
+    trace: float = 0.95
+    """lambda of generalised advantage estimation. garage's RL2: 0.95."""
+
+    def __check_init__(self) -> None:
+        for name in ("meta_batch_size", "trial_episodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+        for name in ("discount", "trace"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")
+        if self.trial_episodes > 1 and not self.policy.has_memory:
+            raise ValueError(
+                f"`trial_episodes` is {self.trial_episodes}, but a policy of `"
+                f"{type(self.policy).__name__}` remembers nothing from one episode to the next: "
+                "choose `Recurrent`, or trials of 1 episode."
+            )
+
+    def init(
+        self, key: Key, observation_size: int, action_size: int, num_tasks: int
+    ) -> RecurrentState:
+        """See `AbstractMetaLearner.init`.
+
+        Raises:
+            ValueError: the training set holds fewer tasks than one meta-batch.
+        """
+        if num_tasks < self.meta_batch_size:
+            raise ValueError(
+                f"`meta_batch_size` is {self.meta_batch_size}, but the training set holds only "
+                f"{num_tasks} tasks. Tasks are drawn without replacement: lower it or add tasks."
+            )
+        policy_key, value_key = jax.random.split(key)
+        policy = self.policy.init(policy_key, observation_size, action_size, 0)
+        value = self.value.init(value_key, observation_size, action_size)
+        optimizer = self.policy_step.init(policy)
+        return RecurrentState(policy, optimizer, value, jnp.zeros((), int))
+
+    def iteration(self, state: RecurrentState) -> Int[Array, ""]:
+        return state.iteration
+
+    def fast_learner(self, state: RecurrentState) -> RecurrentFastLearner:
+        """Return the learner of new tasks: it remembers."""
+        return RecurrentFastLearner(state.policy, self.trial_episodes)
+
+    def step(
+        self, key: Key, state: RecurrentState, collect: Collect
+    ) -> tuple[RecurrentState, RecurrentInfo]:
+        """See `AbstractMetaLearner.step`."""
+        task_key, play_key, learn_key = jax.random.split(key, 3)
+        index = jax.random.choice(
+            task_key, collect.num_tasks, (self.meta_batch_size,), replace=False
+        )
+        agents = Agents(state.policy, Nothing(), shares_policy=True)
+        episodes: list[Episodes] = []
+        for number in range(self.trial_episodes):
+            keys = task_keys(play_key, number, index.shape[0])
+            memory = episodes[-1].carry if episodes else None
+            episodes.append(collect(keys, agents, index, memory))
+        return self._improve(learn_key, state, tuple(episodes))
+
+    @eqx.filter_jit
+    def _improve(
+        self, key: Key, state: RecurrentState, episodes: tuple[Episodes, ...]
+    ) -> tuple[RecurrentState, RecurrentInfo]:
+        policy_key, value_key = jax.random.split(key)
+        trials = join_episodes(episodes)
+        expected = self.value.values(state.value, trials)
+        advantages = self.advantages(trials, expected)
+        policy, optimizer, told = self.policy_step(
+            policy_key,
+            state.policy,
+            state.optimizer,
+            trials,
+            standardize(advantages, trials.valid),
+        )
+        value = self.value.fit(value_key, state.value, trials, advantages + expected)
+        info = _describe(episodes, trials, advantages, expected, told)
+        return RecurrentState(policy, optimizer, value, state.iteration + 1), info
+
+    def advantages(
+        self, trials: Trials, expected: Float[Array, "trial time"]
+    ) -> Float[Array, "trial time"]:
+        """Return the advantage of every step, over the whole trial and not standardised.
+
+        Args:
+            trials: what was played.
+            expected: V_t.
+        """
+        return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
+            trials.reward, expected, trials.valid, self.discount, self.trace
+        )
+
+
+def _describe(
+    episodes: tuple[Episodes, ...],
+    trials: Trials,
+    advantages: Float[Array, "trial time"],
+    expected: Float[Array, "trial time"],
+    told: Any,
+) -> RecurrentInfo:
+    first, last = episodes[0], episodes[-1]
+    valid, behaviour = trials.valid, trials.behaviour
+    spread = _variance(advantages + expected, trials)
+    unknown = _variance(advantages, trials) / jnp.where(spread > 0, spread, 1.0)
+    return RecurrentInfo(
+        return_before=first.undiscounted_return.mean(),
+        return_after=last.undiscounted_return.mean(),
+        success_after=(last.solved & last.valid).any(-1).mean(),
+        action_std=masked_mean(behaviour.std().mean(-1), valid),
+        entropy=masked_mean(behaviour.entropy(), valid),
+        explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
+        policy_step=told,
+    )
+
+
+def _variance(values: Float[Array, "trial time"], trials: Trials) -> Float[Array, ""]:
+    mean = masked_mean(values, trials.valid)
+    return masked_mean((values - mean) ** 2, trials.valid)

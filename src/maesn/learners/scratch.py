@@ -1,0 +1,136 @@
+"""Learning a task from scratch: REINFORCE and TRPO, and whatever goes on from a given policy.
+
+Nothing is meta-learned here. `PolicyGradient` is a fast learner like the ones that meta-learning
+produces, and the same evaluator draws its curve.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from maesn.advantage import AdvantageEstimator
+from maesn.agent import Agents
+from maesn.axes import TaskKeys
+from maesn.context import Nothing
+from maesn.curiosity import Curiosity
+from maesn.episodes import Episodes
+from maesn.learners.base import AbstractFastLearner
+from maesn.learners.curious import CuriousFastLearner
+from maesn.learners.rules import AbstractWeightRule, GradientRule, TrustRegionRule
+from maesn.policies import AbstractPolicySettings, GaussianMLP
+
+
+class PolicyGradientState(eqx.Module):
+    """State of a policy gradient in many tasks, each with weights of its own."""
+
+    agents: Agents
+    memory: Any
+    """What the rule remembers, one per task."""
+    keys: TaskKeys
+    """Of all further draws of each task."""
+    update: Int[Array, ""]
+    """Number of updates so far."""
+
+
+class PolicyImprovement(eqx.Module):
+    """Policy gradient on the weights of agents that are given; their contexts stay."""
+
+    rule: AbstractWeightRule = TrustRegionRule()
+    """The step of the weights."""
+    advantage: AdvantageEstimator = AdvantageEstimator()
+    """How rewards become advantages."""
+
+    def begin(self, keys: TaskKeys, agents: Agents) -> PolicyGradientState:
+        """Return the state that begins with these agents, each with a copy of its weights.
+
+        Raises:
+            ValueError: the policy has a memory, which its weights cannot be adapted without.
+        """
+        if agents.policy.initial_carry() is not None:
+            raise ValueError(
+                f"`agents` must have a policy without memory, got {type(agents.policy).__name__}: "
+                "a policy gradient in one task knows no memory across episodes."
+            )
+        policy, memory = agents.vmap(lambda agent, _: (agent.policy, self.rule.init(agent.policy)))(
+            keys
+        )
+        owners = replace(agents, policy=policy, shares_policy=False)
+        return PolicyGradientState(owners, memory, keys, jnp.zeros((), int))
+
+    @eqx.filter_jit
+    def __call__(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
+        """Move every task's weights once, by what its agent has played."""
+        advantages = self.advantage.of_tasks(episodes)
+        keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
+        policy, memory = state.agents.vmap(
+            lambda agent, key, memory, played, judged: self.rule.step(
+                key, agent, memory, played, judged
+            )
+        )(keys, state.memory, episodes, advantages)
+        moved = replace(state.agents, policy=policy)
+        return PolicyGradientState(moved, memory, state.keys, state.update + 1)
+
+
+class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
+    """Starts with fresh weights in every task, and follows the policy gradient."""
+
+    observation_size: int
+    action_size: int
+    policy: AbstractPolicySettings = GaussianMLP()
+    """The policy's network."""
+    improvement: PolicyImprovement = PolicyImprovement()
+    """How the weights follow their experience."""
+
+    def init(self, keys: TaskKeys) -> PolicyGradientState:
+        split = jax.vmap(jax.random.split)(keys)
+        policy = jax.vmap(
+            lambda key: self.policy.init(key, self.observation_size, self.action_size, 0)
+        )(split[:, 0])
+        agents = Agents(policy, Nothing(), shares_policy=False)
+        return self.improvement.begin(split[:, 1], agents)
+
+    def agents(self, state: PolicyGradientState) -> Agents:
+        return state.agents
+
+    def update(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
+        """Take one step in every task."""
+        return self.improvement(state, episodes)
+
+
+IMPROVEMENTS = {
+    "trpo": PolicyImprovement(TrustRegionRule()),
+    "reinforce": PolicyImprovement(GradientRule()),
+}
+"""How a policy's weights can follow the gradient of one task, by name."""
+
+
+def reinforce(observation_size: int, action_size: int, **settings: Any) -> PolicyGradient:
+    """REINFORCE with a fixed step size (Williams 1992): the paper's "VPG"."""
+    defaults = {"improvement": IMPROVEMENTS["reinforce"]}
+    return PolicyGradient(observation_size, action_size, **defaults | settings)
+
+
+def trpo(observation_size: int, action_size: int, **settings: Any) -> PolicyGradient:
+    """TRPO (Schulman et al. 2015). KL bound 0.01, as in the paper's runs."""
+    return PolicyGradient(observation_size, action_size, **settings)
+
+
+def vime(observation_size: int, action_size: int, **settings: Any) -> CuriousFastLearner:
+    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out."""
+    curiosity = settings.pop("curiosity", Curiosity())
+    learner = trpo(observation_size, action_size, **settings)
+    return CuriousFastLearner(learner, curiosity, observation_size, action_size)
+
+
+SCRATCH: dict[str, Callable[..., AbstractFastLearner[Any]]] = {
+    "reinforce": reinforce,
+    "vpg": reinforce,
+    "trpo": trpo,
+    "vime": vime,
+}
+"""Methods that begin anew in every task. Each takes the sizes of observation and action."""

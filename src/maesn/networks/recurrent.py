@@ -1,0 +1,86 @@
+"""A network with memory: encoder, gated recurrent units, readout."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key
+from maesn.networks.gru import GRU, init_gru
+from maesn.networks.mlp import MLP, Linear, init_mlp
+
+# Outputs start close to 0: "What matters in on-policy reinforcement learning?" (Andrychowicz et
+# al. 2021, section 3.2) recommends last weights that are 100 times smaller.
+OUTPUT_SCALE = 0.01
+
+
+class RecurrentNetwork(eqx.Module):
+    """y = readout([e, h']), h' = gru(e, h), e = encoder(x).
+
+    The readout sees the present input beside the memory, so that reacting need not go through it.
+    """
+
+    encoder: tuple[Linear, ...]
+    """Rectified linear layers; none for e = x."""
+    gru: GRU
+    readout: MLP
+
+    def initial_carry(self) -> Float[Array, " hidden"]:
+        """Return h = 0."""
+        return jnp.zeros(self.gru.hidden_size)
+
+    def __call__(
+        self, x: Float[Array, " inputs"], hidden: Float[Array, " hidden"]
+    ) -> tuple[Float[Array, " outputs"], Float[Array, " hidden"]]:
+        """Return y and h' of one step."""
+        encoded = self._encode(x)
+        hidden = self.gru(encoded, hidden)
+        return self.readout(jnp.concatenate([encoded, hidden])), hidden
+
+    def unroll(
+        self,
+        x: Float[Array, "time inputs"],
+        valid: Bool[Array, " time"],
+        hidden: Float[Array, " hidden"],
+    ) -> tuple[Float[Array, "time outputs"], Float[Array, " hidden"]]:
+        """Return y of every step, and the last h'; where `valid` is false, h is kept."""
+        encoded = jax.vmap(self._encode)(x)
+        remembered, last = self.gru.unroll(encoded, valid, hidden)
+        return jax.vmap(self.readout)(jnp.concatenate([encoded, remembered], axis=-1)), last
+
+    def _encode(self, x: Float[Array, " inputs"]) -> Float[Array, " encoded"]:
+        for layer in self.encoder:
+            x = jax.nn.relu(layer(x))
+        return x
+
+
+def init_recurrent_network(
+    key: Key,
+    inputs: int,
+    outputs: int,
+    *,
+    encoder_sizes: tuple[int, ...],
+    hidden_size: int,
+    readout_sizes: tuple[int, ...],
+) -> RecurrentNetwork:
+    """Return a network whose outputs are close to 0.
+
+    Args:
+        key: random key.
+        inputs: components of x.
+        outputs: components of y.
+        encoder_sizes: widths of the encoder's layers.
+        hidden_size: components of h.
+        readout_sizes: widths of the readout's hidden layers.
+    """
+    encoder_key, gru_key, readout_key = jax.random.split(key, 3)
+    sizes = (inputs, *encoder_sizes)
+    encoder = init_mlp(encoder_key, sizes).layers if encoder_sizes else ()
+    readout = init_mlp(readout_key, (sizes[-1] + hidden_size, *readout_sizes, outputs))
+    last = eqx.tree_at(lambda layer: layer.weight, readout.layers[-1], replace_fn=_shrink)
+    readout = MLP((*readout.layers[:-1], last))
+    return RecurrentNetwork(encoder, init_gru(gru_key, sizes[-1], hidden_size), readout)
+
+
+def _shrink(weight: Array) -> Array:
+    return OUTPUT_SCALE * weight

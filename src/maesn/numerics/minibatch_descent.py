@@ -1,0 +1,97 @@
+"""First-order optimisation on minibatches: Adam by Optax."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from maesn.numerics.first_order import first_order_step
+
+Parameters = TypeVar("Parameters")
+Auxiliary = TypeVar("Auxiliary")
+
+
+class MinibatchDescent(eqx.Module):
+    """Goes through the same data several times, in minibatches that are drawn anew each time.
+
+    Gradients are cut to a largest norm and followed by Adam (Kingma and Ba 2015,
+    https://arxiv.org/abs/1412.6980).
+    """
+
+    learning_rate: float = 1e-3
+    """Of Adam."""
+    epochs: int = 2
+    """Passes over the data."""
+    minibatches: int = 8
+    """Steps per pass. What does not divide evenly is left out of a pass, each time another part."""
+    max_gradient_norm: float = 0.5
+    """Longer gradients are shortened to this norm."""
+
+    def __check_init__(self) -> None:
+        for name in ("learning_rate", "max_gradient_norm"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        for name in ("epochs", "minibatches"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+
+    def init(self, parameters: Any) -> optax.OptState:
+        """Return the optimiser's state before the first step."""
+        return self._transformation().init(parameters)
+
+    def run(
+        self,
+        key: PRNGKeyArray,
+        parameters: Parameters,
+        state: optax.OptState,
+        loss: Callable[[Parameters, Any], tuple[Float[Array, ""], Auxiliary]],
+        data: Any,
+    ) -> tuple[Parameters, optax.OptState, Auxiliary]:
+        """Return improved parameters, the optimiser's state, and the last pass's mean extras.
+
+        Args:
+            key: draws the minibatches.
+            parameters: where to start.
+            state: of `init` or of an earlier run.
+            loss: of parameters and a minibatch; returns with it what else is to be known.
+            data: a pytree whose arrays have a common leading axis of samples.
+
+        Raises:
+            ValueError: there are fewer samples than minibatches.
+        """
+        samples = jax.tree.leaves(data)[0].shape[0]
+        size = samples // self.minibatches
+        if size == 0:
+            raise ValueError(
+                f"`minibatches` is {self.minibatches}, but there are only {samples} samples: "
+                "lower it, or play more."
+            )
+        gradient = jax.grad(loss, has_aux=True)
+        transformation = self._transformation()
+
+        def step(
+            now: tuple[Parameters, optax.OptState], rows: Array
+        ) -> tuple[tuple[Parameters, optax.OptState], Auxiliary]:
+            varied, memory = now
+            slopes, extras = gradient(varied, jax.tree.map(lambda x: x[rows], data))
+            return first_order_step(transformation, varied, slopes, memory), extras
+
+        def shuffled(epoch_key: PRNGKeyArray) -> Array:
+            order = jax.random.permutation(epoch_key, samples)[: size * self.minibatches]
+            return order.reshape(self.minibatches, size)
+
+        rows = jax.vmap(shuffled)(jax.random.split(key, self.epochs))
+        (parameters, state), extras = jax.lax.scan(
+            step, (parameters, state), rows.reshape(-1, size)
+        )
+        last = jax.tree.map(lambda x: jnp.mean(x[-self.minibatches :], axis=0), extras)
+        return parameters, state, last
+
+    def _transformation(self) -> optax.GradientTransformation:
+        return optax.chain(
+            optax.clip_by_global_norm(self.max_gradient_norm), optax.adam(self.learning_rate)
+        )

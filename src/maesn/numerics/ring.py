@@ -1,0 +1,70 @@
+"""The last rows of a stream, in arrays of fixed size."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+# Below this standard deviation a feature counts as constant: its scale is then 1, since a quotient
+# of rounding errors would be of order 1 as well.
+CONSTANT_STD = 1e-6
+
+
+class Ring(eqx.Module):
+    """A stream's last `capacity` rows; older ones are overwritten.
+
+    All arrays, so that it can travel through compiled programs and into checkpoints, and its memory
+    is bounded from the start.
+    """
+
+    rows: Float[Array, "*batch capacity feature"]
+    """Row number n of the stream stands at n modulo the capacity; zeros where none is yet."""
+    count: Int[Array, "*batch"]
+    """Number of rows that were ever put in."""
+
+    @staticmethod
+    def empty(capacity: int, features: int) -> "Ring":
+        """Return a ring without rows."""
+        return Ring(jnp.zeros((capacity, features)), jnp.zeros((), int))
+
+    @property
+    def capacity(self) -> int:
+        """Number of rows that fit."""
+        return self.rows.shape[-2]
+
+    @property
+    def size(self) -> Int[Array, ""]:
+        """Number of rows that are held."""
+        return jnp.minimum(self.count, self.capacity)
+
+    def extend(self, rows: Float[Array, "row feature"], valid: Bool[Array, " row"]) -> "Ring":
+        """Put in the valid rows, in their order.
+
+        Args:
+            rows: what comes next in the stream.
+            valid: where it is false, the row is skipped, whatever it holds.
+        """
+        number = jnp.cumsum(valid) - 1  # of each valid row among the valid ones
+        total = valid.sum()
+        # Of more rows than fit, only the last are written: the order of writes to one place is
+        # undefined.
+        kept = valid & (number >= total - self.capacity)
+        place = jnp.where(kept, (self.count + number) % self.capacity, self.capacity)
+        return Ring(self.rows.at[place].set(rows, mode="drop"), self.count + total)
+
+    def sample(self, key: PRNGKeyArray, number: int) -> Float[Array, "number feature"]:
+        """Draw rows uniformly, with replacement; zeros from an empty ring."""
+        index = jax.random.randint(key, (number,), 0, jnp.maximum(self.size, 1))
+        return self.rows[index]
+
+    def moments(self) -> tuple[Float[Array, " feature"], Float[Array, " feature"]]:
+        """Return mean and standard deviation of each feature; 0 and 1 for an empty ring.
+
+        A feature that is constant has the standard deviation 1.
+        """
+        held = (jnp.arange(self.capacity) < self.size)[:, None]
+        number = jnp.maximum(self.size, 1).astype(self.rows.dtype)
+        mean = jnp.where(held, self.rows, 0.0).sum(0) / number
+        variance = jnp.where(held, (self.rows - mean[None]) ** 2, 0.0).sum(0) / number
+        std = jnp.sqrt(variance)
+        return mean, jnp.where(std > CONSTANT_STD, std, 1.0)

@@ -1,0 +1,248 @@
+"""MuJoCo on an accelerator: the models of the native engine as pure functions of JAX.
+
+MJX computes what MuJoCo computes, in single precision and for one simulation at a time, so that
+`jax.vmap` makes a batch of it and `jax.lax.scan` an episode. `docs/engines.md` says where the two
+differ.
+"""
+
+import contextlib
+import dataclasses
+import importlib
+import importlib.util
+import io
+import os
+from collections.abc import Callable, Iterator
+from operator import attrgetter
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from maesn.axes import Readings
+from maesn.physics.base import EngineError, ModelFields
+from maesn.physics.loading import load_model
+from maesn.physics.mjx_dynamics import Dynamics, ModelVariants
+from maesn.physics.mjx_margins import margins_as_sizes
+
+# What a step leaves current; all else needs another forward pass.
+_STATE = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
+# What follows from the forces between bodies.
+_BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
+# Fields that MJX has but never fills would read as zeros, so what can be read is what was compared
+# with MuJoCo: see `tests/physics/test_mjx_readings.py`.
+READABLE = (
+    *("time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat", "qacc", "sensordata"),
+    *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "subtree_com", "cvel"),
+    *("geom_xpos", "geom_xmat", "site_xpos", "site_xmat", "actuator_force", "actuator_length"),
+    *("actuator_velocity", "qfrc_bias", "qfrc_passive", "qfrc_actuator", "qfrc_constraint"),
+    *("cacc", "cfrc_ext", "cfrc_int"),
+)
+
+
+class MjxLimits(NamedTuple):
+    """What may be left out for speed; see `benchmarks/mjx.py` for what each is worth."""
+
+    iterations: int | None = None
+    """Steps of the constraint solver at most; None: as the model says."""
+    line_search_iterations: int | None = None
+    """Of each of these steps at most; None: as the model says."""
+    untouched: tuple[str, ...] = ()
+    """Names of geoms that nothing touches: their contacts are not looked for."""
+
+
+NO_LIMITS = MjxLimits()
+
+
+class MjxState(NamedTuple):
+    """One simulation: all that its next step depends on."""
+
+    data: Any
+    """MJX's own."""
+    dynamics: Dynamics
+
+
+class MjxEngine:
+    """A model on JAX's device. `initial` and `step` are pure functions of one simulation.
+
+    Args:
+        model: name of a model of the library or path of an XML file, as for `load_model`.
+        readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
+        frame_skip: physics steps per control step.
+        limits: what may be left out for speed.
+
+    Raises:
+        EngineError: MJX is not installed.
+        FileNotFoundError: there is no such model.
+        ValueError: MJX lacks something that the model or the readings need, or an argument is out
+            of range.
+    """
+
+    def __init__(
+        self,
+        model: str | os.PathLike[str],
+        readings: tuple[str, ...] = ("qpos", "qvel"),
+        frame_skip: int = 1,
+        limits: MjxLimits = NO_LIMITS,
+    ) -> None:
+        _check_settings(readings, frame_skip, limits)
+        self._mjx, self._frame_skip = import_mjx(), frame_skip
+        compiled = load_model(model)
+        with _own_rules(), _explained(os.fspath(model)):
+            self._variants = ModelVariants(compiled, lambda m: self._put(m, limits))
+            self._blank = self._mjx.make_data(self._prepared(compiled, limits))
+        self._readers = {name: self._reader(name, compiled) for name in readings}
+        self._derives = not _STATE.issuperset(readings)
+        self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
+
+    def dynamics(self, model_fields: ModelFields) -> Dynamics:
+        """Return what the fields change in the model, with all that MuJoCo derives from them.
+
+        Not for compiled programs: MuJoCo itself (`mj_setConst`) computes on the host what follows,
+        once for each distinct row.
+
+        Args:
+            model_fields: dynamics that differ between simulations, by the names of `mujoco.MjModel`
+                (or "opt.<field>").
+
+        Returns:
+            Arrays with a leading `simulation` axis, to be mapped over with `initial`.
+
+        Raises:
+            PhysicsError: a value is not finite.
+            ValueError: there is no such field, its rows have another shape, or MJX has compiled it
+                in, so that simulations cannot differ in it.
+        """
+        with _own_rules():
+            return self._variants.rows(model_fields)
+
+    def initial(
+        self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"], dynamics: Dynamics
+    ) -> tuple[MjxState, Readings]:
+        """Return a simulation in a state, with nothing before it, and the readings of that state.
+
+        Args:
+            qpos: generalised positions.
+            qvel: generalised velocities.
+            dynamics: one simulation's own, of `MjxEngine.dynamics`; empty for the model's.
+        """
+        with _own_rules():
+            dtype = self._blank.qpos.dtype
+            data = self._blank.replace(qpos=qpos.astype(dtype), qvel=qvel.astype(dtype))
+            return self._derived(data, dynamics)
+
+    def step(self, state: MjxState, control: Float[Array, " control"]) -> tuple[MjxState, Readings]:
+        """Advance a simulation by one control step.
+
+        What blows up is neither reset nor reported: its numbers are simply no longer finite.
+
+        Args:
+            state: to start from.
+            control: what the actuators are given, held constant over the step.
+
+        Returns:
+            The new state and its readings: none of them is a substep behind.
+        """
+        with _own_rules():
+            model = self._variants.model(state.dynamics)
+            data = state.data.replace(ctrl=control.astype(self._blank.ctrl.dtype))
+            if self._frame_skip == 1:
+                data = self._mjx.step(model, data)
+            else:
+                data = jax.lax.fori_loop(
+                    0, self._frame_skip, lambda _, d: self._mjx.step(model, d), data
+                )
+            return self._derived(data, state.dynamics)
+
+    def _derived(self, data: Any, dynamics: Dynamics) -> tuple[MjxState, Readings]:
+        if self._derives:
+            model = self._variants.model(dynamics)
+            data = self._mjx.forward(model, data)
+            if self._needs_forces:
+                data = self._mjx.rne_postconstraint(model, data)
+        readings = {name: read(data) for name, read in self._readers.items()}
+        return MjxState(data, dynamics), readings
+
+    def _put(self, compiled: mujoco.MjModel, limits: MjxLimits) -> Any:
+        return self._mjx.put_model(self._prepared(compiled, limits))
+
+    def _prepared(self, compiled: mujoco.MjModel, limits: MjxLimits) -> mujoco.MjModel:
+        prepared = margins_as_sizes(compiled)
+        for name in limits.untouched:
+            geom = _geom(prepared, name)
+            prepared.geom_contype[geom] = prepared.geom_conaffinity[geom] = 0
+        if limits.iterations is not None:
+            prepared.opt.iterations = limits.iterations
+        if limits.line_search_iterations is not None:
+            prepared.opt.ls_iterations = limits.line_search_iterations
+        return prepared
+
+    def _reader(self, name: str, compiled: mujoco.MjModel) -> Callable[[Any], Array]:
+        """Return what reads a quantity in the layout of `mujoco.MjData`."""
+        shape = np.shape(getattr(mujoco.MjData(compiled), name))
+        public = {field.name for field in dataclasses.fields(self._blank)}
+        find = attrgetter(name if name in public else f"_impl.{name}")
+        return lambda data: find(data).reshape(shape)
+
+
+def import_mjx() -> ModuleType:
+    """Return the module `mujoco.mjx`.
+
+    Raises:
+        EngineError: it is not installed.
+    """
+    if importlib.util.find_spec("mujoco.mjx") is None:
+        raise EngineError(
+            "the engine `mjx` needs the package mujoco-mjx, which is not installed: "
+            "`pip install maesn[gpu]` brings it, and JAX for NVIDIA cards"
+        )
+    # It prints that it has not found Warp, which it could use as well.
+    with contextlib.redirect_stdout(io.StringIO()):
+        return importlib.import_module("mujoco.mjx")
+
+
+@contextlib.contextmanager
+def _own_rules() -> Iterator[None]:
+    """Trace MJX by the rules that it is written for.
+
+    JAX's default matrix product on graphics cards has 10 bits of mantissa (TF32), which is no
+    precision to solve for contact forces with.
+    """
+    with (
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+        jax.default_matmul_precision("highest"),
+    ):
+        yield
+
+
+@contextlib.contextmanager
+def _explained(model: str) -> Iterator[None]:
+    try:
+        yield
+    except NotImplementedError as error:
+        raise ValueError(
+            f"model {model!r} cannot be moved by the engine `mjx`, which lacks something that it "
+            f"needs: {error}; play it on the engine `native`"
+        ) from error
+
+
+def _check_settings(readings: tuple[str, ...], frame_skip: int, limits: MjxLimits) -> None:
+    unknown = [name for name in readings if name not in READABLE]
+    if unknown:
+        raise ValueError(
+            f"`readings` of the engine `mjx` must be among {', '.join(READABLE)}, got "
+            f"{unknown[0]!r}: play this family on the engine `native`"
+        )
+    for name, value in (("frame_skip", frame_skip), *limits._asdict().items()):
+        if isinstance(value, int) and value < 1:
+            raise ValueError(f"`{name}` must be at least 1, got {value}")
+
+
+def _geom(model: mujoco.MjModel, name: str) -> int:
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    if index < 0:
+        raise ValueError(f"`untouched` must name geoms of the model, got {name!r}")
+    return int(index)

@@ -1,0 +1,222 @@
+"""Pictures of a model's states, drawn without a screen."""
+
+import itertools
+import math
+import os
+import weakref
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from maesn.physics.graphics import open_context
+from maesn.physics.loading import load_model
+
+# The colours of the goal and of trails; the library's own models give their goals the same green.
+_GOAL_COLOUR = (0.16, 0.63, 0.36, 1.0)
+_REGION_COLOUR = (0.16, 0.63, 0.36, 0.18)
+_TRAIL_COLOUR = (0.3, 0.05, 0.45, 1.0)
+_WAY_COLOUR = (0.04, 0.04, 0.04, 1.0)
+_GOAL_SIZE = 0.1  # metres, as in the library's own models
+_TRAIL_WIDTH, _WAY_WIDTH = 3.0, 1.5  # pixels
+_LINE_HEIGHT = 0.02  # metres above the floor
+_AZIMUTH = 90.0  # degrees: y points away from the viewer and x to the right, as in a plot
+_ELEVATION = -62.0  # nearly a map, but the robot's shape is seen
+_MARGIN = 1.06  # of what the camera sees over what it must see
+_MAX_GEOMS = 10000
+_SHADOWS = 1024  # side of the shadow map in pixels; larger ones are slow without a GPU
+
+
+class View(NamedTuple):
+    """What the camera must see: a rectangle of the floor, in metres."""
+
+    lower: tuple[float, float]
+    """Least x and y."""
+    upper: tuple[float, float]
+    """Greatest x and y."""
+
+
+def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos"]) -> View:
+    """Return the part of the floor that whatever moves in a model covers in some states.
+
+    Args:
+        model: name of a model of the library or path of an XML file, as for `load_model`.
+        qpos: generalised positions of the states.
+
+    Raises:
+        FileNotFoundError: there is no such model.
+    """
+    compiled = load_model(model)
+    data = mujoco.MjData(compiled)
+    moves = compiled.body_weldid[compiled.geom_bodyid] != 0
+    reach = compiled.geom_rbound[moves, None]
+    boxes = []
+    for state in qpos:
+        data.qpos[:] = state
+        mujoco.mj_kinematics(compiled, data)
+        place = data.geom_xpos[moves, :2]
+        boxes.append([(place - reach).min(axis=0), (place + reach).max(axis=0)])
+    lower, upper = np.min(boxes, axis=0)[0].tolist(), np.max(boxes, axis=0)[1].tolist()
+    return View(tuple(lower), tuple(upper))
+
+
+class Renderer:
+    """Draws states of one model, each with its goal and the way that led there.
+
+    Args:
+        model: name of a model of the library or path of an XML file, as for `load_model`.
+        view: what the camera must see.
+        width: of the pictures, in pixels.
+        height: of the pictures, in pixels.
+
+    Raises:
+        RenderingError: the system has no library to draw with.
+        FileNotFoundError: there is no such model.
+    """
+
+    def __init__(
+        self, model: str | os.PathLike[str], view: View, width: int = 320, height: int = 240
+    ) -> None:
+        compiled = load_model(model)
+        compiled.vis.global_.offwidth, compiled.vis.global_.offheight = width, height
+        compiled.vis.quality.shadowsize = min(_SHADOWS, compiled.vis.quality.shadowsize)
+        self._arrangement = _Arrangement(compiled, view, width / height)
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._context, self._drawer = open_context(compiled, width, height)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawer)
+        self._close = weakref.finalize(self, _release, self._context, self._drawer)
+
+    def draw(
+        self,
+        qpos: Float[np.ndarray, " qpos"],
+        goal: Float[np.ndarray, " 2"],
+        radius: float,
+        judged: Float[np.ndarray, " 2"],
+        trail: Float[np.ndarray, "point 2"] | None = None,
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Return a picture of one state.
+
+        Args:
+            qpos: generalised positions.
+            goal: place of the goal on the floor in metres.
+            radius: of the goal region in metres.
+            judged: place of what is to reach the goal; a thin line shows the way that is left.
+            trail: places on the floor, in metres, that are joined by a line; None for no line.
+        """
+        if not self._close.alive:
+            raise RuntimeError("the renderer is closed: make a new one")
+        way = np.stack([judged, goal])
+        scene = self._arrangement.of(qpos, goal, radius, way, way[:0] if trail is None else trail)
+        self._context.make_current()
+        mujoco.mjr_render(self._viewport, scene, self._drawer)
+        upside_down = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
+        mujoco.mjr_readPixels(upside_down, None, self._viewport, self._drawer)
+        return np.ascontiguousarray(upside_down[::-1])
+
+    def close(self) -> None:
+        """Give the memory of the drawing library back; may be called twice."""
+        self._close()
+
+
+class _Arrangement:
+    """Puts shapes and camera where they belong; needs no library to draw with."""
+
+    def __init__(self, model: Any, view: View, aspect: float) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._camera = _camera(view, math.radians(model.vis.global_.fovy), aspect)
+        self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._options = mujoco.MjvOption()
+        self._marker = _GoalMarker(model)
+
+    def of(
+        self, qpos: np.ndarray, goal: np.ndarray, radius: float, way: np.ndarray, trail: np.ndarray
+    ) -> Any:
+        """Return the scene of one state."""
+        self._data.qpos[:] = qpos
+        self._marker.move(self._data, goal, radius)
+        mujoco.mj_forward(self._model, self._data)
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._options, None, self._camera,
+            int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
+        )  # fmt: skip
+        self._marker.add_to(self._scene, goal, radius)
+        height = self._marker.height(self._data) + _LINE_HEIGHT
+        _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
+        _add_line(self._scene, trail, height, _TRAIL_WIDTH, _TRAIL_COLOUR)
+        return self._scene
+
+
+class _GoalMarker:
+    """The goal in a scene: the model's own, if it has a movable body `goal`, or two shapes."""
+
+    def __init__(self, model: Any) -> None:
+        names = (mujoco.mjtObj.mjOBJ_BODY, "goal"), (mujoco.mjtObj.mjOBJ_SITE, "goal_region")
+        body, self._region = (mujoco.mj_name2id(model, kind, name) for kind, name in names)
+        self._mocap = int(model.body_mocapid[body]) if body >= 0 else -1
+        self._model = model
+
+    def move(self, data: Any, goal: np.ndarray, radius: float) -> None:
+        """Move the model's own marker."""
+        if self._mocap >= 0:
+            data.mocap_pos[self._mocap, :2] = goal
+        if self._region >= 0:
+            self._model.site_size[self._region, 0] = radius
+
+    def height(self, data: Any) -> float:
+        """Return how high the floor is that the goal lies on, in metres."""
+        return 0.0 if self._region < 0 else float(data.site_xpos[self._region, 2])
+
+    def add_to(self, scene: Any, goal: np.ndarray, radius: float) -> None:
+        """Add a marker to a scene of a model that has none."""
+        if self._mocap >= 0:
+            return
+        ball, disc = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
+        _shape(scene, ball, (_GOAL_SIZE,) * 3, (*goal, _GOAL_SIZE), _GOAL_COLOUR)
+        _shape(scene, disc, (radius, radius, 0.001), (*goal, 0.001), _REGION_COLOUR)
+
+
+def _shape(scene: Any, kind: Any, size: Any, place: Any, colour: Any) -> Any:
+    geom = scene.geoms[scene.ngeom]
+    values = (np.array(value, np.float64) for value in (size, place, np.eye(3).ravel()))
+    mujoco.mjv_initGeom(geom, kind, *values, np.array(colour, np.float32))
+    scene.ngeom += 1
+    return geom
+
+
+def _add_line(
+    scene: Any, points: np.ndarray, height: float, width: float, colour: tuple[float, ...]
+) -> None:
+    kind = mujoco.mjtGeom.mjGEOM_LINE  # capsules would take longer than all the rest
+    for start, end in itertools.pairwise(points):
+        geom = _shape(scene, kind, np.zeros(3), np.zeros(3), colour)
+        ends = (np.array([*point, height], np.float64) for point in (start, end))
+        mujoco.mjv_connector(geom, kind, width, *ends)
+
+
+def _camera(view: View, field_of_view: float, aspect: float) -> Any:
+    """Return the nearest camera of a fixed direction that sees the view.
+
+    A point at p from the middle of the view is seen if |p . right| <= depth tan(f / 2) aspect and
+    |p . up| <= depth tan(f / 2), where f is the vertical field of view and depth = distance +
+    p . forward. Solved for the distance, for the corners of the view.
+    """
+    lower, upper = np.array(view.lower), np.array(view.upper)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = (*(lower + upper) / 2, 0.0)
+    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+    half_x, half_y = _MARGIN * (upper - lower) / 2
+    sine, cosine = math.sin(math.radians(-_ELEVATION)), math.cos(math.radians(-_ELEVATION))
+    slope = math.tan(field_of_view / 2)
+    camera.distance = max(
+        max(half_x / (slope * aspect), abs(y) * sine / slope) - y * cosine
+        for y in (-half_y, half_y)
+    )
+    return camera
+
+
+def _release(context: Any, drawer: Any) -> None:
+    context.make_current()
+    drawer.free()
+    context.free()

@@ -1,0 +1,62 @@
+"""The last step of a policy: from a network's outputs to a distribution of actions."""
+
+import math
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from maesn.axes import ActionKind
+from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
+from maesn.policies.gaussian_mlp import MINIMUM_STD
+
+
+class AbstractHead(eqx.Module):
+    """Turns one output for each component of an action into a distribution."""
+
+    @abstractmethod
+    def __call__(self, outputs: Float[Array, " action"]) -> AbstractDistribution:
+        """Return the distribution of the action."""
+
+    @property
+    @abstractmethod
+    def action_kind(self) -> ActionKind:
+        """What the actions are."""
+
+
+class GaussianHead(AbstractHead):
+    """N(outputs, diag(exp(log_std)^2)), with a state-independent log_std."""
+
+    log_std: Float[Array, "*batch action"]
+
+    def __call__(self, outputs: Float[Array, " action"]) -> DiagonalGaussian:
+        return DiagonalGaussian(outputs, jnp.maximum(self.log_std, math.log(MINIMUM_STD)))
+
+    @property
+    def action_kind(self) -> ActionKind:
+        return "continuous"
+
+
+class CategoricalHead(AbstractHead):
+    """One choice, with the outputs as logits."""
+
+    def __call__(self, outputs: Float[Array, " action"]) -> Categorical:
+        return Categorical(outputs)
+
+    @property
+    def action_kind(self) -> ActionKind:
+        return "discrete"
+
+
+def make_head(action_kind: ActionKind, action_size: int, initial_std: float) -> AbstractHead:
+    """Return the head for a kind of actions.
+
+    Args:
+        action_kind: what the actions are.
+        action_size: components of an action, or number of choices.
+        initial_std: standard deviation of continuous actions at the start.
+    """
+    if action_kind == "discrete":
+        return CategoricalHead()
+    return GaussianHead(jnp.full(action_size, math.log(initial_std), dtype=float))

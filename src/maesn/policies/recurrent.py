@@ -1,0 +1,118 @@
+"""Policies that learn by remembering: RL2 (Duan et al. 2016, section 2.2)."""
+
+from typing import get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import ActionKind, Carry, Key, ObservedReward
+from maesn.networks import RecurrentNetwork, init_recurrent_network
+from maesn.numerics import AbstractDistribution
+from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
+from maesn.policies.heads import AbstractHead, make_head
+
+
+class RecurrentPolicy(AbstractPolicy):
+    """pi(a_t | x_0 ... x_t, z) with x_t = (o_t, a_{t-1}, r_{t-1}, start_t).
+
+    The memory h summarises all that was seen, done and paid since the trial began. The network is
+    that of `RecurrentNetwork`, its outputs are the means of a Gaussian or the logits of a choice.
+    """
+
+    network: RecurrentNetwork
+    head: AbstractHead
+    observed: ObservedReward = eqx.field(static=True)
+
+    def __call__(
+        self, policy_input: PolicyInput, context: Float[Array, " context"], carry: Carry
+    ) -> tuple[AbstractDistribution, Carry]:
+        outputs, carry = self.network(input_features(policy_input, context), carry)
+        return self.head(outputs), carry
+
+    def initial_carry(self) -> Float[Array, " hidden"]:
+        return self.network.initial_carry()
+
+    @property
+    def action_kind(self) -> ActionKind:
+        return self.head.action_kind
+
+    @property
+    def observed_reward(self) -> ObservedReward:
+        return self.observed
+
+    def unroll(
+        self,
+        inputs: PolicyInput,
+        valid: Bool[Array, " time"],
+        context: Float[Array, " context"],
+        carry: Carry,
+    ) -> tuple[AbstractDistribution, Carry]:
+        features = jax.vmap(input_features, in_axes=(0, None))(inputs, context)
+        outputs, carry = self.network.unroll(features, valid, carry)
+        return jax.vmap(self.head)(outputs), carry
+
+
+class Recurrent(AbstractPolicySettings):
+    """Settings of `RecurrentPolicy`."""
+
+    action_kind: ActionKind = "continuous"
+    """Real numbers, or choices."""
+    encoder_sizes: tuple[int, ...] = ()
+    """Widths of rectified linear layers before the memory."""
+    hidden_size: int = 64
+    """Components of the memory. garage's RL2: 64."""
+    readout_sizes: tuple[int, ...] = ()
+    """Widths of the hidden layers behind the memory. RL2 paper: none."""
+    initial_std: float = 1.0
+    """Standard deviation of continuous actions at the start."""
+    observed_reward: ObservedReward = "paid"
+    """Which reward the policy is shown: `paid` for the one that it is paid, which is that of the
+    paper (dense in training, sparse in new tasks), or `sparse` for the sparse one in both."""
+
+    def __check_init__(self) -> None:
+        for name in ("encoder_sizes", "readout_sizes"):
+            if any(size < 1 for size in getattr(self, name)):
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        if self.hidden_size < 1:
+            raise ValueError(f"`hidden_size` must be at least 1, got {self.hidden_size}.")
+        if not self.initial_std > 0:
+            raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
+        for name, kind in (("action_kind", ActionKind), ("observed_reward", ObservedReward)):
+            if getattr(self, name) not in get_args(kind):
+                known = " or ".join(map(repr, get_args(kind)))
+                raise ValueError(f"`{name}` must be {known}, got {getattr(self, name)!r}.")
+
+    @property
+    def has_memory(self) -> bool:
+        return True
+
+    def init(
+        self, key: Key, observation_size: int, action_size: int, context_size: int
+    ) -> RecurrentPolicy:
+        network = init_recurrent_network(
+            key,
+            input_size(observation_size, action_size, context_size),
+            action_size,
+            encoder_sizes=self.encoder_sizes,
+            hidden_size=self.hidden_size,
+            readout_sizes=self.readout_sizes,
+        )
+        head = make_head(self.action_kind, action_size, self.initial_std)
+        return RecurrentPolicy(network, head, self.observed_reward)
+
+
+def input_size(observation_size: int, action_size: int, context_size: int = 0) -> int:
+    """Return the number of components of `input_features`."""
+    return observation_size + action_size + 2 + context_size
+
+
+def input_features(
+    policy_input: PolicyInput, context: Float[Array, " context"]
+) -> Float[Array, " inputs"]:
+    """Return [o_t, a_{t-1}, r_{t-1}, start_t, z] of one step."""
+    scalars = [policy_input.previous_reward, policy_input.episode_start.astype(context.dtype)]
+    return jnp.concatenate(
+        [policy_input.observation, policy_input.previous_action, jnp.stack(scalars), context]
+    )

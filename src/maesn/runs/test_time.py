@@ -1,0 +1,76 @@
+"""What a learner can be given in new tasks beside what it has learned: curiosity, fine-tuning."""
+
+import dataclasses
+from typing import Any, Literal, TypeAlias
+
+import jax
+
+from maesn.curiosity import Curiosity
+from maesn.envs import AnyEnv
+from maesn.learners import (
+    CURIOUS,
+    IMPROVEMENTS,
+    AbstractFastLearner,
+    CuriousFastLearner,
+    FineTuning,
+)
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+
+FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
+
+
+@dataclasses.dataclass(frozen=True)
+class AtTestTime:
+    """What is added to a learner in new tasks. By default nothing."""
+
+    fine_tune: FineTuneRule | None = None
+    """How the policy's weights go on after the learner's own updates; None: they do not."""
+    after: int = 10
+    """Updates of the learner before its policy is fine-tuned."""
+    curious: bool = False
+    """Whether the learner is paid for what it finds out as well."""
+    curiosity: Curiosity = dataclasses.field(default_factory=Curiosity)
+    """What a curious learner is paid."""
+
+    @property
+    def suffix(self) -> str:
+        """What is appended to the name of a table of adaptation curves."""
+        tuned = "" if self.fine_tune is None else f"-{self.after}-then-{self.fine_tune}"
+        return ("-curious" if self.curious else "") + tuned
+
+    def add_to(
+        self, learner: AbstractFastLearner[Any], run: Run, env: AnyEnv
+    ) -> AbstractFastLearner[Any]:
+        """Return the learner of a run with all that is to be added.
+
+        Raises:
+            RunError: the learner cannot be given that.
+        """
+        if self.curious and run.settings.method.endswith(CURIOUS):
+            raise RunError(
+                f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
+                "already: leave it out."
+            )
+        if self.curious:
+            sizes = env.observation_size, env.action_size
+            learner = CuriousFastLearner(learner, self.curiosity, *sizes)
+        if self.fine_tune is not None:
+            learner = _fine_tuned(learner, IMPROVEMENTS[self.fine_tune], self.after)
+        try:
+            jax.eval_shape(lambda: learner.init(jax.random.split(jax.random.key(0), 1)))
+        except ValueError as error:
+            raise RunError(
+                f"`{run.settings.method}` cannot be adapted like this: {error}"
+            ) from error
+        return learner
+
+
+NOTHING_ADDED = AtTestTime()
+
+
+def _fine_tuned(learner: AbstractFastLearner[Any], improvement: Any, after: int) -> FineTuning:
+    try:
+        return FineTuning(learner, improvement, after)
+    except ValueError as error:
+        raise RunError(str(error)) from error

@@ -1,0 +1,97 @@
+"""Worlds of foreign environments, which run in processes of their own."""
+
+import os
+import pickle
+import weakref
+
+import jax
+import numpy as np
+from jaxtyping import Array, UInt32
+
+from maesn.axes import Carry, HostReadings
+from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
+from maesn.envs.tasks import TaskSet
+from maesn.foreign import WorkerError, WorkerPool
+from maesn.worlds.base import (
+    AbstractWorld,
+    Act,
+    Actors,
+    Decision,
+    SimulationFailure,
+    Trajectory,
+)
+from maesn.worlds.host import play_on_host
+
+
+def default_num_workers() -> int:
+    """Return the number of CPUs."""
+    return os.cpu_count() or 1
+
+
+class GymnasiumWorld(AbstractWorld):
+    """Plays an `AbstractGymnasiumEnv` in worker processes, which start when they are first needed.
+
+    Whatever goes wrong, Ctrl-C included, stops all of them.
+    """
+
+    def __init__(self, env: AbstractGymnasiumEnv, tasks: TaskSet, num_threads: int = 0) -> None:
+        self._env = env
+        self._tasks = tasks
+        self._num_workers = num_threads or default_num_workers()
+        self._pool: WorkerPool | None = None
+
+    @property
+    def env(self) -> AbstractGymnasiumEnv:
+        return self._env
+
+    @property
+    def tasks(self) -> TaskSet:
+        return self._tasks
+
+    @property
+    def max_simulations(self) -> int:
+        return self._env.recipe.max_environments
+
+    def play(
+        self, act: Act, actors: Actors, start: UInt32[Array, " simulation"], carry: Carry
+    ) -> Trajectory:
+        """See `AbstractWorld.play`. `act` must be compiled by the caller."""
+        try:
+            first = self._begin(actors, np.asarray(start))
+            return play_on_host(self._env, act, actors, carry, first, self._advance)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def _begin(self, actors: Actors, seeds: np.ndarray) -> HostReadings:
+        tasks = jax.device_get(actors.tasks)
+        rows = [
+            pickle.dumps(task_row(tasks, task)) for task in range(len(jax.tree.leaves(tasks)[0]))
+        ]
+        episodes = len(seeds) // len(rows)
+        try:
+            return self._open().begin(
+                [row for row in rows for _ in range(episodes)], [int(seed) for seed in seeds]
+            )
+        except WorkerError as error:
+            raise SimulationFailure(error.simulation, 0, error.reason) from error
+
+    def _advance(self, decision: Decision, step: int) -> HostReadings:
+        try:
+            return self._open().step(np.asarray(decision.control))
+        except WorkerError as error:
+            raise SimulationFailure(error.simulation, step, error.reason) from error
+
+    def _open(self) -> WorkerPool:
+        if self._pool is None:
+            env = self._env
+            recipe = (env.recipe.make_env, env.reward_kind, env.interface)
+            self._pool = WorkerPool(recipe, self._num_workers, env.recipe.time_limit)
+            # Also at the end of the program.
+            weakref.finalize(self, self._pool.close)
+        return self._pool

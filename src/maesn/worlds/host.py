@@ -1,0 +1,92 @@
+"""The loop that plays episodes whose world is moved outside of JAX.
+
+A host callback inside a scan would hide the loop from Python: exceptions would arrive as dumps of
+the compiler, Ctrl-C would not work, and the compiled program could not be cached.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from maesn.axes import Carry, HostReadings
+from maesn.envs.base import AnyEnv
+from maesn.worlds.base import Act, Actors, Decision, Moment, Trajectory
+
+
+def play_on_host(
+    env: AnyEnv,
+    act: Act,
+    actors: Actors,
+    carry: Carry,
+    first: HostReadings,
+    advance: Callable[[Decision, int], HostReadings],
+) -> Trajectory:
+    """Play one episode of `env.horizon` steps in every simulation, around one compiled decision.
+
+    Args:
+        env: what is played.
+        act: decides each step; compiled by the caller.
+        actors: who acts.
+        carry: memory of the policies at the start, `[task, episode, ...]`.
+        first: readings of the state that the simulations are in.
+        advance: moves all simulations by what was decided at a step, and returns their readings.
+    """
+    record = _Record(first, env.horizon)
+    batch = actors.context.shape[:2]
+    previous_action: Array | np.ndarray = np.zeros((*batch, env.action_size), np.float32)
+    ended: Array | np.ndarray = np.zeros(batch, bool)
+    for step in range(env.horizon):
+        decision = act(
+            actors,
+            Moment(
+                step=np.asarray(step, np.int32),
+                readings=record.at(step),
+                previous_readings=record.at(max(step - 1, 0)),
+                previous_action=previous_action,
+                carry=carry,
+                ended=ended,
+            ),
+        )
+        record.add(step, advance(_calmed(decision), step), decision)
+        previous_action, carry, ended = decision.action, decision.carry, decision.ended
+    return record.trajectory(carry)
+
+
+def _calmed(decision: Decision) -> Decision:
+    """Give no control to episodes that have ended: what they ask for may be NaN."""
+    ended = np.asarray(decision.ended).reshape(-1, 1)
+    return decision._replace(control=np.where(ended, 0.0, np.asarray(decision.control)))
+
+
+class _Record:
+    """Collects the steps of a batch in arrays of single precision."""
+
+    def __init__(self, first: HostReadings, horizon: int) -> None:
+        self._readings = {
+            name: np.empty((horizon + 1, *value.shape), np.float32) for name, value in first.items()
+        }
+        self._decisions: list[Any] = []
+        self._write(0, first)
+
+    def _write(self, index: int, readings: HostReadings) -> None:
+        # What blew up may be finite in double precision and infinite in single.
+        with np.errstate(over="ignore"):
+            for name, value in readings.items():
+                self._readings[name][index] = value
+
+    def at(self, index: int) -> HostReadings:
+        """The readings of one state, as the policy sees them."""
+        return {name: values[index] for name, values in self._readings.items()}
+
+    def add(self, step: int, readings: HostReadings, decision: Decision) -> None:
+        self._write(step + 1, readings)
+        self._decisions.append((decision.action, decision.behaviour))
+
+    def trajectory(self, carry: Carry) -> Trajectory:
+        action, behaviour = jax.tree.map(
+            lambda *steps: np.stack([np.asarray(step) for step in steps]), *self._decisions
+        )
+        return Trajectory(self._readings, action, behaviour, carry)

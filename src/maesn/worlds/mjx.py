@@ -1,0 +1,121 @@
+"""Worlds moved by MuJoCo on an accelerator: a whole batch of episodes is one compiled scan."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from maesn.axes import Carry, Readings
+from maesn.envs.base import AbstractMujocoEnv, Start
+from maesn.envs.tasks import TaskSet
+from maesn.physics import PhysicsError
+from maesn.physics.mjx import NO_LIMITS, MjxEngine, MjxLimits, MjxState
+from maesn.worlds.base import AbstractWorld, Act, Actors, SimulationFailure, Trajectory
+from maesn.worlds.device import scan_episodes
+
+# Beyond this size MuJoCo calls a number bad (`mjMAXVAL`).
+_LARGEST = 1e10
+# By these it is seen whether a simulation has blown up.
+_STATE = ("qpos", "qvel")
+
+
+class MjxWorld(AbstractWorld):
+    """Plays an `AbstractMujocoEnv` on whatever device JAX uses, which has threads of its own.
+
+    Args:
+        env: what is played.
+        tasks: the tasks that can be played.
+        num_threads: of no meaning here.
+        limits: what the engine may leave out for speed.
+
+    Raises:
+        EngineError: MJX is not installed.
+        ValueError: it lacks something that the environment needs.
+    """
+
+    def __init__(
+        self,
+        env: AbstractMujocoEnv[Any],
+        tasks: TaskSet,
+        num_threads: int = 0,
+        limits: MjxLimits = NO_LIMITS,
+    ) -> None:
+        self._env = env
+        self._tasks = tasks
+        readings = tuple(dict.fromkeys((*env.readings, *_STATE)))
+        self._engine = MjxEngine(env.model, readings, env.frame_skip, limits)
+        self._initial = jax.jit(jax.vmap(self._engine.initial))
+
+    @property
+    def env(self) -> AbstractMujocoEnv[Any]:
+        return self._env
+
+    @property
+    def tasks(self) -> TaskSet:
+        return self._tasks
+
+    @property
+    def max_simulations(self) -> None:
+        return None
+
+    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+        """See `AbstractWorld.play`."""
+        state, first = self._reset(start)
+        advance = _MjxAdvance(self._engine)
+        trajectory, ended = scan_episodes(self._env, advance, act, actors, state, first, carry)
+        if self._env.nonfinite == "raise":
+            _refuse(*jax.device_get(_first_failure(trajectory.readings, ended)))
+        return trajectory
+
+    def close(self) -> None:
+        """Do nothing: whatever plays here is JAX's own."""
+
+    def _reset(self, start: Start) -> tuple[MjxState, Readings]:
+        fields = {name: np.asarray(values) for name, values in start.model_fields.items()}
+        try:
+            dynamics = self._engine.dynamics(fields)
+        except PhysicsError as error:
+            raise SimulationFailure(error.simulations[0], 0, error.reason) from error
+        return self._initial(start.qpos, start.qvel, dynamics)
+
+
+class _MjxAdvance(NamedTuple):
+    """`Advance` of the engine."""
+
+    engine: MjxEngine
+
+    def __call__(
+        self,
+        state: MjxState,
+        control: Float[Array, "simulation control"],
+        ended: Bool[Array, " simulation"],
+    ) -> tuple[MjxState, Readings]:
+        # What is asked for in an episode that has ended may be NaN.
+        calmed = jnp.where(ended[:, None], 0.0, control)
+        return jax.vmap(self.engine.step)(state, calmed)
+
+
+@jax.jit
+def _first_failure(
+    readings: Readings, ended: Bool[Array, "time task episode"]
+) -> tuple[Bool[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """Return whether a living episode has blown up, and the first step and simulation of those."""
+    size = jnp.maximum(*(jnp.abs(readings[name]).max(axis=-1) for name in _STATE))
+    failed = jnp.logical_not(size <= _LARGEST)  # of NaN, too
+    alive = jnp.logical_not(ended.reshape(ended.shape[0], -1))
+    # The start belongs to the first step, whatever that makes of it.
+    by_step = failed[1:].at[0].set(failed[0] | failed[1]) & alive
+    step, simulation = jnp.divmod(jnp.argmax(by_step), by_step.shape[1])
+    return by_step.any(), step, simulation
+
+
+def _refuse(failed: np.ndarray, step: np.ndarray, simulation: np.ndarray) -> None:
+    if failed:
+        raise SimulationFailure(
+            int(simulation),
+            int(step),
+            f"control and state must stay finite and below {_LARGEST:.0e} in size, and do not: "
+            "shorten the model's time step, or bound what drives it",
+        )

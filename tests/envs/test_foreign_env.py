@@ -1,0 +1,146 @@
+"""Families of foreign environments: what is read off them, what is mapped, what is refused."""
+
+import re
+import subprocess
+import sys
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium import spaces
+from strange_families import walkers
+from strangers import Chooser, Walker, draw_walks, make_walker
+
+from maesn.envs.foreign import gymnasium_family, task_row
+from maesn.runs.export import probe_actuators
+
+
+class Plain(gymnasium.Env[Any, Any]):
+    """Has the spaces that it is given."""
+
+    def __init__(self, observation_space: Any, action_space: Any) -> None:
+        self.observation_space, self.action_space = observation_space, action_space
+
+
+def family_of(env: Any, **settings: Any) -> Any:
+    return gymnasium_family("plain", lambda task, reward: env, draw_walks, **settings)
+
+
+BOX = spaces.Box(-1, 1, (2,))
+
+
+def test_actions_are_mapped_to_the_range_of_the_action_space() -> None:
+    env = walkers.make_env()
+    actions = jnp.array([[0.0, 0.0], [1.0, 1.0], [-1.0, -1.0], [0.5, 0.5], [9.0, -9.0]])
+    wanted = [[0, 0.25], [1, 0.5], [-1, 0], [0.5, 0.375], [1, 0]]
+    np.testing.assert_allclose(jax.vmap(env.control)(actions), wanted, atol=1e-7)
+    # The runtime takes the map over as numbers.
+    actuators = probe_actuators(env)
+    np.testing.assert_allclose(actuators.offset, [0, 0.25], atol=1e-6)
+    np.testing.assert_allclose(actuators.scale, [1, 0.25], atol=1e-6)
+    np.testing.assert_allclose(actuators.lower, [-1, 0])
+    np.testing.assert_allclose(actuators.upper, [1, 0.5])
+
+
+def test_sizes_and_times_are_read_off_the_environment() -> None:
+    family = gymnasium_family(
+        "pendulum", lambda task, reward: gymnasium.make("Pendulum-v1"), draw_walks
+    )
+    env = family.make_env(reward_kind="sparse")
+    assert (env.observation_size, env.action_size, env.action_kind) == (3, 1, "continuous")
+    assert env.horizon == 200  # the `max_episode_steps` that Gymnasium registers it with
+    assert env.control_period == pytest.approx(1 / 30)
+    assert env.reward_kind == "sparse"
+    assert not env.planar
+    np.testing.assert_allclose(env.control(jnp.array([0.5])), [1.0])  # torques of +-2
+    walker = walkers.make_env()
+    assert (walker.observation_size, walker.horizon, walker.control_period) == (10, 6, 0.1)
+
+
+def test_choices_are_discrete_actions() -> None:
+    env = family_of(Chooser(np.zeros(1)), horizon=3, control_period=1.0).make_env()
+    assert (env.action_kind, env.action_size) == ("discrete", 3)
+
+
+def test_figures_get_positions_where_the_family_has_them() -> None:
+    family = gymnasium_family(
+        "walker",
+        make_walker,
+        draw_walks,
+        horizon=2,
+        position=lambda observation: observation[-2:],
+        goal=lambda task: task[:2],
+    )
+    env = family.make_env()
+    assert env.planar
+    np.testing.assert_array_equal(env.position(jnp.arange(10.0)), [8, 9])
+    np.testing.assert_array_equal(env.goal(jnp.arange(4.0)), [0, 1])
+
+
+def test_the_environment_is_looked_at_once_and_closed() -> None:
+    made = []
+
+    class Counted(Walker):
+        def close(self) -> None:
+            made.append("closed")
+
+    def make(task: np.ndarray, reward: str) -> Counted:
+        made.append(reward)
+        return Counted(task)
+
+    family = gymnasium_family("counted", make, draw_walks, horizon=2)
+    assert not made
+    assert family.make_env() == family.make_env()
+    assert family.make_env(reward_kind="sparse") != family.make_env()
+    assert made == ["dense", "closed"]
+
+
+def test_tasks_are_handed_over_as_arrays_of_single_precision() -> None:
+    task = task_row({"a": np.arange(6.0).reshape(2, 3), "b": np.array([7, 8])}, 1)
+    assert isinstance(task["a"], np.ndarray)
+    assert task["a"].dtype == np.float32
+    np.testing.assert_array_equal(task["a"], [3, 4, 5])
+    assert task["b"] == 8
+
+
+REFUSED = {
+    "component 1 reaches from -1.0 to inf": Plain(BOX, spaces.Box(-1, np.float32([1, np.inf]))),
+    "must be a bounded `Box` of floating-point numbers or `Discrete`, got MultiDiscrete": Plain(
+        BOX, spaces.MultiDiscrete([2, 3])
+    ),
+    "must flatten to a vector of fixed length": Plain(spaces.Sequence(BOX), BOX),
+    "`horizon` must be given for `plain`": Plain(BOX, BOX),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_what_cannot_be_learned_in_is_refused_by_name(reason: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(reason)) as error:
+        family_of(REFUSED[reason], control_period=0.1).make_env()
+    assert "`plain`" in str(error.value)
+
+
+def test_settings_without_a_meaning_are_refused() -> None:
+    for settings in ({"variant": "paper"}, {"sparse_radius": 0.5}):
+        with pytest.raises(ValueError, match="have no meaning in `stranger`"):
+            walkers.make_env(**settings)
+
+
+def modules_after(statement: str) -> set[str]:
+    program = f"import sys\n{statement}\nprint(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())
+
+
+def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium() -> None:
+    assert "mujoco.batch" not in modules_after("import maesn.envs.foreign, maesn.worlds.foreign")
+    assert "gymnasium" not in modules_after("import maesn.envs, maesn.worlds, maesn.api")
+
+
+def test_a_worker_starts_without_jax() -> None:
+    assert not {"jax", "mujoco"} & modules_after("import maesn.foreign.worker")

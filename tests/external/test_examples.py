@@ -1,0 +1,103 @@
+"""The examples of foreign families, in an environment where Meta-World can be installed.
+
+`make test-external` runs these: Meta-World needs a MuJoCo that the library's own engine is too new
+for.
+"""
+
+import csv
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from playing import constant_agents, keys
+
+from maesn.cli import run as maesn
+from maesn.envs import TaskFamily
+from maesn.rollout import Collector
+from maesn.worlds import make_world
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NAMES = ("half_cheetah_velocity", "metaworld_reach")
+SIZES = {"half_cheetah_velocity": (17, 6), "metaworld_reach": (39, 4)}
+
+sys.path.insert(0, str(EXAMPLES))
+
+
+def family_of(name: str) -> TaskFamily:
+    return importlib.import_module(name).family
+
+
+def test_this_is_the_mujoco_that_our_engine_cannot_use() -> None:
+    assert mujoco.__version__ == "3.3.0"
+    assert importlib.util.find_spec("mujoco.batch") is None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sizes(name: str) -> None:
+    env = family_of(name).make_env()
+    assert (env.observation_size, env.action_size) == SIZES[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_episodes_repeat_and_tasks_differ(name: str) -> None:
+    family = family_of(name)
+    env = family.make_env()
+    tasks = family.task_set("test", 2)
+    world = make_world(env, tasks, num_threads=2)
+    collect, cast = Collector(world, 2), constant_agents(env, 2, 0.3, 0.1)
+    first = collect(keys(2), cast, jnp.arange(2))
+    again = collect(keys(2), cast, jnp.arange(2))
+    jax.tree.map(np.testing.assert_array_equal, first, again)
+    swapped = collect(keys(2), cast, jnp.array([1, 0]))
+    assert not np.allclose(first.reward, swapped.reward)
+    world.close()
+
+
+def test_the_cheetah_is_paid_for_its_target() -> None:
+    family = family_of("half_cheetah_velocity")
+    env, speed = family.make_env(), family.task_set("test", 1)
+    collect = Collector(make_world(env, speed), 2)
+    episodes = collect(keys(1), constant_agents(env, 1, 0.3, 0.1), jnp.zeros(1, int))
+    # Component 8 of the observation is the speed after the step; the reward is for the mean speed
+    # over it, so the two agree over an episode, not at each step.
+    controls = np.clip(episodes.action, -1, 1)
+    error = -np.asarray(episodes.reward) - 0.1 * (controls**2).sum(-1)
+    seen = np.abs(np.asarray(episodes.observation)[..., 1:, 8] - float(speed[0]))
+    assert np.corrcoef(error.ravel(), seen.ravel())[0, 1] > 0.9
+
+
+def test_the_goal_of_meta_world_is_hidden_and_reached_when_it_says_so() -> None:
+    family = family_of("metaworld_reach")
+    env, tasks = family.make_env(reward_kind="sparse"), family.task_set("test", 2)
+    collect = Collector(make_world(env, tasks), 2)
+    episodes = collect(keys(2), constant_agents(env, 2, 0.0, 0.5), jnp.arange(2))
+    observation = np.asarray(episodes.observation)
+    np.testing.assert_array_equal(observation[..., -3:], 0)
+    goal = np.asarray(tasks.tasks)[:, None, None, 3:]
+    distance = np.linalg.norm(observation[..., 1:, :3] - goal, axis=-1)
+    # 5 cm, from the source of Meta-World's `reach`, between hand and goal.
+    np.testing.assert_array_equal(episodes.solved, distance <= 0.05)
+    np.testing.assert_array_equal(episodes.reward, distance <= 0.05)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_documented_commands(name: str, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    family = ["--family", f"{name}:family"]
+    small = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
+    train = ["train", "maesn", "--run", "run", "--iterations", "1", *small, *family]
+    assert maesn(train) == 0
+    assert maesn(["resume", "run", "--iterations", "2", *family]) == 0
+    tasks = family_of(name)
+    np.savez("few.npz", **{tasks.task_names[0]: tasks.task_set("test", 2).tasks})
+    adapt = ["adapt", "run", "--tasks", "few.npz", "--updates", "1", "--episodes-per-task", "2"]
+    assert maesn([*adapt, "--out", "table.csv", *family]) == 0
+    with Path("table.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 4
+    assert maesn(["export", "run", "policy.npz", *family]) == 0

@@ -1,0 +1,160 @@
+"""Curiosity composed with learners: who is paid, who learns, and that nothing else changes."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+from learning_problems.transitions import linear_episodes
+from playing import keys
+
+from maesn.agent import Agents
+from maesn.curiosity import Curiosity
+from maesn.envs import chain, point
+from maesn.episodes import Episodes
+from maesn.evaluate import adapt
+from maesn.learners import (
+    METHODS,
+    PRESETS,
+    SCRATCH,
+    AbstractFastLearner,
+    CuriousFastLearner,
+    CuriousMetaLearner,
+    maesn,
+    method_name,
+)
+from maesn.policies import GaussianMLP
+from maesn.rollout import Collector
+from maesn.worlds import make_world
+
+SMALL = Curiosity(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)
+TASKS = 3
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+class Listener(AbstractFastLearner[list[Episodes]]):
+    """Learns nothing, and keeps what it is handed."""
+
+    def init(self, keys: jax.Array) -> list[Episodes]:
+        return []
+
+    def agents(self, state: list[Episodes]) -> Agents:
+        raise NotImplementedError
+
+    def update(self, state: list[Episodes], episodes: Episodes) -> list[Episodes]:
+        return [*state, episodes]
+
+
+def heard(curiosity: Curiosity, batches: list[Episodes]) -> Any:
+    learner = CuriousFastLearner(Listener(), curiosity, observation_size=2, action_size=1)
+    state = learner.init(keys(TASKS))
+    for episodes in batches:
+        state = learner.update(state, episodes)
+    return state
+
+
+def test_a_fast_learner_is_handed_reward_and_bonus() -> None:
+    plain = replace(linear_episodes(0, (TASKS, 4), 5), reward=jnp.full((TASKS, 4, 5), 2.0))
+    (paid,) = heard(replace(SMALL, weight=0.5), [plain]).learner
+    bonus = np.asarray(paid.reward - plain.reward)
+    assert np.all(bonus > 0)
+    # In each task the typical transition is paid the weight.
+    np.testing.assert_allclose(np.median(bonus, axis=(1, 2)), 0.5, rtol=1e-5)
+    # What the policy was shown while it played, and what is reported, stay as they were.
+    np.testing.assert_array_equal(paid.observed_reward, plain.reward)
+    np.testing.assert_array_equal(paid.goal_reward, plain.goal_reward)
+
+
+def test_every_task_has_a_model_of_its_own() -> None:
+    batches = [linear_episodes(seed, (TASKS, 4), 5) for seed in (0, 1)]
+    state = heard(SMALL, batches)
+    assert int(state.update) == 2
+    # The same tasks again, but the last one sees something else: only its own model changes.
+    other = [replace(batch, action=batch.action.at[-1].set(batch.action[0])) for batch in batches]
+    for one, two in zip(
+        *(jax.tree.leaves(s.curiosity.network) for s in (state, heard(SMALL, other))), strict=True
+    ):
+        np.testing.assert_allclose(one[:-1], two[:-1], rtol=1e-6)
+        assert (one[-1] != two[-1]).any()
+        assert (one[0] != one[1]).any()
+
+
+@pytest.fixture(scope="module")
+def collect() -> Collector:
+    env = point.make_env(reward_kind="sparse", horizon=8)
+    return Collector(make_world(env, point.task_set("training", size=5)), 4)
+
+
+def tiny(**settings: Any) -> Any:
+    return maesn(policy=GaussianMLP((4,)), meta_batch_size=2, **settings)
+
+
+def test_a_curious_meta_learner_is_one_setting(collect: Collector) -> None:
+    learner = CuriousMetaLearner(tiny(), replace(SMALL, weight=10.0))
+    state = learner.init(jax.random.key(0), 2, 2, 5)
+    for step in range(2):
+        state, info = learner.step(jax.random.key(step), state, collect)
+    assert int(learner.iteration(state)) == 2
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(state))
+    assert float(info["curiosity"].bonus) > 8 * 5.0
+    # Two collections per iteration, 20 of the transitions of each.
+    assert int(state.curiosity.pool.count) == 80
+    # Reported is what the tasks pay: at most 0 on this family.
+    assert float(info["return_after"]) < 0
+    assert bool(info["trust_region"].accepted)
+
+
+def test_without_a_bonus_a_curious_meta_learner_is_the_learner_itself(collect: Collector) -> None:
+    curious = CuriousMetaLearner(tiny(), replace(SMALL, weight=0.0))
+    key = jax.random.key(7)
+    state = curious.init(jax.random.key(0), 2, 2, 5)
+    learner_key = jax.random.split(key, 3)[0]
+    alone, info = tiny().step(learner_key, state.learner, collect)
+    together, told = curious.step(key, state, collect)
+    for one, other in zip(*map(jax.tree.leaves, (alone, together.learner)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert float(told["return_before"]) == pytest.approx(float(info.return_before), rel=1e-6)
+    assert float(told["return_after"]) == pytest.approx(float(info.return_after), rel=1e-6)
+
+
+def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
+    learner = CuriousMetaLearner(tiny(), SMALL)
+    state, _ = learner.step(jax.random.key(1), learner.init(jax.random.key(0), 2, 2, 5), collect)
+    fast = learner.fast_learner(state)
+    assert (fast.observation_size, fast.action_size) == (2, 2)
+    begun = fast.init(keys(TASKS))
+    for known, start in zip(
+        *map(jax.tree.leaves, (state.curiosity.network, begun.curiosity.network)), strict=True
+    ):
+        np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
+    assert np.all(begun.curiosity.pool.count == 0)
+    outcome = adapt(fast, collect, updates=2, episodes_per_task=4, chunk_size=2)
+    assert np.isfinite(outcome.curves.mean_return).all()
+    assert np.all(outcome.contexts.mean[:, 1] != 0)
+
+
+def test_curious_methods_have_names() -> None:
+    assert set(METHODS) == set(PRESETS) | {f"{name}+curiosity" for name in PRESETS}
+    for name, preset in METHODS.items():
+        assert method_name(preset()) == name
+    assert METHODS["maesn+curiosity"](meta_batch_size=3).learner.meta_batch_size == 3
+
+
+def test_on_a_sparse_chain_vime_sets_out_and_trpo_does_not() -> None:
+    # `benchmarks/vime_chain.py` is the long form. Here: where the last episodes end.
+    env, tasks = chain.make_env(reward_kind="sparse"), chain.task_set("test", size=TASKS)
+    playing = Collector(make_world(env, tasks), 6)
+    options = {"policy": GaussianMLP((16,))}
+    eager = Curiosity(updates=60, pool_additions=100, samples=4)
+    ends = {}
+    for name, curious in (("trpo", {}), ("vime", {"curiosity": eager})):
+        learner = SCRATCH[name](1, 1, **options, **curious)
+        state = learner.init(keys(TASKS))
+        for update in range(16):
+            episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
+            state = learner.update(state, episodes)
+        ends[name] = np.asarray(episodes.observation[:, :, -1, 0]).mean(axis=1)
+    assert np.all(ends["vime"] > ends["trpo"] + 0.1)

@@ -1,0 +1,154 @@
+"""The curvature of the outer step against the dense product, for every preset."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from learning_problems.compiling import quick_compilation as quick_compilation
+from learning_problems.prepared import ACTION, LATENT, OBSERVATION, UNEQUAL, make_problem
+from learning_problems.translation import experience_for
+
+from maesn.context import BiasContext, LatentContext
+from maesn.learners import PRESETS
+from maesn.learners.curvature import sampled_distributions
+from maesn.learners.gradient import GradientMetaLearner, step_weights
+from maesn.learners.objective import MetaObjective, MetaParameters
+from maesn.policies import GaussianMLP
+from maesn.surrogate import post_distributions
+from maesn.trust_region import TrustRegion
+
+ROWS = (3, 0, 4)
+METHODS = ("maesn", "maesn_theta", "maml", "maml_bias", "maml_bias_only", "latent_space")
+THROUGH_POLICY = ("maesn_theta", "maml", "maml_bias", "maml_bias_only")
+REGION = TrustRegion(damping=1e-3)
+pytestmark = pytest.mark.usefixtures("x64", "quick_compilation")
+
+
+def learner_of(method: str, **settings: Any) -> GradientMetaLearner:
+    learner = PRESETS[method](policy=GaussianMLP((4,)), meta_batch_size=len(ROWS), **settings)
+    assert isinstance(learner, GradientMetaLearner)
+    if "bias" in method:
+        return replace(learner, context=BiasContext(2))
+    return learner
+
+
+def problem_of(learner: GradientMetaLearner) -> tuple[MetaObjective, MetaParameters]:
+    """Return an objective, and parameters beside those where biases are 0 and sizes equal."""
+    latent = LATENT if learner.adaptation.context is not None else 0
+    updates = max(learner.inner_updates, 1)
+    problem = make_problem(2, UNEQUAL, inner_updates=updates, latent=latent)
+    *pre, post = experience_for(learner, problem, ROWS)
+    objective = MetaObjective(
+        learner.context, learner.adaptation, jnp.asarray(ROWS), tuple(pre), *post
+    )
+    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, len(problem.tasks))
+    flat, unravel = ravel_pytree(state.parameters)
+    return objective, unravel(flat + 0.2 * jax.random.normal(jax.random.key(1), flat.shape))
+
+
+def products(
+    objective: MetaObjective, parameters: MetaParameters, stride: int, offset: int
+) -> jax.Array:
+    """Return the curvature's matrix, column by column."""
+    flat, unravel = ravel_pytree(parameters)
+    product = REGION._curvature(
+        lambda x: sampled_distributions(objective, unravel(x), stride, offset),
+        flat,
+        step_weights(objective.post.every(stride, offset)),
+    )
+    return jax.jit(jax.vmap(product))(jnp.eye(flat.size))
+
+
+def dense(jacobian: Any, at: Any, weight: jax.Array) -> np.ndarray:
+    """Return J'FJ + damping I, with F = diag(1/std^2, 2) of Gaussians."""
+    size = jacobian.mean.shape[-1]
+    rows = [
+        np.asarray(j).reshape(-1, size) * np.sqrt(np.asarray(f * weight[..., None]).reshape(-1, 1))
+        for j, f in (
+            (jacobian.mean, jnp.exp(-2 * at.log_std)),
+            (jacobian.log_std, jnp.full_like(at.log_std, 2.0)),
+        )
+    ]
+    return sum(r.T @ r for r in rows) + REGION.damping * np.eye(size)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_with_stride_one_it_is_the_exact_product(method: str) -> None:
+    """J by forward mode through the whole definition, without a loop and without sampling."""
+    objective, parameters = problem_of(learner_of(method))
+    flat, unravel = ravel_pytree(parameters)
+
+    def distribution(x: jax.Array) -> Any:
+        return objective.distributions(unravel(x), objective.post)
+
+    at, jacobian = jax.jit(lambda x: (distribution(x), jax.jacfwd(distribution)(x)))(flat)
+    expected = dense(jacobian, at, step_weights(objective.post))
+    actual = products(objective, parameters, 1, 0)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+def test_two_inner_updates_are_linearised_one_after_the_other() -> None:
+    objective, parameters = problem_of(learner_of("maml", inner_updates=2))
+    flat, unravel = ravel_pytree(parameters)
+
+    def distribution(x: jax.Array) -> Any:
+        return objective.distributions(unravel(x), objective.post)
+
+    at, jacobian = jax.jit(lambda x: (distribution(x), jax.jacfwd(distribution)(x)))(flat)
+    expected = dense(jacobian, at, step_weights(objective.post))
+    actual = products(objective, parameters, 1, 0)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_sampling_changes_derivatives_alone(method: str) -> None:
+    objective, parameters = problem_of(learner_of(method))
+    sampled = jax.jit(lambda p: sampled_distributions(objective, p, 2, 1))(parameters)
+    exact = jax.jit(lambda p: objective.distributions(p, objective.post.every(2, 1)))(parameters)
+    np.testing.assert_allclose(sampled.mean, exact.mean, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(sampled.log_std, exact.log_std, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("method", THROUGH_POLICY)
+def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(method: str) -> None:
+    """By the chain rule: the exact policy's Jacobian times that of the update on a sample."""
+    objective, parameters = problem_of(learner_of(method))
+    sample = replace(objective, pre=tuple((e.every(2, 1), a.every(2, 1)) for e, a in objective.pre))
+    flat, unravel = ravel_pytree(parameters)
+    moved, unravel_agents = ravel_pytree(objective.adapted(parameters))
+    post = objective.post.every(2, 1)
+
+    def distribution(agents: jax.Array) -> Any:
+        return unravel_agents(agents).vmap(post_distributions)(post)
+
+    update = jax.jit(jax.jacfwd(lambda x: ravel_pytree(sample.adapted(unravel(x)))[0]))(flat)
+    outer = jax.jit(jax.jacfwd(distribution))(moved)
+    jacobian = jax.tree.map(lambda x: x @ update, outer)
+    expected = dense(jacobian, distribution(moved), step_weights(post))
+    actual = products(objective, parameters, 2, 1)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+    exact = products(objective, parameters, 1, 0)
+    assert np.abs(exact - expected).max() > 1e-3 * np.abs(exact).max()
+
+
+REPARAMETERIZED = {"context": LatentContext(gradient="reparameterized")}
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"), [*((name, {}) for name in METHODS), ("maesn", REPARAMETERIZED)]
+)
+def test_task_by_task_is_all_at_once(method: str, settings: dict[str, Any]) -> None:
+    """Loss, divergence and gradient of the loop, against those of the whole batch."""
+    objective, parameters = problem_of(learner_of(method, **settings))
+    evaluations = [
+        jax.jit(lambda p, f=f: (f(objective, p), jax.grad(lambda q, f=f: f(objective, q).loss)(p)))(
+            parameters
+        )
+        for f in (MetaObjective.evaluate, MetaObjective.evaluate_at_once)
+    ]
+    for actual, expected in zip(*map(jax.tree.leaves, evaluations), strict=True):
+        np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-13)

@@ -1,0 +1,119 @@
+"""Fine-tuning: first the learner's own updates, then policy gradient on its agents' weights."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+from playing import keys
+
+from maesn.envs import point
+from maesn.evaluate import adapt
+from maesn.learners import (
+    IMPROVEMENTS,
+    FineTuning,
+    GradientFastLearner,
+    maesn,
+    maml,
+    rl2,
+)
+from maesn.normalization import ObservationStatistics
+from maesn.policies import GaussianMLP
+from maesn.rollout import Collector
+from maesn.worlds import make_world
+
+TASKS = 2
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+@pytest.fixture(scope="module")
+def collect() -> Collector:
+    env = point.make_env(reward_kind="dense", horizon=8)
+    return Collector(make_world(env, point.task_set("test", size=TASKS)), 5)
+
+
+def fast(preset: object = maesn) -> GradientFastLearner:
+    learner = preset(policy=GaussianMLP((6,)), meta_batch_size=2)
+    return learner.fast_learner(learner.init(jax.random.key(0), 2, 2, TASKS))
+
+
+@pytest.mark.parametrize("rule", IMPROVEMENTS)
+def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Collector) -> None:
+    inner = fast()
+    learner = FineTuning(inner, IMPROVEMENTS[rule], after=2)
+    state, alone, agents = learner.init(keys(TASKS)), inner.init(keys(TASKS)), []
+    for update in range(4):
+        agents.append(learner.agents(state))
+        episodes = collect(keys(TASKS, update), agents[-1], jnp.arange(TASKS))
+        if update < 2:
+            # Until then it is the learner itself.
+            for one, other in zip(
+                *map(jax.tree.leaves, (agents[-1], inner.agents(alone))), strict=True
+            ):
+                np.testing.assert_array_equal(one, other)
+            alone = inner.update(alone, episodes)
+        state = learner.update(state, episodes)
+    assert int(state.update) == 4
+    settled = inner.agents(alone)
+    assert not agents[2].shares_policy
+    for after in (agents[2], learner.agents(state)):
+        np.testing.assert_array_equal(after.context.mean, settled.context.mean)
+        np.testing.assert_array_equal(after.context.log_std, settled.context.log_std)
+    for start, began, now in zip(
+        *(jax.tree.leaves(a.policy) for a in (settled, agents[2], learner.agents(state))),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(began, jnp.stack([start] * TASKS))
+        assert (now != began).any()
+        assert (now[0] != now[1]).any()
+
+
+def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collector) -> None:
+    inner, improvement = fast(), IMPROVEMENTS["trpo"]
+    learner = FineTuning(inner, improvement, after=0)
+    state = learner.init(keys(TASKS))
+    episodes = collect(keys(TASKS), learner.agents(state), jnp.arange(TASKS))
+    # z was drawn for every episode.
+    assert np.ptp(np.asarray(episodes.context), axis=1).min() > 0
+    found = learner.agents(learner.update(state, episodes)).policy
+    begun = improvement.begin(keys(TASKS), inner.agents(inner.init(keys(TASKS))))
+    expected = improvement(begun, episodes).agents.policy
+    for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
+    for preset in (maesn, maml):
+        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=1)
+        returns = adapt(learner, collect, updates=15, episodes_per_task=5).curves.mean_return
+        # Of means over a few episodes each, the first two and the last four.
+        assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)
+
+
+def test_a_policy_with_memory_is_refused_before_anything_is_played() -> None:
+    learner = rl2()
+    recurrent = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 40))
+    with pytest.raises(ValueError, match="must have a policy without memory, got Recurrent"):
+        FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3).init(keys(1))
+
+
+def test_the_normalisation_of_observations_stays(collect: Collector) -> None:
+    statistics = ObservationStatistics(jnp.ones(()), jnp.array([1.0, -1.0]), jnp.array([4.0, 0.5]))
+    inner, improvement = fast(), IMPROVEMENTS["reinforce"]
+    settled = replace(inner.agents(inner.init(keys(TASKS))), statistics=statistics)
+    state = improvement.begin(keys(TASKS), settled)
+    played = collect(keys(TASKS), state.agents, jnp.arange(TASKS))
+    moved = improvement(state, played).agents
+    for one, other in zip(*map(jax.tree.leaves, (moved.statistics, statistics)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    # The step is taken through the same normalisation: without it, it would be another one.
+    plain = replace(state, agents=replace(state.agents, statistics=None))
+    other = improvement(plain, played).agents.policy.mlp.layers[0].weight
+    assert (moved.policy.mlp.layers[0].weight != other).any()
+
+
+def test_a_negative_number_of_updates_is_refused() -> None:
+    with pytest.raises(ValueError, match="`after` must be at least 0, got -1"):
+        FineTuning(fast(), after=-1)

@@ -1,0 +1,183 @@
+"""PPO's loss and TRPO's step on trials whose numbers are known."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+
+from maesn.learners import ProximalStep, TrustRegionStep
+from maesn.learners.trials import Trials
+from maesn.numerics import Categorical, MinibatchDescent
+from maesn.policies import PolicyInput, Recurrent, RecurrentPolicy
+from maesn.trust_region import TrustRegion
+
+TRIALS, STEPS, CHOICES, CLIP, ENTROPY = 5, 4, 3, 0.2, 0.1
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+def random_trials(logits: np.ndarray | None = None) -> tuple[Trials, np.ndarray]:
+    """Trials of a categorical policy, and advantages of both signs; some steps are invalid."""
+    stream = np.random.default_rng(0)
+    shape = (TRIALS, STEPS)
+    behaviour = stream.normal(size=(*shape, CHOICES)) if logits is None else logits
+    action = np.eye(CHOICES)[stream.integers(0, CHOICES, shape)]
+    valid = np.ones(shape, bool)
+    valid[0, 2:] = valid[1, 1] = False
+    trials = Trials(
+        inputs=PolicyInput(
+            observation=jnp.asarray(stream.normal(size=(*shape, 1)), float),
+            previous_action=jnp.asarray(np.roll(action, 1, axis=1), float),
+            previous_reward=jnp.asarray(stream.normal(size=shape), float),
+            episode_start=jnp.zeros(shape, bool).at[:, 0].set(True),
+        ),
+        action=jnp.asarray(action, float),
+        reward=jnp.zeros(shape),
+        valid=jnp.asarray(valid),
+        behaviour=Categorical(jnp.asarray(behaviour, float)),
+    )
+    return trials, stream.normal(size=shape)
+
+
+def reference_loss(
+    logits: np.ndarray, trials: Trials, advantages: np.ndarray
+) -> tuple[float, float]:
+    """Equation 7 of Schulman et al. (2017) with the entropy, step by step; and clipped share."""
+    gains, clipped, entropies = [], [], []
+    old = np.float64(trials.behaviour.log_probabilities)  # type: ignore[attr-defined]
+    new = logits - np.log(np.exp(logits).sum(-1, keepdims=True))
+    for i, t in np.argwhere(np.asarray(trials.valid)):
+        arm = int(np.argmax(trials.action[i, t]))
+        ratio, a = math.exp(new[i, t, arm] - old[i, t, arm]), advantages[i, t]
+        bounded = min(max(ratio, 1 - CLIP), 1 + CLIP)
+        gains.append(min(ratio * a, bounded * a))
+        clipped.append(ratio != bounded)
+        entropies.append(-np.sum(np.exp(new[i, t]) * new[i, t]))
+    return -np.mean(gains) - ENTROPY * np.mean(entropies), float(np.mean(clipped))
+
+
+def moved_logits(trials: Trials) -> np.ndarray:
+    """So far from what was played that some ratios are clipped, on both sides."""
+    return np.float64(trials.behaviour.logits) + np.random.default_rng(1).normal(  # type: ignore[attr-defined]
+        scale=0.3, size=(TRIALS, STEPS, CHOICES)
+    )
+
+
+def test_the_loss_is_the_formula() -> None:
+    trials, advantages = random_trials()
+    logits = moved_logits(trials)
+    step = ProximalStep(CLIP, ENTROPY)
+    loss, told = step.loss(
+        Categorical(jnp.asarray(logits, float)), trials, jnp.asarray(advantages, float)
+    )
+    expected, clipped = reference_loss(logits, trials, advantages)
+    assert 0.1 < clipped < 0.9
+    assert float(loss) == pytest.approx(expected, rel=1e-5)
+    assert float(told.clipped) == pytest.approx(clipped)
+
+
+def test_the_gradient_is_that_of_finite_differences() -> None:
+    trials, advantages = random_trials()
+    logits = moved_logits(trials)
+    step, width = ProximalStep(CLIP, ENTROPY), 1e-6
+
+    def loss(varied: jax.Array) -> jax.Array:
+        return step.loss(Categorical(varied), trials, jnp.asarray(advantages, float))[0]
+
+    gradient = np.asarray(jax.grad(loss)(jnp.asarray(logits, float)))
+    assert not gradient[~np.asarray(trials.valid)].any()
+    for index in np.ndindex(logits.shape):
+        direction = np.zeros_like(logits)
+        direction[index] = width
+        high, low = (reference_loss(logits + s * direction, trials, advantages)[0] for s in (1, -1))
+        assert gradient[index] == pytest.approx((high - low) / (2 * width), rel=1e-3, abs=1e-6)
+
+
+def test_at_the_policy_that_played_it_is_the_policy_gradient() -> None:
+    """grad L = -mean[(x - p) A], since every ratio is 1."""
+    trials, advantages = random_trials()
+    played = trials.behaviour
+    assert isinstance(played, Categorical)
+
+    def loss(varied: jax.Array) -> jax.Array:
+        return ProximalStep().loss(Categorical(varied), trials, jnp.asarray(advantages, float))[0]
+
+    valid = np.asarray(trials.valid)[..., None]
+    score = np.asarray(trials.action) - np.asarray(played.probabilities)
+    expected = -np.where(valid, score * advantages[..., None], 0.0) / valid.sum()
+    np.testing.assert_allclose(jax.grad(loss)(played.logits), expected, rtol=1e-4, atol=1e-6)
+
+
+def small_policy() -> RecurrentPolicy:
+    return Recurrent("discrete", (), 3, ()).init(jax.random.key(0), 1, CHOICES, 0)
+
+
+def own_trials(policy: RecurrentPolicy) -> tuple[Trials, jax.Array]:
+    """Trials whose recorded distributions are the policy's own."""
+    trials, advantages = random_trials()
+    played = trials.distributions(policy)
+    trials = Trials(trials.inputs, trials.action, trials.reward, trials.valid, played)
+    return trials, jnp.asarray(advantages, float)
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        ProximalStep(descent=MinibatchDescent(3e-3, minibatches=2)),
+        TrustRegionStep(TrustRegion(cg_steps=5), curvature_stride=1),
+    ],
+)
+def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionStep) -> None:
+    policy = small_policy()
+    trials, advantages = own_trials(policy)
+    state = step.init(policy)
+    improved, _, told = step(jax.random.key(0), policy, state, trials, advantages)
+    before, after = (p.log_prob(trials.action) for p in
+                     (trials.behaviour, trials.distributions(improved)))  # fmt: skip
+    gain = np.where(trials.valid, (after - before) * advantages, 0.0).sum()
+    assert gain > 0.01
+    assert bool(told.accepted)
+    assert 0 < float(told.kl) < 0.05
+
+
+@pytest.mark.parametrize(
+    "step",
+    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
+)
+def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) -> None:
+    policy = small_policy()
+    trials, advantages = own_trials(policy)
+    broken = advantages.at[2, 0].set(jnp.nan)
+    state = step.init(policy)
+    kept, after, told = step(jax.random.key(0), policy, state, trials, broken)
+    assert not bool(told.accepted)
+    jax.tree.map(np.testing.assert_array_equal, (kept, after), (policy, state))
+
+
+@pytest.mark.parametrize(
+    "step",
+    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
+)
+def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
+    policy = small_policy()
+    trials, advantages = own_trials(policy)
+    state = step.init(policy)
+    clean = step(jax.random.key(0), policy, state, trials, advantages)[0]
+    invalid = ~trials.valid
+    logits = jnp.where(invalid[..., None], jnp.nan, trials.behaviour.logits)  # type: ignore[attr-defined]
+    dirty = Trials(trials.inputs, trials.action, trials.reward, trials.valid, Categorical(logits))
+    spoiled = step(jax.random.key(0), policy, state, dirty, jnp.where(invalid, jnp.nan, advantages))
+    jax.tree.map(np.testing.assert_array_equal, clean, spoiled[0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"clip": 0.0}, "`clip` must lie in"), ({"entropy_weight": -1.0}, "`entropy_weight` must be")],
+)
+def test_impossible_settings_are_refused(settings: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ProximalStep(**settings)
+    with pytest.raises(ValueError, match="`curvature_stride` must be at least 1"):
+        TrustRegionStep(curvature_stride=0)

@@ -1,0 +1,213 @@
+"""RL2 as a learner: trials, their memory, and what it is refused."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+
+from maesn.axes import Carry, TaskKeys
+from maesn.context import Latent
+from maesn.envs import HiddenEnd, HiddenSide, TaskSet
+from maesn.episodes import Collect, Episodes, TrialMemory
+from maesn.evaluate import adapt
+from maesn.learners import (
+    PRESETS,
+    GradientMetaLearner,
+    ProximalStep,
+    RecurrentMetaLearner,
+    RecurrentState,
+    RecurrentValue,
+    TrustRegionStep,
+    maesn,
+    method_name,
+    rl2,
+)
+from maesn.learners.trials import join_episodes
+from maesn.numerics import MinibatchDescent
+from maesn.policies import GaussianMLP, Recurrent
+from maesn.rollout import Collector
+from maesn.trust_region import TrustRegion
+from maesn.worlds import make_world
+
+TASKS, EPISODES, TRIAL = 4, 3, 3
+DESCENT = MinibatchDescent(epochs=2, minibatches=2)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+def small(**settings: Any) -> RecurrentMetaLearner:
+    return rl2(
+        **{
+            "policy": Recurrent(hidden_size=4, readout_sizes=(3,)),
+            "policy_step": ProximalStep(descent=DESCENT),
+            "value": RecurrentValue((), 4, (3,), DESCENT),
+            "meta_batch_size": 2,
+            "trial_episodes": TRIAL,
+            **settings,
+        }
+    )
+
+
+class Watching:
+    """`Collect` that keeps what was asked and played."""
+
+    def __init__(self, collect: Collect) -> None:
+        self.collect = collect
+        self.carries: list[TrialMemory | None] = []
+        self.played: list[Episodes] = []
+
+    @property
+    def num_tasks(self) -> int:
+        return self.collect.num_tasks
+
+    def __call__(
+        self, keys: TaskKeys, agents: Any, task_index: Any, carry: Carry = None
+    ) -> Episodes:
+        episodes = self.collect(keys, agents, task_index, carry)
+        self.carries.append(carry)
+        self.played.append(episodes)
+        return episodes
+
+
+def mortal() -> Collector:
+    """Episodes of 2 to 6 steps; what follows is NaN."""
+    lifetimes = np.float32([2, 3, 5, 9])
+    return Collector(make_world(HiddenEnd(horizon=6), TaskSet(lifetimes)), EPISODES)
+
+
+def start(learner: RecurrentMetaLearner) -> RecurrentState:
+    return learner.init(jax.random.key(0), 1, 1, TASKS)
+
+
+@pytest.mark.parametrize(
+    "policy_step",
+    [ProximalStep(descent=DESCENT), TrustRegionStep(TrustRegion(cg_steps=3), curvature_stride=2)],
+)
+def test_a_meta_iteration_plays_trials_and_improves(policy_step: Any) -> None:
+    learner, collect = small(policy_step=policy_step), Watching(mortal())
+    state = start(learner)
+    after, info = learner.step(jax.random.key(1), state, collect)
+    assert int(learner.iteration(after)) == 1
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
+    moved = jax.tree.map(lambda x, y: bool((x != y).any()), state.policy, after.policy)
+    assert all(jax.tree.leaves(moved))
+    # Every trial starts without memory, and its episodes hand it on.
+    assert collect.carries[0] is None
+    for carry, before in zip(collect.carries[1:], collect.played[:-1], strict=True):
+        assert carry is before.carry
+    learner.step(jax.random.key(2), after, collect)
+    assert [carry is None for carry in collect.carries] == [True, False, False] * 2
+    returns = [float(episodes.undiscounted_return.mean()) for episodes in collect.played[:TRIAL]]
+    assert float(info.return_before) == pytest.approx(returns[0])
+    assert float(info.return_after) == pytest.approx(returns[-1])
+
+
+def test_advantages_span_the_trial() -> None:
+    """Against loops over the steps that were played, episode after episode."""
+    learner, collect = small(discount=0.9, trace=0.8), Watching(mortal())
+    learner.step(jax.random.key(1), start(learner), collect)
+    trials = join_episodes(collect.played)
+    expected = np.random.default_rng(0).normal(size=trials.valid.shape).astype(np.float32)
+    actual = np.asarray(learner.advantages(trials, jnp.asarray(expected)))
+    for row in range(len(actual)):
+        steps, following, advantage = np.flatnonzero(trials.valid[row]), 0.0, 0.0
+        assert len(steps) < actual.shape[1] or row >= EPISODES
+        for step in steps[::-1]:
+            delta = float(trials.reward[row, step]) + 0.9 * following - expected[row, step]
+            advantage = delta + 0.9 * 0.8 * advantage
+            following = expected[row, step]
+            assert actual[row, step] == pytest.approx(advantage, rel=1e-4, abs=1e-5)
+    assert not actual[~np.asarray(trials.valid)].any()
+
+
+def test_the_value_function_learns_what_is_paid() -> None:
+    """On episodes that are paid 1 a step, the trial's returns are known from the time alone."""
+    descent = MinibatchDescent(1e-2, epochs=150, minibatches=1)
+    value = RecurrentValue((), 8, (8,), descent)
+    collect = Watching(
+        Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([20, 30, 20, 30]))), EPISODES)
+    )
+    learner = small()
+    learner.step(jax.random.key(1), start(learner), collect)
+    trials = join_episodes(collect.played)
+    length = trials.valid.shape[1]
+    to_go = jnp.arange(length, 0, -1, dtype=float)
+    returns = jnp.broadcast_to(100.0 * to_go, trials.valid.shape)
+    before = value.init(jax.random.key(0), 1, 1)
+    np.testing.assert_allclose(value.values(before, trials), np.zeros_like(returns), atol=0.1)
+    after = value.fit(jax.random.key(1), before, trials, returns)
+    error = np.abs(np.asarray(value.values(after, trials)) - np.asarray(returns))
+    assert error.mean() < 0.1 * np.asarray(returns).std()
+
+
+def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
+    """A hidden side is paid at an episode's last step alone, 1 or 0, and nothing else is told.
+
+    Without memory across episodes the second is paid 1/2 at best, as the first is. With it, what
+    the first was paid says where to go.
+    """
+    env = HiddenSide(horizon=1, reward_kind="sparse")
+    tasks = TaskSet(np.float32([-1.0, 1.0] * 20))
+    collect = Collector(make_world(env, tasks), 10)
+    descent = MinibatchDescent(1e-2, epochs=4, minibatches=2)
+    learner = rl2(
+        policy=Recurrent(hidden_size=8, readout_sizes=(8,)),
+        policy_step=ProximalStep(descent=descent),
+        value=RecurrentValue((), 8, (8,), descent),
+        meta_batch_size=40,
+    )
+    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
+    for iteration in range(80):
+        state, _ = learner.step(jax.random.key(iteration), state, collect)
+    outcome = adapt(learner.fast_learner(state), collect, updates=1, episodes_per_task=10)
+    first, second = outcome.curves.mean_return.mean(0)
+    # 400 trials: the standard error of the first, a coin, is 0.025.
+    assert abs(first - 0.5) < 0.1
+    assert second > 0.9
+    assert outcome.episodes_per_update == 1
+    assert outcome.trial_episodes == 2
+
+
+def test_in_a_new_task_memory_is_all_that_changes() -> None:
+    learner, collect = small(), Watching(mortal())
+    fast = learner.fast_learner(start(learner))
+    adapt(fast, collect, updates=2, episodes_per_task=EPISODES)
+    assert collect.carries[0] is None
+    for carry, before in zip(collect.carries[1:], collect.played[:-1], strict=True):
+        assert carry is before.carry
+    with pytest.raises(ValueError, match="`RecurrentFastLearner` cannot go on from latents"):
+        fast.resume(Latent(jnp.zeros((2, 2)), jnp.zeros((2, 2))))
+
+
+def test_method_names() -> None:
+    assert method_name(small()) == "rl2"
+    for name, preset in PRESETS.items():
+        assert method_name(preset()) == name
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"meta_batch_size": 0}, "`meta_batch_size` must be at least 1, got 0"),
+        ({"trial_episodes": 0}, "`trial_episodes` must be at least 1, got 0"),
+        ({"discount": 1.5}, r"`discount` must lie in \[0, 1\], got 1.5"),
+        ({"trace": -0.5}, r"`trace` must lie in \[0, 1\], got -0.5"),
+        ({"policy": GaussianMLP()}, "`trial_episodes` is 2, but a policy of `GaussianMLP` rememb"),
+    ],
+)
+def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        rl2(**settings)
+
+
+def test_too_few_tasks_are_refused() -> None:
+    with pytest.raises(ValueError, match="`meta_batch_size` is 20, but the training set holds"):
+        rl2().init(jax.random.key(0), 1, 1, TASKS)
+
+
+def test_thinned_curvature_is_refused_where_there_is_memory() -> None:
+    slots = maesn()
+    with pytest.raises(ValueError, match="`curvature_stride` is 10, but a policy with memory"):
+        GradientMetaLearner(slots.context, slots.adaptation, Recurrent())

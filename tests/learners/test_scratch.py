@@ -1,0 +1,192 @@
+"""Learning from scratch: REINFORCE's and TRPO's steps against NumPy and against closed forms."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+from learning_problems.prepared import UNEQUAL, make_problem, stack
+from learning_problems.transitions import episodes_of
+from learning_problems.translation import policy_to_reference, to_policy
+from playing import keys
+from reference.policy_gradient import reinforce_step, trpo_step
+from reference.trust_region import TrustRegionSettings
+
+from maesn.advantage import AdvantageEstimator
+from maesn.agent import Agents
+from maesn.context import Nothing
+from maesn.envs import find_family
+from maesn.episodes import Episodes
+from maesn.evaluate import adapt
+from maesn.learners import (
+    SCRATCH,
+    GradientRule,
+    PolicyGradient,
+    PolicyImprovement,
+    TrustRegionRule,
+)
+from maesn.networks import MLP, Linear
+from maesn.numerics import DiagonalGaussian
+from maesn.policies import GaussianMLP, GaussianMLPPolicy
+from maesn.rollout import Collector
+from maesn.trust_region import TrustRegion
+from maesn.worlds import make_world
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+ROWS = (0, 3)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("garbage", [0.0, np.nan])
+@pytest.mark.parametrize("method", ["reinforce", "trpo"])
+def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: float) -> None:
+    problem = make_problem(2, UNEQUAL, inner_updates=0, latent=0)
+    theta = to_policy(problem.parameters)
+    rules = {"reinforce": GradientRule(0.3), "trpo": TrustRegionRule(TrustRegion(cg_steps=10), 1)}
+    improvement = PolicyImprovement(rules[method])
+    state = improvement.begin(keys(2), Agents(stacked(theta, 2), Nothing(), shares_policy=False))
+    batch = problem.batches(0)
+    moved = improvement(state, stack([batch[row] for row in ROWS], garbage)).agents.policy
+    reference = policy_to_reference(theta)
+    for slot, row in enumerate(ROWS):
+        played = problem.tasks[row].post
+        if method == "reinforce":
+            expected = reinforce_step(reference, played, 0.3)
+        else:
+            outcome = trpo_step(reference, played, TrustRegionSettings())
+            assert outcome.accepted
+            expected = outcome.parameters
+        found = policy_to_reference(jax.tree.map(lambda x, slot=slot: x[slot], moved))
+        for name, value in found.items():
+            np.testing.assert_allclose(value, expected[name], rtol=1e-6, atol=1e-8)
+            assert (np.abs(value - reference[name]) > 1e-6).any()
+
+
+def stacked(policy: GaussianMLPPolicy, number: int) -> GaussianMLPPolicy:
+    return jax.tree.map(lambda x: jnp.stack([x] * number), policy)
+
+
+GOAL, MEAN, STD, NUMBER = 0.7, 0.2, 0.5, 40_000
+
+
+def quadratic_bandit() -> tuple[Agents, Episodes]:
+    """One action per episode, drawn from N(mean, std²) and paid -(a - goal)²; nothing is seen."""
+    action = MEAN + STD * jax.random.normal(jax.random.key(0), (1, NUMBER, 1, 1))
+    distribution = DiagonalGaussian(
+        jnp.full(action.shape, MEAN), jnp.full(action.shape, np.log(STD))
+    )
+    episodes = episodes_of(np.zeros((1, NUMBER, 2, 1)), action, behaviour=distribution)
+    layer = Linear(jnp.zeros((1, 1, 1)), jnp.full((1, 1), MEAN))
+    policy = GaussianMLPPolicy(MLP((layer,)), jnp.full((1, 1), np.log(STD)))
+    paid = replace(episodes, reward=-((action[..., 0] - GOAL) ** 2))
+    return Agents(policy, Nothing(), shares_policy=False), paid
+
+
+def moved_by(rule: GradientRule | TrustRegionRule) -> np.ndarray:
+    """How far one step moves (mean, log std)."""
+    agents, episodes = quadratic_bandit()
+    improvement = PolicyImprovement(rule, AdvantageEstimator(ridge=1e-3))
+    state = improvement.begin(keys(1), agents)
+    policy = improvement(state, episodes).agents.policy
+    (layer,) = policy.mlp.layers
+    assert np.all(layer.weight == 0)  # the observation is 0
+    return np.array([layer.bias.item() - MEAN, policy.log_std.item() - np.log(STD)])
+
+
+# E[-(a - g)²] = -(m - g)² - s², so its slopes in m and log s are -2 (m - g) and -2 s². Advantages
+# are divided by the standard deviation of the reward: its variance is 2 s⁴ + 4 s² (m - g)².
+SLOPE = np.array([-2 * (MEAN - GOAL), -2 * STD**2])
+REWARD_STD = np.sqrt(2 * STD**4 + 4 * STD**2 * (MEAN - GOAL) ** 2)
+# Of one estimate of either slope, in units of the standardised advantage: E[(A ε / s)²] < 6² and
+# E[(A (ε² - 1))²] < 8², by the moments of a normal; four sigmas of the mean.
+TOLERANCE = 4 * np.array([6.0, 8.0]) / np.sqrt(NUMBER)
+
+
+def test_reinforce_follows_the_gradient_of_the_expected_reward() -> None:
+    found = moved_by(GradientRule(step_size=0.1)) / 0.1
+    np.testing.assert_array_less(np.abs(found - SLOPE / REWARD_STD), TOLERANCE)
+    assert np.all(np.abs(SLOPE / REWARD_STD) > 2 * TOLERANCE)
+
+
+def test_trpo_follows_the_natural_gradient() -> None:
+    # The Fisher information of (m, log s) is diag(1/s², 2). With g the slope and F that, the step
+    # is sqrt(2 max_kl / g'F⁻¹g) F⁻¹g, shortened by 0.8 if the divergence exceeds the bound.
+    bound = 1e-4
+    found = moved_by(TrustRegionRule(TrustRegion(max_kl=bound), 1))
+    natural = SLOPE * np.array([STD**2, 0.5])
+    step = np.sqrt(2 * bound / (SLOPE @ natural)) * natural
+    ratio = found / step
+    assert ratio.mean() == pytest.approx(1.0, abs=0.05) or ratio.mean() == pytest.approx(
+        0.8, abs=0.05
+    )
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.05)
+    mean, std = MEAN + found[0], STD * np.exp(found[1])
+    kl = np.log(std / STD) + (STD**2 + (MEAN - mean) ** 2) / (2 * std**2) - 0.5
+    assert 0.6 * bound < kl < bound
+
+
+def test_adam_scales_the_step() -> None:
+    # Its first step has the size asked for, whatever the gradient.
+    found = moved_by(GradientRule(step_size=0.01, scaling="adam"))
+    np.testing.assert_allclose(found, 0.01 * np.sign(SLOPE), rtol=1e-3)
+
+
+def small(name: str, **settings: object) -> PolicyGradient:
+    return SCRATCH[name](2, 2, policy=GaussianMLP((8,)), **settings)
+
+
+@pytest.fixture(scope="module")
+def collect() -> Collector:
+    family = find_family("point")
+    env = family.make_env(reward_kind="dense", horizon=10)
+    return Collector(make_world(env, family.task_set("test", size=5)), 8)
+
+
+@pytest.mark.parametrize("name", ["reinforce", "trpo"])
+def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
+    learner = small(name)
+    outcome = adapt(learner, collect, updates=8, episodes_per_task=8)
+    returns = outcome.curves.mean_return
+    assert returns.shape == (5, 9)
+    assert np.mean(returns[:, -1] > returns[:, 0]) >= 0.8
+    parts = adapt(learner, collect, updates=2, episodes_per_task=8, chunk_size=2)
+    np.testing.assert_allclose(parts.curves.mean_return, returns[:, :3], rtol=2e-3, atol=2e-3)
+
+
+def test_tasks_start_with_different_weights_that_the_seed_says() -> None:
+    learner = small("trpo")
+    one, same, other = (
+        jax.tree.leaves(learner.init(keys(2, seed)).agents.policy) for seed in (0, 0, 1)
+    )
+    for first, second, third in zip(one[:1], same[:1], other[:1], strict=True):
+        np.testing.assert_array_equal(first, second)
+        assert (first[0] != first[1]).any()
+        assert (first != third).any()
+
+
+def test_no_reward_no_step() -> None:
+    learner = small("trpo")
+    state = learner.init(keys(2))
+    empty = episodes_of(np.ones((2, 3, 5, 2)), np.ones((2, 3, 4, 2)))
+    after = learner.update(state, empty)
+    for old, new in zip(*map(jax.tree.leaves, (state.agents, after.agents)), strict=True):
+        np.testing.assert_array_equal(old, new)
+    assert int(after.update) == 1
+
+
+def test_vpg_is_reinforce() -> None:
+    assert SCRATCH["vpg"](3, 2) == SCRATCH["reinforce"](3, 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: GradientRule(step_size=0.0), "`step_size` must be positive, got 0.0"),
+        (lambda: TrustRegionRule(curvature_stride=0), "`curvature_stride` must be at least 1"),
+    ],
+)
+def test_impossible_settings_are_refused_by_name(make: object, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()

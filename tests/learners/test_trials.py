@@ -1,0 +1,147 @@
+"""Trials: episodes joined behind each other are what the policy lived through."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+from playing import keys
+
+from maesn.agent import Agents
+from maesn.axes import ObservedReward
+from maesn.context import Nothing
+from maesn.envs import Bandit, HiddenEnd, Point, TaskSet, point
+from maesn.episodes import Episodes
+from maesn.learners.trials import Trials, join_episodes
+from maesn.numerics import Categorical, DiagonalGaussian
+from maesn.policies import Recurrent, RecurrentPolicy
+from maesn.rollout import Collector
+from maesn.surrogate import action_distributions
+from maesn.worlds import make_world
+
+HORIZON, SLOTS, EPISODES = 6, 2, 3
+LIFETIMES = np.float32([3, 5])
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+def mortal() -> Collector:
+    """Episodes of 3 and of 5 steps, and NaN afterwards."""
+    return Collector(make_world(HiddenEnd(horizon=HORIZON), TaskSet(LIFETIMES)), EPISODES)
+
+
+def recurrent(collect: Collector, observed: ObservedReward = "paid") -> RecurrentPolicy:
+    env = collect.world.env
+    settings = Recurrent(env.action_kind, (), 4, (3,), observed_reward=observed)
+    policy = settings.init(jax.random.key(0), env.observation_size, env.action_size, 0)
+    # Readouts start close to 0, where mistakes would not be seen.
+    return jax.tree.map(lambda x: x + 0.3 * jnp.sin(jnp.arange(x.size).reshape(x.shape)), policy)
+
+
+def play_trial(collect: Collector, policy: RecurrentPolicy, length: int = 3) -> list[Episodes]:
+    agents, played = Agents(policy, Nothing(), shares_policy=True), list[Episodes]()
+    for number in range(length):
+        memory = played[-1].carry if played else None
+        played.append(collect(keys(SLOTS, number), agents, jnp.arange(SLOTS), memory))
+    return played
+
+
+def means_played(episodes: Sequence[Episodes]) -> np.ndarray:
+    """`[trial, time, action]`, 0 where invalid."""
+    parts = []
+    for one in episodes:
+        assert isinstance(one.behaviour, DiagonalGaussian)
+        mean = np.where(np.asarray(one.valid)[..., None], one.behaviour.mean, 0.0)
+        parts.append(mean.reshape(-1, *mean.shape[2:]))
+    return np.concatenate(parts, axis=1)
+
+
+@pytest.fixture(scope="module", params=["hidden_end", "point"])
+def played(request: pytest.FixtureRequest) -> tuple[RecurrentPolicy, list[Episodes]]:
+    worlds = {
+        "hidden_end": mortal,
+        "point": lambda: Collector(
+            make_world(Point(horizon=HORIZON), point.task_set("training")), EPISODES
+        ),
+    }
+    collect = worlds[request.param]()
+    policy = recurrent(collect)
+    return policy, play_trial(collect, policy)
+
+
+def test_replaying_a_trial_gives_what_was_played(
+    played: tuple[RecurrentPolicy, list[Episodes]],
+) -> None:
+    """Across episodes, across gaps, and from the start of the trial."""
+    policy, episodes = played
+    trials = join_episodes(episodes)
+    again = trials.distributions(policy)
+    assert isinstance(again, DiagonalGaussian)
+    assert trials.valid.shape == (SLOTS * EPISODES, 3 * HORIZON)
+    mean = np.where(np.asarray(trials.valid)[..., None], again.mean, 0.0)
+    np.testing.assert_allclose(mean, means_played(episodes), rtol=1e-3, atol=1e-5)
+    # The later episodes are played from memory: forgetting it would give something else.
+    alone = join_episodes(episodes[1:]).distributions(policy)
+    assert isinstance(alone, DiagonalGaussian)
+    forgetful = np.where(np.asarray(trials.valid[:, HORIZON:])[..., None], alone.mean, 0.0)
+    assert np.abs(forgetful - means_played(episodes)[:, HORIZON:]).max() > 0.01
+
+
+def test_losses_replay_one_episode_from_the_memory_that_it_began_with(
+    played: tuple[RecurrentPolicy, list[Episodes]],
+) -> None:
+    policy, episodes = played
+    agents = Agents(policy, Nothing(), shares_policy=True)
+    again = agents.vmap(action_distributions)(episodes[2], episodes[2].context)
+    assert isinstance(again, DiagonalGaussian)
+    mean = np.where(np.asarray(episodes[2].valid)[..., None], again.mean, 0.0)
+    mean = mean.reshape(-1, *mean.shape[2:])
+    np.testing.assert_allclose(mean, means_played(episodes[2:]), rtol=1e-3, atol=1e-5)
+
+
+def test_trials_are_independent_and_start_without_memory() -> None:
+    collect = mortal()
+    policy = recurrent(collect)
+    first, second = play_trial(collect, policy, 1), play_trial(collect, policy, 1)
+    assert first[0].start is not None
+    for leaf in jax.tree.leaves(first[0].start):
+        np.testing.assert_array_equal(leaf, np.zeros_like(leaf))
+    jax.tree.map(np.testing.assert_array_equal, first[0].behaviour, second[0].behaviour)
+
+
+def test_gradients_ignore_what_follows_the_end() -> None:
+    collect = mortal()
+    policy = recurrent(collect)
+    episodes = play_trial(collect, policy, 2)
+    assert np.isnan(np.asarray(episodes[0].reward)).any()
+
+    def loss(varied: RecurrentPolicy, trials: Trials) -> jax.Array:
+        log_prob = trials.distributions(varied).log_prob(trials.action)
+        return jnp.where(trials.valid, log_prob, 0.0).sum()
+
+    trials = join_episodes(episodes)
+    gradient = jax.grad(loss)(policy, trials)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    assert not np.isnan(np.asarray(trials.reward)).any()
+
+
+def test_a_policy_of_the_wrong_kind_is_refused() -> None:
+    bandit = Collector(make_world(Bandit(), TaskSet(np.full((2, 5), 0.5, np.float32))), 1)
+    policy = Recurrent().init(jax.random.key(0), 1, 5, 0)
+    with pytest.raises(
+        ValueError, match=r"`bandit` needs a policy of discrete actions, but .* continuous"
+    ):
+        play_trial(bandit, policy, 1)
+
+
+def test_discrete_actions_are_one_hot_and_told_as_they_are() -> None:
+    bandit = Collector(make_world(Bandit(), TaskSet(np.float32([[0, 0, 0, 1, 1]] * 2))), EPISODES)
+    (episodes,) = play_trial(bandit, recurrent(bandit), 1)
+    assert isinstance(episodes.behaviour, Categorical)
+    assert set(np.unique(episodes.action)) == {0.0, 1.0}
+    np.testing.assert_array_equal(episodes.action.sum(-1), 1.0)
+    np.testing.assert_array_equal(episodes.reward, episodes.action[..., 3:].sum(-1))
+    inputs = episodes.policy_inputs()
+    np.testing.assert_array_equal(inputs.previous_action[:, :, 1:], episodes.action[:, :, :-1])
+    np.testing.assert_array_equal(inputs.previous_reward[:, :, 1:], episodes.reward[:, :, :-1])

@@ -1,0 +1,190 @@
+"""How gripper and blocks move: laws of mechanics, and plain MuJoCo bit for bit."""
+
+import xml.etree.ElementTree as ElementTree
+from importlib import resources
+
+import mujoco
+import numpy as np
+import pytest
+from physics.plain import assert_equal, plain_episodes
+
+from maesn.envs import blockpush
+from maesn.physics import NativeSimulator, Readings, load_model
+
+NUM_SIMULATIONS, STEPS = 16, 100
+STATE = ("qpos", "qvel")
+TIME_STEP, ARMATURE = 0.01, 0.04
+GRIPPER_MASS, BLOCK_MASS = 0.00611563, 1.8e-7  # kg; see `test_blockpush_model.py`
+HOMES = 0.2 * np.arange(1, 6)
+AWAY = 5.0  # metres; as far as no other block is
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load_model("blockpush")
+
+
+@pytest.fixture
+def data(model: mujoco.MjModel) -> mujoco.MjData:
+    """The gripper at the origin, block 2 in its way at (0.3, 0), the others far off."""
+    data = mujoco.MjData(model)
+    data.qpos[3::2] = AWAY
+    data.qpos[4::2] = np.arange(5)
+    data.qpos[7:9] = 0.3 - HOMES[2], 0.0
+    return data
+
+
+def coordinates_of(block: int) -> list[int]:
+    return [3 + 2 * block, 4 + 2 * block]
+
+
+def begin() -> tuple[np.ndarray, np.ndarray]:
+    """Layouts of the training set, the gripper at the origin and everything at rest."""
+    layout = blockpush.task_set("training").tasks.layout[:NUM_SIMULATIONS].astype(np.float64)
+    layout[..., 0] -= HOMES
+    qpos = np.concatenate([np.zeros((NUM_SIMULATIONS, 3)), layout.reshape(-1, 10)], axis=1)
+    return qpos, np.zeros((NUM_SIMULATIONS, 13))
+
+
+def controls() -> np.ndarray:
+    """Random, but forwards on the whole, where the blocks are."""
+    generator = np.random.default_rng(1)
+    forwards = np.array([2.0, 0.0, 0.0])
+    drift = generator.normal(size=(1, NUM_SIMULATIONS, 3)) + forwards
+    noise = generator.normal(size=(STEPS, NUM_SIMULATIONS, 3))
+    return np.clip(drift + noise, -2.0, 2.0)
+
+
+def play(num_threads: int, readings: tuple[str, ...]) -> list[Readings]:
+    simulator = NativeSimulator(
+        "blockpush", NUM_SIMULATIONS, readings=readings, num_threads=num_threads
+    )
+    return [simulator.reset(*begin()), *(simulator.step(control) for control in controls())]
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+@pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos", "qfrc_constraint")])
+def test_episodes_with_contacts_equal_plain_mujoco(
+    model: mujoco.MjModel, num_threads: int, readings: tuple[str, ...]
+) -> None:
+    got = play(num_threads, readings)
+    expected = plain_episodes([model] * NUM_SIMULATIONS, *begin(), controls(), readings)
+    assert_equal(got, expected)
+    shift = np.abs(got[-1]["qpos"] - got[0]["qpos"])[:, 3:].max(axis=1)
+    assert (shift > 0.05).sum() >= NUM_SIMULATIONS // 2
+
+
+def test_the_way_of_the_gripper_without_contact(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    # Euler with implicit damping: (m + 0.04) (v' - v) / h = f - 0.5 v', and x' = x + h v'.
+    inertia, speed, place = GRIPPER_MASS + ARMATURE, 0.0, 0.0
+    data.ctrl[0] = -1.5  # away from the block
+    for _ in range(50):
+        mujoco.mj_step(model, data)
+        speed = (inertia * speed - TIME_STEP * 1.5) / (inertia + TIME_STEP * 0.5)
+        place += TIME_STEP * speed
+        np.testing.assert_allclose([data.qpos[0], data.qvel[0]], [place, speed], rtol=1e-6)
+    assert data.qpos[0] < -1.0
+    np.testing.assert_allclose(data.qpos[[1, 2]], 0, atol=1e-12)
+
+
+def test_a_block_stops_within_a_hand(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    # Each step divides the speed by 1 + h 1.5 / 0.04 = 1.375: 1 m/s ends after h / 0.375 = 27 mm.
+    data.qvel[7] = 1.0
+    before = data.qpos[7]
+    for step in range(1, 6):
+        mujoco.mj_step(model, data)
+        assert data.qvel[7] == pytest.approx(1.375**-step, rel=1e-5)
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+    assert data.qpos[7] - before == pytest.approx(TIME_STEP / 0.375, rel=1e-5)
+
+
+def test_a_push_moves_its_block_and_nothing_else(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> None:
+    before, pairs = data.qpos.copy(), set()
+    data.ctrl[0] = 1.0
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+        pairs |= {tuple(sorted(model.geom(i).name for i in pair)) for pair in data.contact.geom}
+    moved = data.qpos - before
+    assert pairs == {("block_2", "crossbar")}
+    assert moved[7] > 0.1
+    # Face against crossbar, 3 and 2 cm from their middles, up to a soft contact's few millimetres.
+    assert data.qpos[7] + HOMES[2] - data.qpos[0] == pytest.approx(0.05, abs=5e-3)
+    assert abs(moved[8]) < 1e-3  # the gripper is free to turn a little
+    others = [i for i in range(3, 13) if i not in coordinates_of(2)]
+    np.testing.assert_array_equal(moved[others], 0)
+
+
+def test_a_push_obeys_the_balance_of_momentum(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    # Contacts are internal forces, so of the two together: d(m1 v1 + m2 v2)/dt = f - d1 v1 - d2 v2.
+    masses = GRIPPER_MASS + ARMATURE, BLOCK_MASS + ARMATURE
+    data.ctrl[0] = 1.0
+    for _ in range(60):
+        momentum = masses[0] * data.qvel[0] + masses[1] * data.qvel[7]
+        mujoco.mj_step(model, data)
+        gained = masses[0] * data.qvel[0] + masses[1] * data.qvel[7] - momentum
+        drag = 0.5 * data.qvel[0] + 1.5 * data.qvel[7]
+        assert gained == pytest.approx(TIME_STEP * (1.0 - drag), rel=1e-5, abs=1e-9)
+    assert data.ncon > 0
+
+
+def test_contacts_have_no_friction(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    # The crossbar is dragged along the face of the block: it pushes it away and never sideways.
+    data.qpos[0], data.qvel[0], data.qvel[1] = 0.2495, 0.5, 0.5
+    touched = 0
+    for _ in range(10):
+        mujoco.mj_step(model, data)
+        touched += data.ncon
+    assert touched > 0
+    assert data.qpos[7] + HOMES[2] > 0.301
+    assert data.qpos[8] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_block_pushes_the_next_one(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.qpos[coordinates_of(4)] = 0.4 - HOMES[4], 0.0
+    data.ctrl[0] = 2.0
+    pairs = set()
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+        pairs |= {tuple(sorted(model.geom(i).name for i in pair)) for pair in data.contact.geom}
+    assert ("block_2", "block_4") in pairs
+    assert data.qpos[11] + HOMES[4] > 0.45
+
+
+def test_a_table_that_can_be_touched_would_change_nothing(model: mujoco.MjModel) -> None:
+    solid = mujoco.MjModel.from_xml_string(_text())
+    table = solid.geom("table").id
+    solid.geom_contype[table] = solid.geom_conaffinity[table] = 1
+    ours, others = (
+        plain_episodes([each] * NUM_SIMULATIONS, *begin(), controls(), STATE)
+        for each in (model, solid)
+    )
+    for one, other in zip(ours, others, strict=True):
+        np.testing.assert_allclose(one["qpos"], other["qpos"], atol=1e-10)
+
+
+def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
+    bare = mujoco.MjModel.from_xml_string(_without_looks())
+    assert (bare.nsite, bare.nmocap, bare.nmat, bare.ncam, bare.nlight) == (0, 0, 0, 0, 0)
+    ours, others = (
+        plain_episodes([each] * NUM_SIMULATIONS, *begin(), controls(), STATE)
+        for each in (model, bare)
+    )
+    assert_equal(ours, others)
+
+
+def _text() -> str:
+    return (resources.files("maesn.physics") / "models/blockpush.xml").read_text("utf-8")
+
+
+def _without_looks() -> str:
+    root = ElementTree.fromstring(_text())
+    looks = {"site", "camera", "light", "visual", "statistic", "asset"}
+    for parent in list(root.iter()):
+        parent.attrib.pop("material", None)
+        for child in list(parent):
+            if child.tag in looks or child.get("mocap"):
+                parent.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")

@@ -1,0 +1,74 @@
+"""The engine of a run: chosen, recorded, kept apart from others, and absent from older files."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import create, finish, metrics, tiny_maesn
+from synthetic_runs import run as synthetic_run
+
+from maesn import api
+from maesn.physics import EngineError
+from maesn.report.series import group_worlds
+from maesn.runs.config import CONFIG, read_config
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+
+
+@pytest.mark.usefixtures("quick_compiler")
+def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
+    learner = tiny_maesn(meta_batch_size=2)
+    run = create(
+        tmp_path / "run", learner, family="wheeled", engine="mjx", episodes_per_task=2, iterations=1
+    )
+    config = json.loads((run.directory / CONFIG).read_text())
+    assert (config["engine"], config["settings"]["engine"]) == ("mujoco.mjx", "mjx")
+    assert "mujoco-mjx" in config["versions"]
+    (line,) = metrics(finish(run))
+    assert all(math.isfinite(value) for value in line.values())
+    assert line["trust_region/accepted"] == 1
+    assert line["return_before"] < -50  # 200 steps at about 2 m from the goal
+
+    tasks = tmp_path / "tasks.npz"
+    np.savez(tasks, goal=np.float32([[2.0, 0.0], [0.0, 2.0]]))
+    settings = {"updates": 0, "episodes_per_task": 2, "tasks": str(tasks)}
+    own = api.adapt(run.directory, **settings)
+    native = api.adapt(run.directory, **settings, engine="native")
+    np.testing.assert_allclose(own.curves.mean_return, native.curves.mean_return, atol=0.5)
+    assert (own.curves.mean_return != native.curves.mean_return).any()
+    names = {path.name for path in (run.directory / "adaptation").glob("*.csv")}
+    assert names == {"file-tasks-sparse.csv", "file-tasks-sparse-on-native.csv"}
+
+
+def test_older_files_do_not_say_the_engine_and_nor_do_newer_ones(tmp_path: Path) -> None:
+    run = create(tmp_path / "run")
+    document = json.loads((run.directory / CONFIG).read_text())
+    assert "engine" not in document["settings"]
+    assert read_config(run.directory).settings.engine == "native"
+    assert Run.open(run.directory).settings == run.settings
+
+
+def test_an_engine_that_cannot_move_the_family_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match='`engine` must be "native" for `point`, which is moved by'):
+        create(tmp_path / "run", family="point", engine="mjx")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_missing_engine_leaves_no_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(EngineError, match=r"pip install maesn\[gpu\]"):
+        create(tmp_path / "run", family="wheeled", engine="mjx")
+    assert not (tmp_path / "run").exists()
+
+
+def test_runs_of_two_engines_share_no_figure() -> None:
+    runs = [synthetic_run(), synthetic_run(engine="native", seed=1), synthetic_run(engine="mjx")]
+    worlds = group_worlds(runs)
+    assert {name: len(members) for name, members in worlds.items()} == {
+        "wheeled-native": 2,
+        "wheeled-mjx": 1,
+    }

@@ -1,0 +1,86 @@
+"""Runs in foreign environments: resumed, interrupted and failing ones."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
+from strangers import HORIZON, Settable, draw_walks, make_fragile
+
+from maesn.api import adapt, export, plot
+from maesn.envs import TaskFamily
+from maesn.envs.foreign import gymnasium_family
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.runs.training import train
+from maesn.runtime import Explorer
+from maesn.worlds import EpisodeError
+
+
+def fragile(health: Path, **settings: Any) -> TaskFamily:
+    health.touch()
+    return gymnasium_family(
+        "fragile", partial(make_fragile, health), draw_walks, horizon=HORIZON, **settings
+    )
+
+
+def new_run(directory: Path, family: TaskFamily) -> Run:
+    learner = tiny_maesn(normalize_observations=True)
+    return Run.create(directory, learner, tiny_settings(checkpoint_every=3), family=family)
+
+
+def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Path) -> None:
+    health = tmp_path / "health"
+    family = fragile(health)
+    whole = finish(new_run(tmp_path / "whole", family), 4)
+    run = new_run(tmp_path / "run", family)
+    training = train(run, 4)
+    next(training)
+    health.unlink()
+    with pytest.raises(
+        EpisodeError, match=r"fragile, task .*raised OSError: the robot is not well"
+    ):
+        next(training)
+    assert run.latest().iteration == 1
+    health.touch()
+    finish(run, 4)
+    assert tensors(run.checkpoints()[-1]) == tensors(whole.checkpoints()[-1])
+    assert metrics(run) == metrics(whole)
+
+
+def test_every_verb_works_on_a_foreign_family(tmp_path: Path) -> None:
+    family = fragile(
+        tmp_path / "health",
+        position=lambda observation: observation[-2:],
+        goal=lambda task: task[:2],
+        max_environments=40,
+    )
+    run = finish(new_run(tmp_path / "run", family), 1)
+    outcome = adapt(run.directory, updates=1, episodes_per_task=20, family=family)
+    assert outcome.curves.mean_return.shape == (100, 2)
+    names = {path.name for path in plot([run.directory], family=family)}
+    assert {"exploration.png", "adaptation-curves-test-sparse.png"} <= names
+    explorer = Explorer.load(export(run.directory, tmp_path / "policy.npz", family=family), seed=0)
+    explorer.begin_episode()
+    control = explorer.act(np.zeros(10))
+    assert np.all((control >= [-1, 0]) & (control <= [1, 0.5]))
+
+
+def test_figures_that_need_positions_are_left_out_and_said_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    family = fragile(tmp_path / "health")
+    run = finish(new_run(tmp_path / "run", family), 1)
+    adapt(run.directory, updates=0, episodes_per_task=1, family=family)
+    names = {path.name for path in plot([run.directory], family=family)}
+    assert "learning-curves-dense.png" in names
+    assert "exploration.png" not in names
+    assert "if the family says where agent and goal are in a plane" in capsys.readouterr().out
+
+
+def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    family = gymnasium_family("timeless", lambda task, reward: Settable(task), draw_walks)
+    with pytest.raises(RunError, match="`horizon` must be given for `timeless`"):
+        new_run(tmp_path / "run", family)

@@ -1,0 +1,82 @@
+"""Runs of the method with memory: trained, resumed, adapted; and what cannot be done with them."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from learning_problems.compiling import quick_compilation as quick_compilation
+from small_runs import create, finish, metrics, outcome, reopened
+
+from maesn import api
+from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
+from maesn.numerics import MinibatchDescent
+from maesn.policies import Recurrent
+from maesn.runs.adaptation_files import write_arrays
+from maesn.runs.serialization import from_json, to_json
+from maesn.runs.storage import RunError
+
+DESCENT = MinibatchDescent(epochs=1, minibatches=2)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+def tiny() -> RecurrentMetaLearner:
+    return rl2(
+        policy=Recurrent(hidden_size=3, observed_reward="sparse"),
+        policy_step=ProximalStep(descent=DESCENT),
+        value=RecurrentValue((), 3, (), DESCENT),
+        meta_batch_size=2,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    jax.config.update("jax_disable_most_optimizations", True)
+    run = finish(create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3))
+    jax.config.update("jax_disable_most_optimizations", False)
+    return run.directory
+
+
+def test_a_run_goes_on_as_if_it_had_not_stopped(trained: Path, tmp_path: Path) -> None:
+    parts = create(tmp_path / "parts", tiny(), iterations=3)
+    finish(parts, iterations=2)
+    assert outcome(finish(reopened(parts))) == outcome(api.Run.open(trained))
+
+
+def test_what_is_written_of_an_iteration(trained: Path) -> None:
+    run = api.Run.open(trained)
+    assert run.settings.method == "rl2"
+    lines = metrics(run)
+    assert [line["iteration"] for line in lines] == [1, 2, 3]
+    # 2 tasks, 3 trials, 2 episodes of 40 steps.
+    assert [line["environment_steps"] for line in lines] == [480, 960, 1440]
+    for name in ("return_before", "return_after", "explained_variance", "policy_step/kl"):
+        assert all(np.isfinite(line[name]) for line in lines)
+
+
+def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:
+    adaptation = api.adapt(trained, updates=2, episodes_per_task=2)
+    assert adaptation.episodes_per_update == 1
+    assert adaptation.trial_episodes == 2
+    with (trained / "adaptation" / "test-sparse.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["episodes"] for row in rows[:3]] == ["0", "1", "2"]
+    assert not (trained / "adaptation" / "test-sparse.latents.npz").exists()
+
+
+def test_latents_are_no_start_and_there_is_nothing_to_export(trained: Path, tmp_path: Path) -> None:
+    latents: dict[str, Any] = {
+        "mean": np.zeros((1, 100, 2)), "log_std": np.zeros((1, 100, 2)), "first_update": 0,
+    }  # fmt: skip
+    write_arrays(tmp_path / "old.latents.npz", latents)
+    with pytest.raises(RunError, match="this run's method has no latents"):
+        api.adapt(trained, start=tmp_path / "old.latents.npz")
+    with pytest.raises(RunError, match="cannot be exported"):
+        api.export(trained, tmp_path / "policy.npz")
+
+
+@pytest.mark.parametrize("learner", [tiny(), rl2()])
+def test_settings_survive_their_file(learner: RecurrentMetaLearner) -> None:
+    assert from_json(to_json(learner)) == learner

@@ -1,0 +1,75 @@
+"""What is added to a learner in new tasks, from the command line to the table."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import tiny_maesn, tiny_settings
+
+from maesn import api, cli
+from maesn.learners import METHODS, CuriousMetaLearner
+from maesn.policies import GaussianMLP
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.runs.test_time import AtTestTime
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("test_time") / "run"
+    Run.create(directory, tiny_maesn(), tiny_settings())
+    return directory
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("goals") / "few.npz"
+    np.savez(path, goal=np.float32([[0.0, 2.0], [2.0, 0.0]]))
+    return str(path)
+
+
+def test_fine_tuning_has_a_table_of_its_own(trained: Path, few: str) -> None:
+    options = ["--tasks", few, "--updates", "3", "--episodes-per-task", "3"]
+    assert cli.run(["adapt", str(trained), *options]) == 0
+    assert cli.run(["adapt", str(trained), *options, "--fine-tune", "trpo", "--after", "1"]) == 0
+    tables = {path.name: path.read_text() for path in (trained / "adaptation").glob("*.csv")}
+    assert set(tables) == {"file-few-sparse.csv", "file-few-sparse-1-then-trpo.csv"}
+    plain, tuned = (tables[name].splitlines() for name in sorted(tables, reverse=True))
+    # The same until the policy is tuned: after 0 and 1 updates.
+    assert plain[:3] == tuned[:3]
+    assert plain[4] != tuned[4]
+
+
+def test_curiosity_in_adaptation_is_a_flag(trained: Path, few: str) -> None:
+    extras = AtTestTime(curious=True)
+    outcome = api.adapt(trained, tasks=few, updates=1, episodes_per_task=3, test_time=extras)
+    assert outcome.curves.mean_return.shape == (2, 2)
+    assert (trained / "adaptation" / "file-few-sparse-curious.csv").exists()
+
+
+def test_a_curious_run_is_trained_stored_and_adapted(tmp_path: Path, few: str) -> None:
+    command = (
+        "train maesn+curiosity --family point --reward sparse --iterations 1 "
+        "--episodes-per-task 3 --learner.meta-batch-size 2 --learner.policy.hidden-sizes 4 "
+        f"--curiosity.updates 2 --curiosity.weight 0.5 --run {tmp_path / 'run'}"
+    )
+    assert cli.run(command.split()) == 0
+    run = Run.open(tmp_path / "run")
+    assert run.settings.method == "maesn+curiosity"
+    assert isinstance(run.learner, CuriousMetaLearner)
+    assert run.learner.curiosity.weight == 0.5
+    assert run.learner.learner.policy == GaussianMLP((4,))
+    assert run.latest().iteration == 1
+    assert "curiosity/bonus" in (run.directory / "metrics.jsonl").read_text()
+    api.adapt(run.directory, tasks=few, updates=1, episodes_per_task=3)
+    with pytest.raises(RunError, match=r"a run of maesn\+curiosity, which is curious already"):
+        api.adapt(run.directory, tasks=few, test_time=AtTestTime(curious=True))
+
+
+def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="`after` must be at least 0, got -2"):
+        api.adapt(trained, test_time=AtTestTime(fine_tune="trpo", after=-2))
+    settings = tiny_settings()
+    recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)
+    with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* without memory"):
+        api.adapt(recurrent.directory, test_time=AtTestTime(fine_tune="trpo"))

@@ -1,0 +1,179 @@
+"""Environments as users write them: well-behaved, unusual, and broken ones.
+
+Worker processes import this file, so it imports no JAX: they start in a fraction of the time.
+"""
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+HORIZON = 6
+START_NOISE = 0.1
+
+
+class Walker(gymnasium.Env[Any, Any]):
+    """A point that moves by its action, in a plane that its observation describes oddly.
+
+    The task is (goal x, goal y, step at which it ends, how): how 1 is terminated, 2 truncated,
+    3 both, and 0 never.
+    """
+
+    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012  # Gymnasium's own form
+    action_space = spaces.Box(np.float32([-1, 0]), np.float32([1, 0.5]))
+    observation_space = spaces.Dict(
+        {
+            "place": spaces.Box(-np.inf, np.inf, (2,)),
+            "clock": spaces.Tuple((spaces.Discrete(HORIZON + 1), spaces.Box(0, 1, (1, 1)))),
+        }
+    )
+
+    def __init__(self, task: np.ndarray) -> None:
+        self.task = task
+        self.place = np.zeros(2)
+        self.steps = 0
+        self.ended = True
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = START_NOISE * self.np_random.standard_normal(2)
+        self.steps, self.ended = 0, False
+        return self.see(), {}
+
+    def see(self) -> Any:
+        clock = (self.steps, np.float32([[self.steps / HORIZON]]))
+        return {"place": self.place.astype(np.float32), "clock": clock}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert not self.ended, "stepped after its end"
+        assert self.action_space.contains(action)
+        self.place = self.place + action
+        self.steps += 1
+        distance = float(np.linalg.norm(self.place - self.task[:2]))
+        due, how = self.steps == int(self.task[2]), int(self.task[3])
+        self.ended = due and how > 0
+        info = {"is_success": distance < 1.0}
+        return self.see(), -distance, due and how in (1, 3), due and how in (2, 3), info
+
+
+class Settable(Walker):
+    """A walker that is told its next task."""
+
+    def set_task(self, task: np.ndarray) -> None:
+        self.task = task
+
+
+def draw_walks(stream: np.random.Generator, size: int) -> np.ndarray:
+    goals = stream.uniform(-2, 2, (size, 2))
+    ends = np.stack([stream.integers(1, HORIZON, size), stream.integers(0, 4, size)], axis=1)
+    return np.concatenate([goals, ends], axis=1).astype(np.float32)
+
+
+class Broken(Settable):
+    """Does what its task's third number says, at the step that the fourth says.
+
+    What it does in a step, it does in those episodes alone that start on the right.
+    """
+
+    def set_task(self, task: np.ndarray) -> None:
+        if int(task[2]) == 50:
+            raise KeyError("no such task")
+        super().set_task(task)
+
+    @property
+    def due(self) -> bool:
+        return self.unlucky and self.steps == int(self.task[3])
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        self.unlucky = False
+        answer = super().reset(seed=seed)
+        self.unlucky = bool(self.place[0] > 0)
+        return answer
+
+    @property
+    def action_space(self) -> Any:  # type: ignore[override]
+        high = 2.0 if int(self.task[2]) == 60 else 1.0
+        high = np.inf if int(self.task[2]) == 61 else high
+        return spaces.Box(-1.0, np.float32(high), (2,))
+
+    @property
+    def observation_space(self) -> Any:  # type: ignore[override]
+        parts = dict(Walker.observation_space.spaces)
+        if int(self.task[2]) == 62:
+            parts["more"] = spaces.Discrete(3)
+        return spaces.Dict(parts)
+
+    def see(self) -> Any:
+        seen, kind = super().see(), int(self.task[2])
+        if self.due and kind == 10:
+            seen["place"] = np.float32([0, np.nan])
+        if self.due and kind == 20:
+            seen["place"] = np.zeros(3, np.float32)
+        return seen
+
+    def step(self, action: np.ndarray) -> Any:
+        kind = int(self.task[2])
+        self.task = self.task.copy()
+        if self.due and kind == 30:
+            raise ValueError("the gears are stuck")
+        if self.due and kind == 40:
+            time.sleep(3600)
+        if self.due and kind == 41:
+            os._exit(3)
+        place = self.place + action
+        self.place, self.steps = place, self.steps + 1
+        reward = np.nan if self.due and kind == 11 else 0.0
+        answer = self.see(), reward, False, False, {}
+        return answer[:4] if self.due and kind == 21 else answer
+
+
+class Fragile(Settable):
+    """Works as long as there is a file."""
+
+    def __init__(self, health: Path, task: np.ndarray) -> None:
+        super().__init__(task)
+        self.health = health
+
+    def step(self, action: np.ndarray) -> Any:
+        if not self.health.exists():
+            raise OSError("the robot is not well")
+        return super().step(action)
+
+
+class Chooser(gymnasium.Env[Any, Any]):
+    """Pays for the one of three choices, -1 to 1, that is its task."""
+
+    action_space = spaces.Discrete(3, start=-1)
+    observation_space = spaces.Box(0, 1, (1,))
+
+    def __init__(self, choice: np.ndarray) -> None:
+        self.choice = int(choice[0])
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action)
+        right = int(action) == self.choice
+        return np.zeros(1, np.float32), float(right), False, False, {"success": np.float64(right)}
+
+
+def make_walker(task: np.ndarray, reward: str) -> Walker:
+    return Walker(task)
+
+
+def make_settable(task: np.ndarray, reward: str) -> Settable:
+    return Settable(task)
+
+
+def make_broken(task: np.ndarray, reward: str) -> Broken:
+    return Broken(task)
+
+
+def make_fragile(health: Path, task: np.ndarray, reward: str) -> Fragile:
+    return Fragile(health, task)

@@ -1,0 +1,240 @@
+"""Single Gymnasium environments: Gymnasium's own checker, and the library's worlds bit for bit."""
+
+import collections
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from carts import MOTOR, RUNAWAY, CartTask, cart_on
+from gymnasium.utils.env_checker import check_env
+from playing import agents, keys
+
+import maesn.gym
+from maesn.envs import FAMILIES, TaskFamily, TaskSet, point
+from maesn.gym import IDS, TaskEnv
+from maesn.numerics import DiagonalGaussian
+from maesn.physics import RenderingError
+from maesn.runs.export import probe_actuators
+from maesn.runs.storage import RunError
+from maesn.worlds import Actors, Decision, EpisodeError, Start, make_world
+
+# Positions and velocities have no bounds, which the checker merely finds worth a remark.
+UNBOUNDED = r"ignore:.*A Box observation space m\w+ value is -?infinity"
+STEPS = 12
+
+
+def play(env: gymnasium.Env[Any, Any], seed: int, steps: int = STEPS) -> list[Any]:
+    """All that an environment returns, under random actions that follow from the seed."""
+    env.action_space.seed(seed)
+    results: list[Any] = [env.reset(seed=seed)]
+    return results + [env.step(env.action_space.sample()) for _ in range(steps)]
+
+
+@pytest.mark.filterwarnings(UNBOUNDED)
+@pytest.mark.parametrize("name", IDS.values())
+def test_gymnasiums_own_checker_finds_nothing(name: str) -> None:
+    env = gymnasium.make(f"maesn.gym:{name}")
+    # Pictures are checked below: the machine may have no library to draw with.
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+    env.close()
+
+
+def test_every_family_has_a_name() -> None:
+    assert IDS.keys() == FAMILIES.keys()
+
+
+@pytest.mark.parametrize("family", IDS)
+def test_states_and_rewards_are_those_of_the_librarys_worlds(family: str) -> None:
+    env = TaskEnv(family, task=3, reward="sparse", tasks="test")
+    env.reset(seed=5)
+    inner, tasks = env._stepper.env, env._stepper.tasks
+    first = env._stepper._readings
+    rng = np.random.default_rng(0)
+    action = rng.uniform(-1.2, 1.2, (inner.horizon, inner.action_size)).astype(np.float32)
+    steps, states = [], [first]
+    for row in action[:STEPS]:
+        steps.append(env.step(row))
+        states.append(env._stepper._readings)
+
+    def act(actors: Actors, moment: Any) -> Decision:
+        now = jnp.asarray(action)[moment.step]
+        spread = DiagonalGaussian(now[None, None], jnp.zeros_like(now)[None, None])
+        ended = jnp.zeros((1, 1), bool)
+        return Decision(inner.control(now)[None], now[None, None], spread, None, ended)
+
+    task = jax.tree.map(jnp.asarray, tasks[3])
+    none, one_key = jnp.zeros((1, 1, 2)), keys(1)[:, None]
+    actors = Actors(agents(inner, 1), jax.tree.map(lambda x: x[None], task), none, none, one_key)
+    start = Start(jnp.asarray(first["qpos"]), jnp.asarray(first["qvel"]), {})
+    readings = make_world(inner, tasks).play(act, actors, start, None).readings
+    for step, (observation, reward, _, _, information) in enumerate(steps):
+        before, after = (jax.tree.map(lambda x, t=t: jnp.asarray(x[t, 0]), readings)
+                         for t in (step, step + 1))  # fmt: skip
+        for name, value in states[step + 1].items():  # bit for bit
+            np.testing.assert_array_equal(value[0], after[name])
+        instructed = jnp.concatenate([inner.observe(after), inner.instruction(task)])
+        np.testing.assert_allclose(observation, instructed, rtol=1e-5, atol=1e-6)
+        paid = inner.reward(before, jnp.asarray(action[step]), after, task)
+        np.testing.assert_allclose(reward, paid.total, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(information["goal_reward"], paid.goal, rtol=1e-5, atol=1e-6)
+        assert information["is_success"] == bool(inner.solved(after, task))
+        assert information["task"] == 3
+
+
+@pytest.mark.parametrize("family", IDS)
+def test_the_action_space_covers_the_actuators_exactly(family: str) -> None:
+    env = TaskEnv(family)
+    inner, actuators = env._stepper.env, probe_actuators(env._stepper.env)
+    for end, limit in ((env.action_space.low, "lower"), (env.action_space.high, "upper")):
+        control = np.asarray(inner.control(jnp.asarray(end)))
+        np.testing.assert_allclose(control, getattr(actuators, limit), rtol=1e-6)
+        # And not a part of it twice: just inside, no actuator is at its limit.
+        assert (np.abs(np.asarray(inner.control(jnp.asarray(0.99 * end)))) < np.abs(control)).all()
+
+
+def test_a_seed_repeats_everything_and_another_does_not() -> None:
+    first, again, other = (play(TaskEnv("point"), seed) for seed in (1, 1, 2))
+    jax.tree.map(np.testing.assert_array_equal, first, again)
+    assert (first[0][0] != other[0][0]).any()
+
+
+def test_tasks_are_drawn_or_chosen() -> None:
+    env = TaskEnv("point")
+    drawn = [env.reset(seed=seed)[1]["task"] for seed in range(40)]
+    assert len(set(drawn)) > 20
+    assert set(drawn) <= set(range(100))
+    assert env.reset(options={"task": 7})[1]["task"] == 7
+    fixed = TaskEnv("point", task=4)
+    assert [fixed.reset()[1]["task"] for _ in range(3)] == [4, 4, 4]
+    assert fixed.reset(options={"task": 9})[1]["task"] == 9
+
+
+def test_episodes_run_out_of_time_at_the_horizon() -> None:
+    results = play(TaskEnv("point"), seed=0, steps=40)[1:]
+    assert [terminated for _, _, terminated, _, _ in results] == [False] * 40
+    assert [truncated for _, _, _, truncated, _ in results] == [False] * 39 + [True]
+
+
+def test_an_end_by_nature_is_a_termination() -> None:
+    env = TaskEnv("hidden_end", task=2)
+    env.reset(seed=0)
+    lifetime = math.ceil(env._stepper.tasks[2])
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(lifetime)]
+    assert 1 < lifetime < 10  # the horizon, which the next task outlives
+    assert ends == [(False, False)] * (lifetime - 1) + [(True, False)]
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call `reset`"):
+        env.step(env.action_space.sample())
+    env.reset(options={"task": 1})
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(10)]
+    assert ends == [(False, False)] * 9 + [(False, True)]
+
+
+def test_success_is_what_the_distance_says() -> None:
+    env = TaskEnv("point", task=0, sparse_radius=1.0, reward="sparse", variant="paper")
+    goal = np.asarray(point.task_set("training")[0])
+    observation, _ = env.reset(seed=0)
+    seen = set()
+    for _ in range(40):
+        observation, reward, _, _, information = env.step(np.clip(3 * (goal - observation), -1, 1))
+        distance = np.linalg.norm(observation - goal)
+        assert information["is_success"] == (distance <= 1.0)
+        assert reward == pytest.approx(-distance if distance <= 1.0 else -2.0, abs=1e-5)
+        seen.add(information["is_success"])
+    assert seen == {False, True}
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"task": 100}, ValueError, "`task` must be an index from 0 to 99"),
+        ({"task": np.array([0.5])}, ValueError, "`task` must be an index"),
+        ({"tasks": "tset"}, RunError, "`tasks` must be one of training"),
+        ({"family": "weeled"}, RunError, "did you mean 'wheeled'"),
+        ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
+        ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
+        ({"family": "bandit"}, ValueError, "must have continuous actions"),
+    ],
+)
+def test_wrong_settings_are_refused_by_name(
+    settings: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        TaskEnv(**{"family": "point"} | settings)
+
+
+def test_a_step_before_a_reset_is_refused() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call `reset` before `step`"):
+        TaskEnv("point").step(np.zeros(2))
+
+
+def family_on_rails(directory: Path, actuator: str) -> TaskFamily:
+    cart = cart_on(directory, actuator)
+    tasks = CartTask(np.ones(5, np.float32), np.arange(1.0, 6.0, dtype=np.float32))
+    return TaskFamily("cart", lambda **_: cart(force=3.0), lambda *_: tasks, ("speed", "mass"), 0)
+
+
+def test_tasks_may_change_the_dynamics(tmp_path: Path) -> None:
+    env = TaskEnv(family_on_rails(tmp_path, MOTOR))
+    for task, mass in ((0, 1.0), (3, 4.0)):
+        before = env.reset(seed=0, options={"task": task})[0]
+        after = env.step(np.zeros(1))[0]
+        assert after[1] - before[1] == pytest.approx(0.01 * 3.0 / mass, rel=1e-5)
+
+
+def test_physics_that_blows_up_is_an_error_that_says_where(tmp_path: Path) -> None:
+    env = TaskEnv(family_on_rails(tmp_path, RUNAWAY), task=0)
+    assert any(env.reset(seed=seed)[0][1] > 0 for seed in range(50))  # this one is pushed
+    with pytest.raises(EpisodeError, match=r"cart, task 0, episode 0, step \d+: "):
+        collections.deque((env.step(np.zeros(1)) for _ in range(12)), maxlen=0)
+
+
+def assert_says_what_to_install(error: RenderingError) -> None:
+    assert "libegl1" in str(error)
+
+
+@pytest.mark.parametrize("name", IDS.values())
+def test_pictures_or_one_sentence(name: str) -> None:
+    env = gymnasium.make(name, render_mode="rgb_array")
+    env.reset(seed=0, options={"task": 2})
+    try:
+        first = env.render()
+    except RenderingError as error:
+        assert_says_what_to_install(error)
+        return
+    assert first.shape == (360, 480, 3)
+    assert first.dtype == np.uint8
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
+    np.testing.assert_array_equal(env.render(), first)
+    env.reset(options={"task": 60})
+    assert (env.render() != first).any()
+    env.close()
+
+
+def test_without_a_render_mode_there_is_no_picture() -> None:
+    env = TaskEnv("point")
+    env.reset()
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert env.render() is None
+
+
+def test_without_gymnasium_one_sentence_says_what_to_install() -> None:
+    program = "import sys; sys.modules['gymnasium'] = None; import maesn.gym"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.splitlines()[-1] == (
+        "ImportError: `maesn.gym` needs Gymnasium, which is not installed: pip install maesn[gym]"
+    )
+
+
+def test_an_own_family_needs_no_registration() -> None:
+    assert isinstance(point.task_set("test"), TaskSet)
+    assert maesn.gym.TaskEnv(point).reset(seed=0)[0].shape == (2,)

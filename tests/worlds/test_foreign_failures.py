@@ -1,0 +1,131 @@
+"""Foreign environments that fail: the failure is named, and no process is left behind."""
+
+import os
+import re
+import signal
+import threading
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import agents, keys
+from strange_families import (
+    EPISODES,
+    SEED,
+    broken,
+    impatient,
+    is_running,
+    seeds,
+)
+from strangers import Walker
+
+from maesn.envs import TaskSet
+from maesn.rollout import Collector
+from maesn.worlds import EpisodeError, make_world
+
+FAILURES = {
+    10: "the observation is not finite: component 9 is nan",
+    11: "the reward is not finite: nan",
+    20: "the observation must have 10 components, got 11",
+    21: "`step` must return (observation, reward, terminated, truncated, info)",
+    30: "`step` raised ValueError: the gears are stuck",
+    40: "has not returned within `time_limit`, 2 s",
+    41: "the environment has ended its process (exit code 3)",
+}
+AT_RESET = {
+    50: "`set_task` raised KeyError: 'no such task'",
+    60: "the action space must be that of the family's first task in every task, with `upper`",
+    61: "the action space must be bounded, but component 0 reaches from -1.0 to inf",
+    62: "the observation space must be that of the family's first task in every task",
+}
+REASONS = FAILURES | AT_RESET
+STEP = 2
+
+
+def rows() -> np.ndarray:
+    """Two tasks in which nothing happens, and one for each failure."""
+    failing = [[0, 0, kind, STEP] for kind in REASONS]
+    return np.float32([[0, 0, 0, 0], [1, 1, 0, 0], *failing])
+
+
+@pytest.fixture(scope="module")
+def collect() -> Iterator[Collector]:
+    world = make_world(broken.make_env(), TaskSet(rows()), num_threads=2)
+    yield Collector(world, EPISODES)
+    world.close()
+
+
+@pytest.fixture(scope="module")
+def impatiently() -> Iterator[Collector]:
+    world = make_world(impatient.make_env(), TaskSet(rows()), num_threads=2)
+    yield Collector(world, EPISODES)
+    world.close()
+
+
+def play_tasks(collect: Collector, *task: int) -> list[int]:
+    """Play, and return the processes that are at it."""
+    collect(keys(2, SEED), agents(collect.world.env, 2), jnp.array(task))
+    return processes_of(collect)
+
+
+def processes_of(collect: Collector) -> list[int]:
+    pool = collect.world._pool
+    return [] if pool is None else pool.process_ids
+
+
+def unlucky_episodes(task: np.ndarray) -> set[int]:
+    """The episodes of slot 1 in which something goes wrong."""
+    starts = [Walker(task).reset(seed=int(seed))[0]["place"] for seed in seeds(2)[1]]
+    return {episode for episode, place in enumerate(starts) if place[0] > 0}
+
+
+@pytest.mark.parametrize("kind", REASONS)
+def test_what_goes_wrong_is_named_and_leaves_no_process_behind(
+    kind: int, collect: Collector, impatiently: Collector
+) -> None:
+    collect = impatiently if kind == 40 else collect
+    processes = play_tasks(collect, 0, 1)
+    assert len(processes) == 2
+    assert all(map(is_running, processes))
+    task = 2 + list(REASONS).index(kind)
+    with pytest.raises(EpisodeError) as error:
+        play_tasks(collect, 0, task)
+    assert REASONS[kind] in str(error.value)
+    named = re.match(rf"stranger, task {task}, episode (\d), step (\d): ", str(error.value))
+    assert named is not None
+    if kind in AT_RESET:
+        assert named[2] == "0"
+    else:
+        unlucky = unlucky_episodes(rows()[task])
+        assert len(unlucky) == 1
+        assert int(named[1]) in unlucky
+        # What is wrong in the state of step 2, the call of step 1 has returned.
+        assert int(named[2]) == STEP - (kind in (10, 11, 20, 21))
+    assert not any(map(is_running, processes))
+    assert not processes_of(collect)
+
+
+def test_ctrl_c_ends_all_processes_and_is_passed_on(collect: Collector) -> None:
+    processes = play_tasks(collect, 0, 1)
+    hanging = 2 + list(REASONS).index(40)
+    # Shells let programs in the background ignore Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            play_tasks(collect, 0, hanging)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert not any(map(is_running, processes))
+    assert not processes_of(collect)
+
+
+def test_an_action_that_is_not_a_number_reaches_no_environment(collect: Collector) -> None:
+    cast = agents(collect.world.env, 2)
+    cast = eqx.tree_at(lambda x: x.context.mean, cast, cast.context.mean.at[1].set(jnp.nan))
+    reason = r"stranger, task 1, episode \d, step 0: the policy's action must be finite"
+    with pytest.raises(EpisodeError, match=reason):
+        collect(keys(2, SEED), cast, jnp.array([0, 1]))
