@@ -35,7 +35,7 @@ def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
     lines = table.read_text().splitlines()
     assert lines[0] == (
         "task,update,episodes,mean_return,goal_return,success_rate,final_success_rate,"
-        "time_in_region"
+        "time_in_region,solved_at_reset"
     )
     assert len(lines) == 1 + 100 * 3
     assert lines[3].startswith("0,2,6,")
@@ -81,7 +81,7 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     api.adapt(trained, updates=1, episodes_per_task=3)
-    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 3)
+    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 5)
     written = api.plot([trained], tmp_path)
     names = {path.name for path in written}
     assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names

@@ -85,7 +85,8 @@ def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) 
     assert said.splitlines() == [
         f"No metrics in `{bare}`: `maesn train` or `maesn resume DIR` writes them.",
         f"No adaptation in `{bare}`: `maesn adapt DIR` writes it.",
-        f"No exploration trajectories in `{bare}`: `maesn plot DIR` records them.",
+        f"No exploration trajectories in `{bare}`: `maesn plot DIR` records them, if the family "
+        "says where agent and goal are in a plane.",
     ]
 
 
