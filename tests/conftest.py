@@ -4,6 +4,7 @@ Shapes and types are checked as well: `--jaxtyping-packages` in `pyproject.toml`
 annotated function of the package. Warnings are errors.
 """
 
+import gc
 import os
 from collections.abc import Iterator
 
@@ -29,6 +30,18 @@ def x64() -> Iterator[None]:
     """
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_compiled_programs() -> Iterator[None]:
+    """Let the compiled programs of one file go before the next file begins.
+
+    Each holds several memory maps, and Linux kills a process that asks for more than 65,530
+    (`vm.max_map_count`): one that ran half of all tests would.
+    """
+    yield
+    jax.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture
