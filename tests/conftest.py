@@ -6,6 +6,7 @@ annotated function of the package. Warnings are errors.
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 
 # Before JAX is imported, and inherited by the programs that tests start. A graphics card can be
@@ -18,6 +19,8 @@ os.environ["MAESN_CACHE"] = "off"
 import jax
 import pytest
 
+# Tests interrupt themselves, which what a shell runs in the background would ignore.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

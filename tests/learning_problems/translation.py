@@ -3,7 +3,6 @@
 from dataclasses import asdict
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from reference.parameters import LATENT_NAMES, Parameters
