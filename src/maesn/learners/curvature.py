@@ -37,16 +37,6 @@ def sampled_distributions(
     Returns:
         Distributions `[task, episode, time, action]`, of the steps of `post.every(stride, offset)`.
     """
-    one = partial(_sampled, parameters=parameters, stride=stride, offset=offset)
-    return jax.tree.map(lambda x: x[:, 0], objective.one_by_one(one))
-
-
-def _sampled(
-    objective: MetaObjective,
-    parameters: MetaParameters,
-    stride: int,
-    offset: int | Int[Array, ""],
-) -> AbstractDistribution:
     agents = start_agents(objective.context, parameters, objective.index, objective.statistics)
     for episodes, advantages in objective.pre:
         step = partial(objective.adaptation, context=objective.context)

@@ -77,8 +77,7 @@ class MetaObjective(eqx.Module):
     def one_by_one(self, function: Callable[["MetaObjective"], Any]) -> Any:
         """Return `function(objective of one task alone)`, task after task, stacked over `task`.
 
-        The activations of one task fit in the processor's cache, those of all do not: a gradient
-        takes less than half the time (`benchmarks/meta_iteration.py`).
+        The activations of one task fit in the processor's cache, those of all do not.
         """
 
         def one(row: Any) -> Any:
