@@ -59,16 +59,10 @@ class Cart(AbstractMujocoEnv[CartTask]):
     def observe(self, readings: Readings) -> jax.Array:
         return jnp.concatenate([readings["qpos"], readings["qvel"]])
 
-    def instruction(self, task: CartTask) -> jax.Array:
-        return jnp.zeros(0)
-
     def reward(
         self, readings: Readings, action: jax.Array, next_readings: Readings, task: CartTask
     ) -> Reward:
         return Reward(next_readings["qpos"][0] - readings["qpos"][0], jnp.zeros(()))
-
-    def terminated(self, readings: Readings) -> jax.Array:
-        return jnp.zeros((), bool)
 
     def solved(self, readings: Readings, task: CartTask) -> jax.Array:
         return jnp.zeros((), bool)

@@ -41,15 +41,12 @@ from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import draw_half_circle, draw_unfamiliar_goals, within
-from maesn.envs.tasks import TaskFamily
-
-Goal = Float[Array, " 2"]
+from maesn.envs.goals import half_circle_family
+from maesn.envs.reaching import AbstractReaching, Goal
 
 GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
@@ -73,7 +70,7 @@ NUM_BODIES = 14  # the world and the ant's 13 parts; the marker of the goal come
 LARGEST = 1e10  # MuJoCo calls larger numbers bad, and goes on without them
 
 
-class Ant(AbstractMujocoEnv[Goal]):
+class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
     """A four-legged robot that walks to a goal on a half circle, which it is not told."""
 
     name: ClassVar[str] = "ant"
@@ -107,9 +104,6 @@ class Ant(AbstractMujocoEnv[Goal]):
                 readings["subtree_com"][TORSO],
             ]
         )
-
-    def instruction(self, task: Goal) -> Float[Array, " 0"]:
-        return jnp.zeros(0)
 
     def reward(
         self,
@@ -149,17 +143,8 @@ class Ant(AbstractMujocoEnv[Goal]):
         height = readings["qpos"][2]
         return lost | (height < HEIGHTS[0]) | (height > HEIGHTS[1])
 
-    def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
-        return within(jnp.linalg.norm(_centre(readings) - task), self.sparse_radius)
-
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return observation[122:124]
-
-    def goal(self, task: Goal) -> Float[Array, " 2"]:
-        return task
-
-    def model_fields(self, task: Goal) -> dict[str, Array]:
-        return {}
 
 
 def rotation_matrix(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
@@ -191,14 +176,4 @@ def _is_sound(readings: Readings) -> Bool[Array, ""]:
     return jnp.all(jnp.abs(state) <= LARGEST)  # false of NaN as well
 
 
-def _draw_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_half_circle(stream, size, GOAL_RADIUS)
-
-
-def _draw_unfamiliar_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_unfamiliar_goals(stream, size, GOAL_RADIUS)
-
-
-ant = TaskFamily(
-    "ant", Ant, _draw_goals, ("goal",), seed=2019, draw_ood_tasks=_draw_unfamiliar_goals
-)
+ant = half_circle_family("ant", Ant, GOAL_RADIUS, seed=2019)

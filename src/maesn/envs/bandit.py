@@ -67,9 +67,6 @@ class Bandit(AbstractProbe[Probabilities]):
         paid = self.solved(next_readings, task).astype(action.dtype)
         return Reward(paid, jnp.zeros(()))
 
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
     def solved(self, readings: Readings, task: Probabilities) -> Bool[Array, ""]:
         # Before the first pull no arm is pulled, and the probability below is 0.
         pulls, draws = readings["qpos"][0].astype(int), readings["qpos"][1:]

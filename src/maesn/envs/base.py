@@ -99,9 +99,12 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def observe(self, readings: Readings) -> Float[Array, " observed"]:
         """Return what the agent sees of the world."""
 
-    @abstractmethod
     def instruction(self, task: Task) -> Float[Array, " instruction"]:
-        """Return what the agent is told of its task: a vector appended to the observation."""
+        """Return what the agent is told of its task: a vector appended to the observation.
+
+        This is nothing, unless the environment says otherwise.
+        """
+        return jnp.zeros(0)
 
     @abstractmethod
     def reward(
@@ -139,9 +142,9 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         near = env.solved(next_readings, task)
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
-    @abstractmethod
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        """Whether the episode ends by nature in this state."""
+        """Whether the episode ends by nature in this state: never, unless it says when."""
+        return jnp.zeros((), bool)
 
     @abstractmethod
     def truncated(self, readings: Readings) -> Bool[Array, ""]:
@@ -174,9 +177,12 @@ class AbstractSimulatedEnv(AbstractEnv[Task]):
     def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:
         """Return the positions and velocities that an episode starts from."""
 
-    @abstractmethod
     def model_fields(self, task: Task) -> dict[str, Array]:
-        """Return what the task changes in the dynamics: name of the quantity -> values."""
+        """Return what the task changes in the dynamics: name of the quantity -> values.
+
+        This is nothing, unless the environment says otherwise.
+        """
+        return {}
 
     def start(self, key: Key, task: Task) -> Start:
         return Start(*self.initial(key, task), self.model_fields(task))

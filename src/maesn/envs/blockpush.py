@@ -138,9 +138,6 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
     def uninformative_reward(self) -> float:
         return -self._scale * C_MAX
 
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
     def solved(self, readings: Readings, task: BlockPushTask) -> Bool[Array, ""]:
         return within(_distance(readings, task), self.sparse_radius)
 
@@ -153,9 +150,6 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
 
     def goal(self, task: BlockPushTask) -> Float[Array, " 2"]:
         return jnp.asarray(task.goal)
-
-    def model_fields(self, task: BlockPushTask) -> dict[str, Array]:
-        return {}
 
 
 def _homes() -> Float[Array, "5 2"]:

@@ -68,9 +68,6 @@ class Chain(AbstractProbe[Distance]):
         reached = self.solved(next_readings, task).astype(step.dtype)
         return Reward(step if self.reward_kind == "dense" else reached, jnp.zeros(()))
 
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
     def solved(self, readings: Readings, task: Distance) -> Bool[Array, ""]:
         return readings["qpos"][0] >= task - self.sparse_radius
 

@@ -90,9 +90,6 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
     def observe(self, readings: Readings) -> Float[Array, " observed"]:
         return readings["observation"]
 
-    def instruction(self, task: Any) -> Float[Array, " 0"]:
-        return jnp.zeros(0)
-
     def reward(
         self,
         readings: Readings,

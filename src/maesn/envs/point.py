@@ -20,35 +20,27 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.axes import Key, Readings
-from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import (
-    draw_half_circle,
-    draw_unfamiliar_goals,
-    driving_reward,
-    within,
-)
-from maesn.envs.tasks import TaskFamily
-
-Goal = Float[Array, " 2"]
+from maesn.envs.base import AbstractPureEnv, RewardKind, Variant
+from maesn.envs.goals import half_circle_family
+from maesn.envs.reaching import AbstractDriving, Goal
 
 GOAL_RADIUS = 2.0  # metres, as on the wheeled robot
 # Metres; a quarter of the way, so that a jittering point hardly ever gets there.
 SPARSE_RADIUS = 0.5
-C_MAX = 2.0  # what the dense reward pays a point that has not moved
-CONTROL_COST = 0.05
 STEP_LENGTH = 0.1  # metres per unit of action: the goal is 20 full steps away
 POSITION_NOISE = 0.01  # standard deviation of the start in metres
 
 
-class Point(AbstractPureEnv[Goal]):
+class Point(AbstractDriving, AbstractPureEnv[Goal]):
     """A point that slides to a goal on a half circle, which it is not told: trains in seconds."""
 
     name: ClassVar[str] = "point"
     control_period: ClassVar[float] = 0.1
+    c_max: ClassVar[float] = 2.0  # what the dense reward pays a point that has not moved
+    control_cost: ClassVar[float] = 0.05
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
@@ -73,59 +65,5 @@ class Point(AbstractPureEnv[Goal]):
     def observe(self, readings: Readings) -> Float[Array, " 2"]:
         return readings["qpos"]
 
-    def instruction(self, task: Goal) -> Float[Array, " 0"]:
-        return jnp.zeros(0)
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
-    ) -> Reward:
-        return driving_reward(
-            _distance(next_readings, task),
-            task,
-            self.control(action),
-            variant=self.variant,
-            reward_kind=self.reward_kind,
-            sparse_radius=self.sparse_radius,
-            c_max=C_MAX,
-            control_cost=CONTROL_COST,
-        )
-
-    @property
-    def uninformative_reward(self) -> float:
-        return -C_MAX
-
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
-    def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
-        return within(_distance(readings, task), self.sparse_radius)
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
-
-    def goal(self, task: Goal) -> Float[Array, " 2"]:
-        return task
-
-    def model_fields(self, task: Goal) -> dict[str, Array]:
-        return {}
-
-
-def _distance(readings: Readings, goal: Goal) -> Float[Array, ""]:
-    return jnp.linalg.norm(readings["qpos"] - goal)
-
-
-def _draw_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_half_circle(stream, size, GOAL_RADIUS)
-
-
-def _draw_unfamiliar_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_unfamiliar_goals(stream, size, GOAL_RADIUS)
-
-
-point = TaskFamily(
-    "point", Point, _draw_goals, ("goal",), seed=2, draw_ood_tasks=_draw_unfamiliar_goals
-)
+point = half_circle_family("point", Point, GOAL_RADIUS, seed=2)

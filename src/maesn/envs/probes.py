@@ -35,15 +35,9 @@ LONGEST_LIFETIME = 12.0  # steps
 
 
 class AbstractProbe(AbstractPureEnv[Task]):
-    """What all probes share: the agent is told nothing, and no task changes the dynamics."""
+    """What all probes share: one control step counts as one second."""
 
     control_period: ClassVar[float] = 1.0
-
-    def instruction(self, task: Task) -> Float[Array, " 0"]:
-        return jnp.zeros(0)
-
-    def model_fields(self, task: Task) -> dict[str, Array]:
-        return {}
 
 
 class HiddenSide(AbstractProbe[Side]):
@@ -93,9 +87,6 @@ class HiddenSide(AbstractProbe[Side]):
         reached = self.solved(next_readings, task).astype(step.dtype)
         goal = task * step if self.reward_kind == "dense" else reached
         return Reward(goal, jnp.zeros(()))
-
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
 
     def solved(self, readings: Readings, task: Side) -> Bool[Array, ""]:
         return within(jnp.abs(readings["qpos"][0] / self.horizon - task), self.sparse_radius)

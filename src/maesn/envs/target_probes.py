@@ -3,26 +3,25 @@
 See `maesn.envs.probes` for what probes are.
 """
 
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import Reward, RewardKind, Variant
-from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.goals import draw_half_circle, goal_reward
 from maesn.envs.probes import AbstractProbe
+from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
-
-Target: TypeAlias = Float[Array, " 2"]
 
 TARGET_RADIUS = 1.0
 SPARSE_RADIUS = 0.5  # the action 0 is twice as far away
 
 
-class AbstractTargetProbe(AbstractProbe[Target]):
+class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
     """A target g on the upper half circle of radius 1, to be named by the first action.
 
     State and observation: share of the episode that is over (1), then a_0 (2; zero before it is
@@ -36,7 +35,7 @@ class AbstractTargetProbe(AbstractProbe[Target]):
 
     sparse_radius: eqx.AbstractVar[float]
 
-    def initial(self, key: Key, task: Target) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
         return jnp.zeros(3), jnp.zeros(3)
 
     def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
@@ -55,24 +54,15 @@ class AbstractTargetProbe(AbstractProbe[Target]):
         readings: Readings,
         action: Float[Array, " action"],
         next_readings: Readings,
-        task: Target,
+        task: Goal,
     ) -> Reward:
         error = jnp.sum((next_readings["qpos"][1:] - task) ** 2)
         pay = goal_reward(error, -jnp.sum(task**2), self.reward_kind, self.sparse_radius**2)
         last = next_readings["qpos"][0] == self.horizon
         return Reward(jnp.where(last, pay, 0.0), jnp.zeros(()))
 
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
-    def solved(self, readings: Readings, task: Target) -> Bool[Array, ""]:
-        return within(jnp.linalg.norm(readings["qpos"][1:] - task), self.sparse_radius)
-
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return observation[1:]
-
-    def goal(self, task: Target) -> Float[Array, " 2"]:
-        return task
 
 
 class HiddenTarget(AbstractTargetProbe):

@@ -28,39 +28,30 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.axes import Key, Readings
-from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import (
-    draw_half_circle,
-    draw_unfamiliar_goals,
-    driving_reward,
-    within,
-)
-from maesn.envs.tasks import TaskFamily
-
-Goal = Float[Array, " 2"]
+from maesn.envs.base import AbstractMujocoEnv, RewardKind, Variant
+from maesn.envs.goals import half_circle_family
+from maesn.envs.reaching import AbstractDriving, Goal
 
 GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
-# The paper calls it "an uninformative large negative constant". All goals lie 2 m from the start,
-# so this is what the dense reward pays a robot that has not moved.
-C_MAX = 2.0
-CONTROL_COST = 0.05  # reference, per squared newton metre
 ACTION_SCALE = 2.0  # the motors' range, +-2 N m
 POSITION_NOISE = 0.01  # standard deviation of the start, reference
 VELOCITY_NOISE = 0.1
 
 
-class Wheeled(AbstractMujocoEnv[Goal]):
+class Wheeled(AbstractDriving, AbstractMujocoEnv[Goal]):
     """A two-wheeled robot that drives to a goal on a half circle, which it is not told."""
 
     name: ClassVar[str] = "wheeled"
     model: ClassVar[str] = "wheeled.xml"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel")
     control_period: ClassVar[float] = 0.01
+    # All goals lie 2 m from the start: this is what the dense reward pays a robot there.
+    c_max: ClassVar[float] = 2.0
+    control_cost: ClassVar[float] = 0.05  # reference, per squared newton metre
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
@@ -80,59 +71,5 @@ class Wheeled(AbstractMujocoEnv[Goal]):
     def observe(self, readings: Readings) -> Float[Array, " 12"]:
         return jnp.concatenate([readings["qpos"], readings["qvel"]])
 
-    def instruction(self, task: Goal) -> Float[Array, " 0"]:
-        return jnp.zeros(0)
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
-    ) -> Reward:
-        return driving_reward(
-            _distance(next_readings, task),
-            task,
-            self.control(action),
-            variant=self.variant,
-            reward_kind=self.reward_kind,
-            sparse_radius=self.sparse_radius,
-            c_max=C_MAX,
-            control_cost=CONTROL_COST,
-        )
-
-    @property
-    def uninformative_reward(self) -> float:
-        return -C_MAX
-
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
-    def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
-        return within(_distance(readings, task), self.sparse_radius)
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
-
-    def goal(self, task: Goal) -> Float[Array, " 2"]:
-        return task
-
-    def model_fields(self, task: Goal) -> dict[str, Array]:
-        return {}
-
-
-def _distance(readings: Readings, goal: Goal) -> Float[Array, ""]:
-    return jnp.linalg.norm(readings["qpos"][:2] - goal)
-
-
-def _draw_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_half_circle(stream, size, GOAL_RADIUS)
-
-
-def _draw_unfamiliar_goals(stream: np.random.Generator, size: int) -> np.ndarray:
-    return draw_unfamiliar_goals(stream, size, GOAL_RADIUS)
-
-
-wheeled = TaskFamily(
-    "wheeled", Wheeled, _draw_goals, ("goal",), seed=2018, draw_ood_tasks=_draw_unfamiliar_goals
-)
+wheeled = half_circle_family("wheeled", Wheeled, GOAL_RADIUS, seed=2018)

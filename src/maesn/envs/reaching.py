@@ -1,0 +1,70 @@
+"""Environments whose task is a place: the agent is to get there, and is not told where it is."""
+
+from typing import TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Readings
+from maesn.envs.base import AbstractEnv, Reward
+from maesn.envs.goals import goal_reward, within
+
+Goal: TypeAlias = Float[Array, " 2"]
+
+
+class AbstractReaching(AbstractEnv[Goal]):
+    """The task is a goal g, and it is solved where the agent is near enough to g."""
+
+    def distance(self, readings: Readings, task: Goal) -> Float[Array, ""]:
+        """Return d, the distance from the goal."""
+        return jnp.linalg.norm(self.judged_position(readings, task) - task)
+
+    def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
+        return within(self.distance(readings, task), self.sparse_radius)
+
+    def goal(self, task: Goal) -> Goal:
+        return task
+
+
+class AbstractDriving(AbstractReaching):
+    """A robot that starts at the origin, drives to the goal, and sees first of all where it is."""
+
+    c_max: eqx.AbstractClassVar[float]
+    """The paper's "uninformative large negative constant", sign turned."""
+    control_cost: eqx.AbstractClassVar[float]
+    """Price of a squared unit of control."""
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Goal,
+    ) -> Reward:
+        """Return the reward of one step.
+
+        With d the distance to the goal g after the step, u the control and 1[.] an indicator:
+
+            reference:  r = -d 1[near] - |g|_2 1[far] - control_cost * sum_i u_i^2
+            paper:      r = -d 1[near] - c_max 1[far]
+
+        Dense, every distance is near; sparse, d > sparse_radius is far. The paper's form is that
+        of its appendix "Reward Functions"; the reference adds a control cost, and pays far from the
+        goal what the dense reward pays at the start, so that its constant differs from task to
+        task.
+        """
+        paper = self.variant == "paper"
+        far = self.c_max if paper else jnp.linalg.norm(task)
+        distance = self.distance(next_readings, task)
+        paid = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
+        if paper:
+            return Reward(paid, jnp.zeros(()))
+        return Reward(paid, -self.control_cost * jnp.sum(self.control(action) ** 2))
+
+    @property
+    def uninformative_reward(self) -> float:
+        return -self.c_max
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
