@@ -13,6 +13,7 @@ from maesn import api, cli
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
+from maesn.runs import exploration
 from maesn.runs.adaptation_files import adaptation_file, latents_file
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
@@ -81,7 +82,7 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     api.adapt(trained, updates=1, episodes_per_task=3)
-    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 5)
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     written = api.plot([trained], tmp_path)
     names = {path.name for path in written}
     assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names

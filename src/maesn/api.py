@@ -11,9 +11,8 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluate import CHUNK_SIZE, AdaptationOutcome
+from maesn.evaluate import AdaptationOutcome, tasks_at_once
 from maesn.evaluate import adapt as adapt_to_tasks
-from maesn.explore import explore
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.rollout import Collector
@@ -21,24 +20,17 @@ from maesn.runs.adaptation_files import (
     adaptation_file,
     engine_suffix,
     read_latents,
-    write_arrays,
     write_outcome,
 )
 from maesn.runs.beginning import begun_state
 from maesn.runs.config import RunSettings
+from maesn.runs.exploration import record_exploration
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
-from maesn.worlds import AbstractWorld, EngineName
-
-# Episodes that figures show, and tasks that they are spread over: where the agent sees what differs
-# between tasks, a single one would not be a fair sample.
-EXPLORATION_EPISODES = 50
-EXPLORATION_TASKS = 5
-# Where they are recorded in a run directory.
-EXPLORATION = Path("figures") / "exploration.npz"
+from maesn.worlds import EngineName
 
 
 def train(
@@ -132,7 +124,7 @@ def adapt(
             updates=updates,
             episodes_per_task=episodes_per_task,
             seed=seed,
-            chunk_size=_tasks_at_once(world, episodes_per_task),
+            chunk_size=tasks_at_once(world.max_simulations, episodes_per_task),
             start=go_on,
             first_update=done,
         )
@@ -193,46 +185,6 @@ def plot(
     return plot_run_directories(
         [run.directory for run in runs], first if out is None else Path(out)
     )
-
-
-def record_exploration(run: Run) -> Path:
-    """Play and record what the figures of exploration show."""
-    tasks, env = run.task_set("test"), run.env()
-    world, new = run.world(tasks), run.learner.fast_learner(run.untrained_state())
-    collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-    trained = explore(
-        run.learner.fast_learner(run.latest_state()), collect, num_tasks=EXPLORATION_TASKS
-    )
-    untrained = explore(new, collect, num_tasks=EXPLORATION_TASKS)
-    # As many episodes of every task as the trained policy's share of goals is counted among.
-    at_once = _tasks_at_once(world, EXPLORATION_EPISODES)
-    everywhere = Collector(world, EXPLORATION_EPISODES)
-    reach = adapt_to_tasks(new, everywhere, updates=0, chunk_size=at_once).curves
-    world.close()
-    goal = jax.vmap(env.goal)
-    arrays = {
-        "training_goals": goal(run.training_tasks.tasks),
-        "goals": goal(tasks.tasks),
-        "sparse_radius": np.asarray(env.sparse_radius),
-        "prior_paths": trained.prior_paths,
-        "untrained_paths": untrained.prior_paths,
-        "prior_latents": trained.prior_latents,
-        "untrained_success_rate": reach.success_rate[:, 0],
-        "solved_at_reset": reach.solved_at_reset[:, 0],
-        "episodes_per_task": np.asarray(EXPLORATION_EPISODES),
-    }
-    if trained.fixed_paths is not None:
-        arrays["fixed_paths"] = trained.fixed_paths
-    path = run.directory / EXPLORATION
-    write_arrays(path, arrays)
-    return path
-
-
-def _tasks_at_once(world: AbstractWorld, episodes_per_task: int) -> int:
-    """Return how many tasks to adapt to at once, so that the world can hold their episodes."""
-    if world.max_simulations is None:
-        return CHUNK_SIZE
-    return min(max(world.max_simulations // episodes_per_task, 1), CHUNK_SIZE)
 
 
 def _latents_to_go_on_from(

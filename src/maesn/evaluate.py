@@ -18,6 +18,18 @@ _START = 0xFFFFFFFF
 CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
 
 
+def tasks_at_once(max_simulations: int | None, episodes_per_task: int) -> int:
+    """Return how many tasks to adapt to at once.
+
+    Args:
+        max_simulations: how many episodes a world can hold; None for any number.
+        episodes_per_task: number of episodes that are played of each task at a time.
+    """
+    if max_simulations is None:
+        return CHUNK_SIZE
+    return min(max(max_simulations // episodes_per_task, 1), CHUNK_SIZE)
+
+
 class AdaptationCurves(eqx.Module):
     """How every task's performance changes with adaptation.
 

@@ -22,7 +22,7 @@ from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.curvature import sampled_distributions
 from maesn.learners.fast import GradientFastLearner
 from maesn.learners.info import GradientInfo, describe_step
-from maesn.learners.keys import task_keys
+from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
 from maesn.normalization import ObservationStatistics, no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
@@ -89,11 +89,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         Raises:
             ValueError: the training set holds fewer tasks than one meta-batch.
         """
-        if num_tasks < self.meta_batch_size:
-            raise ValueError(
-                f"`meta_batch_size` is {self.meta_batch_size}, but the training set holds only "
-                f"{num_tasks} tasks. Tasks are drawn without replacement: lower it or add tasks."
-            )
+        check_enough_tasks(num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
         context = self.context.init(context_key, num_tasks)
         policy = self.policy.init(policy_key, observation_size, action_size, context.size)
@@ -136,9 +132,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         self._check_rows(state.parameters, collect)
         task_key, play_key, curvature_key = jax.random.split(key, 3)
         parameters, adaptation = state.parameters, self.adaptation.at(int(state.iteration))
-        index = jax.random.choice(
-            task_key, collect.num_tasks, (self.meta_batch_size,), replace=False
-        )
+        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         agents = self._start(state, index)
         pre: list[Experience] = []
         for phase in range(self.inner_updates):

@@ -17,7 +17,7 @@ from maesn.axes import Key
 from maesn.context import Nothing
 from maesn.episodes import Collect, Episodes
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.keys import task_keys
+from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent_fast import RecurrentFastLearner
 from maesn.learners.recurrent_value import RecurrentValue, ValueState
@@ -96,11 +96,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
         Raises:
             ValueError: the training set holds fewer tasks than one meta-batch.
         """
-        if num_tasks < self.meta_batch_size:
-            raise ValueError(
-                f"`meta_batch_size` is {self.meta_batch_size}, but the training set holds only "
-                f"{num_tasks} tasks. Tasks are drawn without replacement: lower it or add tasks."
-            )
+        check_enough_tasks(num_tasks, self.meta_batch_size)
         policy_key, value_key = jax.random.split(key)
         policy = self.policy.init(policy_key, observation_size, action_size, 0)
         value = self.value.init(value_key, observation_size, action_size)
@@ -119,9 +115,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
     ) -> tuple[RecurrentState, RecurrentInfo]:
         """See `AbstractMetaLearner.step`."""
         task_key, play_key, learn_key = jax.random.split(key, 3)
-        index = jax.random.choice(
-            task_key, collect.num_tasks, (self.meta_batch_size,), replace=False
-        )
+        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         agents = Agents(state.policy, Nothing(), shares_policy=True)
         episodes: list[Episodes] = []
         for number in range(self.trial_episodes):

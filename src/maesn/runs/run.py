@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
-import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
@@ -33,22 +31,19 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.serialization import digest
+from maesn.runs.starting import iteration_key, untrained_state
 from maesn.runs.storage import RunError, new_directory
 from maesn.runs.task_sources import (
+    TASKS_FILE,
     find_tasks,
-    load_tasks,
     recorded_family,
+    recorded_tasks,
     resolve_family,
     save_tasks,
 )
 from maesn.worlds import AbstractWorld, EngineName, make_world
 
 CHECKPOINTS = "checkpoints"
-TASKS = "tasks.npz"
-
-# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
-# instead would yield the keys of iterations 0 and 1 a second time.
-_UNTRAINED = 0xFFFFFFFF
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,7 +101,7 @@ class Run:
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
-                save_tasks(run.directory / TASKS, tasks, family)
+                save_tasks(run.directory / TASKS_FILE, tasks, family)
             run.save_state((first_state or cls.untrained_state)(run))
             # Last, so that a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
@@ -126,16 +121,7 @@ class Run:
         directory = Path(directory)
         config = read_config(directory)
         found = recorded_family(config.family, family)
-        name = config.settings.tasks
-        tasks = (
-            find_tasks(name, found) if name in NAMED_SETS else load_tasks(directory / TASKS, found)
-        )
-        if tasks.digest() != config.task_digest:
-            raise RunError(
-                f"`{directory}` was trained on the task set {config.task_digest}, but its tasks "
-                f"`{name}` of family `{found.name}` are now the task set {tasks.digest()}: restore "
-                "what it was made with."
-            )
+        tasks = recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         return cls(directory, config, found, tasks)
 
     def env(self, reward_kind: RewardKind | None = None) -> AnyEnv:
@@ -184,7 +170,7 @@ class Run:
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
-        return jax.random.fold_in(jax.random.key(self.settings.seed), np.uint32(iteration))
+        return iteration_key(self.settings.seed, iteration)
 
     def untrained_state(self) -> Any:
         """Return the state that the seed says.
@@ -193,7 +179,7 @@ class Run:
             RunError: the learner does not fit the tasks.
         """
         try:
-            return _init(*self._init_arguments())
+            return untrained_state(*self._made_of())
         except ValueError as error:
             raise RunError(str(error)) from error
 
@@ -248,21 +234,9 @@ class Run:
 
     def structure(self, num_tasks: int | None = None) -> Any:
         """Return the shapes and types of a state, for that many tasks if not for the run's own."""
-        return eqx.filter_eval_shape(_init, *self._init_arguments(num_tasks))
+        return eqx.filter_eval_shape(untrained_state, *self._made_of(num_tasks))
 
-    def _init_arguments(self, num_tasks: int | None = None) -> tuple[Any, ...]:
-        env, key = self.env(), self.iteration_key(_UNTRAINED)
+    def _made_of(self, num_tasks: int | None = None) -> tuple[Any, ...]:
+        """Return what `untrained_state` makes a state of."""
         rows = len(self.training_tasks) if num_tasks is None else num_tasks
-        return self.learner, key, env.observation_size, env.action_size, rows
-
-
-@eqx.filter_jit
-def _init(
-    learner: AbstractMetaLearner[Any, Any],
-    key: Key,
-    observation_size: int,
-    action_size: int,
-    num_tasks: int,
-) -> Any:
-    # One program instead of many small ones takes half the time to compile.
-    return learner.init(key, observation_size, action_size, num_tasks)
+        return self.learner, self.env(), self.settings.seed, rows

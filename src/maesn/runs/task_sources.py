@@ -12,6 +12,8 @@ import numpy as np
 from maesn.envs import NAMED_SETS, SetName, TaskFamily, TaskSet, find_family
 from maesn.runs.storage import RunError, write_whole
 
+TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
+
 # What NumPy and the ZIP format raise on a file that is damaged, or something else altogether.
 _UNREADABLE = (
     OSError,
@@ -72,6 +74,28 @@ def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily
     if family.name != recorded:
         raise RunError(f"the run's family is `{recorded}`, but `{family.name}` was given.")
     return family
+
+
+def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) -> TaskSet:
+    """Return what a run was trained on.
+
+    Args:
+        directory: of the run.
+        name: what its settings call the tasks.
+        digest: of the tasks.
+        family: whose tasks.
+
+    Raises:
+        RunError: the family, or a file, now has other tasks.
+    """
+    file = directory / TASKS_FILE
+    tasks = find_tasks(name, family) if name in NAMED_SETS else load_tasks(file, family)
+    if tasks.digest() != digest:
+        raise RunError(
+            f"`{directory}` was trained on the task set {digest}, but its tasks `{name}` of family "
+            f"`{family.name}` are now the task set {tasks.digest()}: restore what it was made with."
+        )
+    return tasks
 
 
 def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:

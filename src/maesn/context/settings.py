@@ -1,19 +1,4 @@
-"""The context slot: what a policy is conditioned on, and how it changes between tasks.
-
-A context is a small set of parameters that belongs to one task and enters the policy as an
-additional input. (The word is used as in CAVIA, for adapted parameters; in PEARL it means observed
-transitions.) Three fillings span the methods of the paper:
-
-* `NoContext`: nothing. With adapted policy weights this is MAML.
-* `BiasContext`: a deterministic vector shared by all tasks. This is MAML with a bias
-  transformation (appendix "Ablation Study").
-* `LatentContext`: a Gaussian per training task, from which one z is drawn per episode. This is
-  MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
-  LatentSpace.
-
-Each filling comes as two types. The *settings* (`AbstractContext`) know how contexts start and what
-they cost. The *values* (`AbstractContextValue`) hold the arrays of one task.
-"""
+"""The settings of contexts: how they start, what they cost, how their draw is differentiated."""
 
 from abc import abstractmethod
 from typing import Generic, Literal, TypeVar
@@ -24,82 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
+from maesn.context.values import AbstractContextValue, Bias, Latent, Nothing
 from maesn.numerics import DiagonalGaussian
-
-
-class AbstractContextValue(eqx.Module):
-    """The context of one task: arrays only."""
-
-    @abstractmethod
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        """Return what the policy is fed during one episode, given the episode's random draw."""
-
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of components that are fed to the policy."""
-
-    @property
-    @abstractmethod
-    def noise_size(self) -> int:
-        """Number of standard normal components behind one draw."""
-
-
-class Nothing(AbstractContextValue):
-    """The value of `NoContext`."""
-
-    @property
-    def size(self) -> int:
-        return 0
-
-    @property
-    def noise_size(self) -> int:
-        return 0
-
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        return noise
-
-
-class Bias(AbstractContextValue):
-    """The value of `BiasContext`: fed to the policy as it is."""
-
-    value: Float[Array, "*batch context"]
-
-    @property
-    def size(self) -> int:
-        return self.value.shape[-1]
-
-    @property
-    def noise_size(self) -> int:
-        return 0
-
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        return self.value
-
-
-class Latent(AbstractContextValue):
-    """The value of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
-
-    mean: Float[Array, "*batch context"]
-    log_std: Float[Array, "*batch context"]
-
-    @property
-    def size(self) -> int:
-        return self.mean.shape[-1]
-
-    @property
-    def noise_size(self) -> int:
-        return self.mean.shape[-1]
-
-    @property
-    def distribution(self) -> DiagonalGaussian:
-        """q(z), the distribution that z is drawn from."""
-        return DiagonalGaussian(self.mean, self.log_std)
-
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        """Return z = mean + exp(log_std) * noise."""
-        return self.distribution.sample_from_noise(noise)
-
 
 Value = TypeVar("Value", bound=AbstractContextValue)
 

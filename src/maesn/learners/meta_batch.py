@@ -1,0 +1,31 @@
+"""The tasks of a meta-iteration, and where the random draws of a collection come from."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from maesn.axes import Key, TaskKeys
+
+
+def check_enough_tasks(num_tasks: int, meta_batch_size: int) -> None:
+    """Refuse a training set from which no meta-batch can be drawn.
+
+    Raises:
+        ValueError: the training set holds fewer tasks than one meta-batch.
+    """
+    if num_tasks < meta_batch_size:
+        raise ValueError(
+            f"`meta_batch_size` is {meta_batch_size}, but the training set holds only "
+            f"{num_tasks} tasks. Tasks are drawn without replacement: lower it or add tasks."
+        )
+
+
+def draw_tasks(key: Key, num_tasks: int, meta_batch_size: int) -> Int[Array, " task"]:
+    """Draw the training tasks of one meta-iteration, all of them different."""
+    return jax.random.choice(key, num_tasks, (meta_batch_size,), replace=False)
+
+
+def task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
+    """Return one key per task slot, for one of the collections of a meta-iteration."""
+    phase_key = jax.random.fold_in(key, phase)
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(num_slots))

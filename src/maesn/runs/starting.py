@@ -1,0 +1,40 @@
+"""Where the random draws of a run come from, and the state that training begins with."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from maesn.axes import Key
+from maesn.envs import AnyEnv
+from maesn.learners import AbstractMetaLearner
+
+# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
+# instead would yield the keys of iterations 0 and 1 a second time.
+_UNTRAINED = 0xFFFFFFFF
+
+
+def iteration_key(seed: int, iteration: int) -> Key:
+    """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
+    return jax.random.fold_in(jax.random.key(seed), np.uint32(iteration))
+
+
+def untrained_state(
+    learner: AbstractMetaLearner[Any, Any], env: AnyEnv, seed: int, num_tasks: int
+) -> Any:
+    """Return the state that the seed says."""
+    key = iteration_key(seed, _UNTRAINED)
+    return _init(learner, key, env.observation_size, env.action_size, num_tasks)
+
+
+@eqx.filter_jit
+def _init(
+    learner: AbstractMetaLearner[Any, Any],
+    key: Key,
+    observation_size: int,
+    action_size: int,
+    num_tasks: int,
+) -> Any:
+    # One program instead of many small ones takes half the time to compile.
+    return learner.init(key, observation_size, action_size, num_tasks)
