@@ -14,7 +14,7 @@ from maesn.report.adaptation_table import (
     SOLVED_AT_RESET,
     AdaptationTable,
 )
-from maesn.report.runs import Exploration, Latents, LearningCurve, Run
+from maesn.report.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
 from maesn.report.series import Series, group_series
 
 NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
@@ -51,9 +51,9 @@ def adaptation_table(
     )
 
 
-def exploration(*, has_latents: bool = True) -> Exploration:
+def exploration(*, has_latents: bool = True) -> RecordedExploration:
     directions = np.linspace(0.2, np.pi - 0.2, NUM_EPISODES)
-    return Exploration(
+    return RecordedExploration(
         training_goals=half_circle(10),
         goals=half_circle(NUM_TASKS),
         sparse_radius=RADIUS,
@@ -91,7 +91,7 @@ def learning_curve(num_iterations: int = 30, level: float = -400.0) -> LearningC
 
 def run(
     method: str = "maesn", seed: int = 0, learner: dict[str, Any] | None = None, **settings: Any
-) -> Run:
+) -> RecordedRun:
     everything = {
         "method": method,
         "family": "wheeled",
@@ -104,7 +104,7 @@ def run(
     }
     named = {name: everything[name] for name in ("method", "family", "variant", "seed")}
     path = Path(f"runs/{method}-{seed}")
-    return Run(path=path, settings=everything, learner=learner or {}, **named)
+    return RecordedRun(path=path, settings=everything, learner=learner or {}, **named)
 
 
 def series(*methods: str) -> list[Series]:
@@ -132,7 +132,7 @@ def write_metrics(path: Path, curve: LearningCurve) -> None:
     path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
 
 
-def write_exploration(path: Path, content: Exploration) -> None:
+def write_exploration(path: Path, content: RecordedExploration) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: value for name, value in vars(content).items() if value is not None}
     np.savez(path, **arrays)

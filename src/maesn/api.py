@@ -143,11 +143,11 @@ def export(directory: str | Path, path: str | Path, family: str | TaskFamily | N
         family: the run's family, if it is your own: itself, or `module:name`.
     """
     run = Run.open(directory, family=family)
-    snapshot = run.latest()
-    learner = run.learner.fast_learner(snapshot.state)
+    checkpoint = run.latest()
+    learner = run.learner.fast_learner(checkpoint.state)
     description: dict[str, str | int | float] = {
         "method": run.settings.method,
-        "iteration": snapshot.iteration,
+        "iteration": checkpoint.iteration,
     }
     try:
         export_policy(learner, run.env(), path, description)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.runs.checkpoint import CheckpointError, CheckpointStore, MismatchError, Snapshot
+from maesn.runs.checkpoint import Checkpoint, CheckpointError, CheckpointStore, MismatchError
 
 STORE_LIKE = {"x": jnp.zeros(3)}
 
@@ -18,7 +18,7 @@ def store(directory: Path, **identity: str) -> CheckpointStore:
 
 def fill(directory: Path, *iterations: int) -> list[Path]:
     return [
-        store(directory).save(Snapshot({"x": jnp.full(3, float(n))}, n, 100 * n))
+        store(directory).save(Checkpoint({"x": jnp.full(3, float(n))}, n, 100 * n))
         for n in iterations
     ]
 

@@ -25,7 +25,7 @@ from maesn.axes import Readings
 from maesn.physics.base import EngineError, ModelFields
 from maesn.physics.loading import load_model
 from maesn.physics.mjx_dynamics import Dynamics, ModelVariants
-from maesn.physics.mjx_margins import margins_as_sizes
+from maesn.physics.mjx_margins import MarginError, margins_as_sizes
 
 # What a step leaves current; all else needs another forward pass.
 _STATE = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
@@ -222,7 +222,7 @@ def _own_rules() -> Iterator[None]:
 def _explained(model: str) -> Iterator[None]:
     try:
         yield
-    except NotImplementedError as error:
+    except (NotImplementedError, MarginError) as error:  # the first is MJX's own
         raise ValueError(
             f"model {model!r} cannot be moved by the engine `mjx`, which lacks something that it "
             f"needs: {error}; play it on the engine `native`"

@@ -17,6 +17,10 @@ _PLANE, _SPHERE, _CAPSULE, _BOX = (
 _GROWING = {_SPHERE, _CAPSULE, _BOX}
 
 
+class MarginError(ValueError):
+    """A contact margin that MJX ignores, and that no size can stand in for."""
+
+
 def margins_as_sizes(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy in which geoms that can meet a box are larger by their margin and have none.
 
@@ -26,8 +30,8 @@ def margins_as_sizes(model: mujoco.MjModel) -> mujoco.MjModel:
     margin is round in MuJoCo and has a corner here.
 
     Raises:
-        NotImplementedError: a geom with a margin can meet one at which MJX ignores it, and neither
-            can be grown.
+        MarginError: a geom with a margin can meet one at which MJX ignores it, and neither can be
+            grown.
     """
     model = copy.copy(model)
     grown: set[int] = set()
@@ -38,10 +42,10 @@ def margins_as_sizes(model: mujoco.MjModel) -> mujoco.MjModel:
             continue
         if not types <= _GROWING or model.geom_gap[[one, other]].any():
             names = " and ".join(repr(model.geom(geom).name) for geom in (one, other))
-            raise NotImplementedError(f"a margin between the geoms {names}")
+            raise MarginError(f"a margin between the geoms {names}")
         grown |= {one, other}
     if grown and model.npair:
-        raise NotImplementedError("explicit pairs beside margins at boxes")
+        raise MarginError("explicit pairs beside margins at boxes")
     for geom in sorted(grown):
         _grow(model, geom)
     return model

@@ -19,7 +19,7 @@ from maesn.report.figures.task_distribution import plot_task_distribution
 from maesn.report.published import is_comparable, published_curve
 from maesn.report.reading import ReportError
 from maesn.report.runs import (
-    Run,
+    RecordedRun,
     read_exploration,
     read_latents,
     read_learning_curve,
@@ -78,7 +78,7 @@ def _distinct(directories: Sequence[Path]) -> list[Path]:
     return list(first.values())
 
 
-def _plot_world(runs: Sequence[Run], out: Path, say: Say) -> list[Path]:
+def _plot_world(runs: Sequence[RecordedRun], out: Path, say: Say) -> list[Path]:
     series = group_series(runs)
     return [
         *_plot_learning(series, out, say),
@@ -91,7 +91,7 @@ def _plot_world(runs: Sequence[Run], out: Path, say: Say) -> list[Path]:
 def _plot_learning(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
     """Draw one figure per training reward; returns of two rewards have no common axis."""
     trained: dict[str, list[TrainedSeries]] = {}
-    missing: list[Run] = []
+    missing: list[RecordedRun] = []
     for line in series:
         curves = {run: read_learning_curve(run.path) for run in line.runs}
         missing += [run for run, curve in curves.items() if curve is None]
@@ -126,7 +126,7 @@ def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path
     return written
 
 
-def _adapted_sets(run: Run) -> list[tuple[str, str]]:
+def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
     parts = [file.stem.rpartition("-") for file in run.adaptation_files()]
     return [(tasks, reward) for tasks, _, reward in parts]
 
@@ -172,7 +172,7 @@ def _exploring(series: Series) -> ExploringSeries | None:
     return None
 
 
-def _sparse_table(run: Run, num_goals: int) -> AdaptationTable | None:
+def _sparse_table(run: RecordedRun, num_goals: int) -> AdaptationTable | None:
     """Return a run's adaptation with sparse reward to that many tasks, the test set first."""
     sets = [tasks for tasks, reward in _adapted_sets(run) if reward == "sparse"]
     sets.sort(key=lambda tasks: (*_PREFERRED_SETS, tasks).index(tasks))
@@ -208,7 +208,7 @@ def _plot_latents(series: Sequence[Series], out: Path) -> list[Path]:
     return written
 
 
-def _say_missing(runs: Iterable[Run], what: str, command: str, say: Say) -> None:
+def _say_missing(runs: Iterable[RecordedRun], what: str, command: str, say: Say) -> None:
     places = ", ".join(f"`{run.path}`" for run in runs)
     if places:
         say(f"No {what} in {places}: {command}.")

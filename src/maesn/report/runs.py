@@ -25,7 +25,7 @@ _EXPLORE_REMEDY = "delete it, and `maesn plot DIR` records it again"
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RecordedRun:
     """One run directory and the settings that it was started with."""
 
     path: Path
@@ -48,7 +48,7 @@ class Run:
         return read_adaptation(file) if file.exists() else None
 
 
-def read_run(path: Path) -> Run:
+def read_run(path: Path) -> RecordedRun:
     """Read a run's `config.json`.
 
     Raises:
@@ -67,7 +67,7 @@ def read_run(path: Path) -> Run:
             )
     named = {name: settings[name] for name in ("method", "family", "variant", "seed")}
     learner = learner if isinstance(learner, dict) else {}
-    return Run(path=path, settings=settings, learner=learner, **named)
+    return RecordedRun(path=path, settings=settings, learner=learner, **named)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _metric(line: Mapping[str, Any], name: str) -> float:
 
 
 @dataclass(frozen=True)
-class Exploration:
+class RecordedExploration:
     """Where episodes go in a world of goals; positions in metres."""
 
     training_goals: Float[np.ndarray, "row 2"]
@@ -150,7 +150,7 @@ def exploration_file(path: Path) -> Path:
     return path / "figures" / "exploration.npz"
 
 
-def read_exploration(path: Path) -> Exploration | None:
+def read_exploration(path: Path) -> RecordedExploration | None:
     """Read a run's `figures/exploration.npz`; None if there is none.
 
     Raises:
@@ -167,7 +167,7 @@ def read_exploration(path: Path) -> Exploration | None:
     has_latents = "fixed_paths" in arrays
     prior = take("prior_paths", "episode", "time", 2)
     goals = take("goals", "task", 2)
-    return Exploration(
+    return RecordedExploration(
         training_goals=take("training_goals", "row", 2),
         goals=goals,
         sparse_radius=float(take("sparse_radius")),

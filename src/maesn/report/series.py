@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from maesn.report.reading import ReportError
-from maesn.report.runs import Run
+from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
 
 # What decides whether returns can be compared at all.
@@ -26,7 +26,7 @@ class Series:
     name: str
     """For file names: the method, numbered if the figure has several series of it."""
     style: MethodStyle
-    runs: tuple[Run, ...]
+    runs: tuple[RecordedRun, ...]
 
     @property
     def label(self) -> str:
@@ -39,17 +39,17 @@ class Series:
         return self.runs[0].method
 
 
-def group_worlds(runs: Sequence[Run]) -> dict[str, list[Run]]:
+def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
     """Return the runs of each world, in the order given, by a name for a directory.
 
     A world is a family, its variant, the sparse radius and the engine. The name has the family, and
     the others where they are needed to tell two worlds apart.
     """
-    worlds: defaultdict[tuple[str, ...], list[Run]] = defaultdict(list)
+    worlds: defaultdict[tuple[str, ...], list[RecordedRun]] = defaultdict(list)
     for run in runs:
         settings = {**_UNWRITTEN, **run.settings}
         worlds[tuple(_text(settings.get(name)) for name in _WORLD)].append(run)
-    named: dict[str, list[Run]] = {}
+    named: dict[str, list[RecordedRun]] = {}
     for world, members in worlds.items():
         others = [other for other in worlds if other[0] == world[0]]
         parts = [world[0]]
@@ -60,13 +60,13 @@ def group_worlds(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return named
 
 
-def group_series(runs: Sequence[Run]) -> list[Series]:
+def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     """Return one series for each experiment, in the order of the methods' styles.
 
     Raises:
         ReportError: if two runs have the same settings, the seed included.
     """
-    experiments: defaultdict[str, list[Run]] = defaultdict(list)
+    experiments: defaultdict[str, list[RecordedRun]] = defaultdict(list)
     for run in sorted(runs, key=_method_order):
         experiments[_text(_experiment(run))].append(run)
     for members in experiments.values():
@@ -82,7 +82,7 @@ def group_series(runs: Sequence[Run]) -> list[Series]:
     return [Series(*parts) for parts in zip(names, styles, seeds, strict=True)]
 
 
-def _method_order(run: Run) -> int:
+def _method_order(run: RecordedRun) -> int:
     known = list(METHOD_STYLES)
     return known.index(run.method) if run.method in known else len(known)
 
@@ -92,7 +92,7 @@ def _numbered(methods: Sequence[str], position: int) -> str:
     return f"{methods[position]}-{before + 1}" if before else methods[position]
 
 
-def _experiment(run: Run) -> dict[str, Any]:
+def _experiment(run: RecordedRun) -> dict[str, Any]:
     """Return all settings that decide what is learned, by their path."""
     settings = {name: value for name, value in run.settings.items() if name not in _IMMATERIAL}
     return {**settings, **dict(_leaves("learner", run.learner))}
@@ -106,8 +106,8 @@ def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def _check_seeds_differ(runs: Sequence[Run]) -> None:
-    seen: dict[int, Run] = {}
+def _check_seeds_differ(runs: Sequence[RecordedRun]) -> None:
+    seen: dict[int, RecordedRun] = {}
     for run in runs:
         if run.seed in seen:
             raise ReportError(
@@ -117,7 +117,7 @@ def _check_seeds_differ(runs: Sequence[Run]) -> None:
         seen[run.seed] = run
 
 
-def _differences(run: Run, firsts: Sequence[Run]) -> str:
+def _differences(run: RecordedRun, firsts: Sequence[RecordedRun]) -> str:
     """Name the settings in which a run differs from other experiments with its method."""
     rivals = [_experiment(other) for other in firsts if other.method == run.method]
     own = _experiment(run)

@@ -118,8 +118,8 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
     )
 
 
-class Snapshot(NamedTuple):
-    """A moment between two iterations."""
+class Checkpoint(NamedTuple):
+    """A moment between two iterations, which training can go on from."""
 
     state: Any
     iteration: int
@@ -142,21 +142,21 @@ class CheckpointStore:
         numbered = [path for path in found if re.fullmatch(r"iteration-\d+", path.stem)]
         return sorted(numbered, key=lambda path: int(path.stem.removeprefix("iteration-")))
 
-    def save(self, snapshot: Snapshot) -> Path:
+    def save(self, checkpoint: Checkpoint) -> Path:
         """Write a checkpoint and return its path.
 
         Raises:
             RunError: it cannot be written.
         """
-        path = self.directory / f"iteration-{snapshot.iteration:06d}.safetensors"
+        path = self.directory / f"iteration-{checkpoint.iteration:06d}.safetensors"
         counts = {
-            "iteration": str(snapshot.iteration),
-            "environment_steps": str(snapshot.environment_steps),
+            "iteration": str(checkpoint.iteration),
+            "environment_steps": str(checkpoint.environment_steps),
         }
-        save_checkpoint(path, snapshot.state, {**self.identity, **counts})
+        save_checkpoint(path, checkpoint.state, {**self.identity, **counts})
         return path
 
-    def load(self, path: Path, like: Any) -> Snapshot:
+    def load(self, path: Path, like: Any) -> Checkpoint:
         """Read one checkpoint.
 
         Args:
@@ -175,9 +175,9 @@ class CheckpointStore:
                     f"run's {kind} is `{wanted}`: use it with the run that made it."
                 )
         state = restore(like, values, path)
-        return Snapshot(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
+        return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 
-    def latest(self, like: Any) -> Snapshot:
+    def latest(self, like: Any) -> Checkpoint:
         """Read the latest checkpoint that is sound, and say so if a later one is not.
 
         Args:
@@ -190,13 +190,13 @@ class CheckpointStore:
         damage: list[str] = []
         for path in reversed(self.paths()):
             try:
-                snapshot = self.load(path, like)
+                checkpoint = self.load(path, like)
             except CheckpointError as error:
                 damage.append(str(error))
                 continue
             for sentence in damage:
                 logger.warning("%s Using `%s` instead.", sentence, path)
-            return snapshot
+            return checkpoint
         raise CheckpointError(
             " ".join([f"`{self.directory}` holds no sound checkpoint: restore one.", *damage])
         )

@@ -20,7 +20,7 @@ import equinox as eqx
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.runs.checkpoint import CheckpointStore, Snapshot
+from maesn.runs.checkpoint import Checkpoint, CheckpointStore
 from maesn.runs.config import (
     SCHEMA,
     RunConfig,
@@ -198,13 +198,13 @@ class Run:
             RunError: it cannot be written.
         """
         iteration = int(self.learner.iteration(state))
-        return self._store().save(Snapshot(state, iteration, environment_steps))
+        return self._store().save(Checkpoint(state, iteration, environment_steps))
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""
         return self.latest().state
 
-    def latest(self) -> Snapshot:
+    def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not.
 
         Raises:
@@ -213,7 +213,7 @@ class Run:
         """
         return self._store().latest(self.structure())
 
-    def load(self, path: str | Path) -> Snapshot:
+    def load(self, path: str | Path) -> Checkpoint:
         """Read one checkpoint of this run.
 
         Raises:

@@ -14,7 +14,7 @@ from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
 from maesn.episodes import Collect, Episodes
 from maesn.rollout import Collector
-from maesn.runs.checkpoint import Snapshot, named_leaves
+from maesn.runs.checkpoint import Checkpoint, named_leaves
 from maesn.runs.compilation import CompileClock
 from maesn.runs.config import CONFIG, installed_versions
 from maesn.runs.log import Progress, RunLog
@@ -66,24 +66,24 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         world = stack.enter_context(contextlib.closing(run.world()))
         training = _Training(run, world, log, start)
         stack.callback(training.end)
-        while training.snapshot.iteration < total:
+        while training.checkpoint.iteration < total:
             yield training.advance()
 
 
 class _Training:
     """A run between two iterations."""
 
-    def __init__(self, run: Run, world: AbstractWorld, log: RunLog, snapshot: Snapshot) -> None:
-        self.snapshot = snapshot
+    def __init__(self, run: Run, world: AbstractWorld, log: RunLog, checkpoint: Checkpoint) -> None:
+        self.checkpoint = checkpoint
         self._run = run
         self._log = log
-        self._saved = snapshot.iteration
+        self._saved = checkpoint.iteration
         self._nonfinite = 0
         self._collect = _Counter(Collector(world, run.settings.episodes_per_task))
 
     def advance(self) -> Progress:
         """Do one iteration and write it down."""
-        before, run = self.snapshot, self._run
+        before, run = self.checkpoint, self._run
         self._collect.steps = 0
         key = run.iteration_key(before.iteration)
         start = time.perf_counter()
@@ -91,7 +91,7 @@ class _Training:
             state, info = run.learner.step(key, before.state, self._collect)
             jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
         seconds = time.perf_counter() - start
-        after = Snapshot(
+        after = Checkpoint(
             state, before.iteration + 1, before.environment_steps + self._collect.steps
         )
         progress = Progress(
@@ -104,7 +104,7 @@ class _Training:
         )
         self._log.write(progress)
         # One assignment, so that Ctrl-C finds either all of this iteration or nothing.
-        self.snapshot = after
+        self.checkpoint = after
         self._watch(progress)
         if after.iteration % run.settings.checkpoint_every == 0:
             self.save()
@@ -112,16 +112,16 @@ class _Training:
 
     def save(self) -> None:
         """Write a checkpoint unless it is there already."""
-        if self._saved == self.snapshot.iteration:
+        if self._saved == self.checkpoint.iteration:
             return
         # The log first: a checkpoint promises that all before it is written down.
         self._log.sync()
-        self._run.save_state(self.snapshot.state, self.snapshot.environment_steps)
-        self._saved = self.snapshot.iteration
+        self._run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
+        self._saved = self.checkpoint.iteration
 
     def end(self) -> None:
         """Leave log and checkpoint in agreement, whatever was interrupted."""
-        self._log.cut(self.snapshot.iteration)
+        self._log.cut(self.checkpoint.iteration)
         self.save()
 
     def _watch(self, progress: Progress) -> None:

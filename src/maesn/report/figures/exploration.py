@@ -16,7 +16,7 @@ from maesn.report.figures.plane import (
     plane_axes,
     shared_limits,
 )
-from maesn.report.runs import Exploration
+from maesn.report.runs import RecordedExploration
 from maesn.report.series import Series
 from maesn.report.style import BLACK, TWO_COLUMNS, new_figure, publication_style
 
@@ -31,7 +31,7 @@ class ExploringSeries:
     """A series, and what the first of its runs explores."""
 
     series: Series
-    exploration: Exploration
+    exploration: RecordedExploration
     table: AdaptationTable | None
     """Adaptation to the goals with sparse reward, which counts how many the prior reaches."""
 

@@ -20,7 +20,7 @@ from maesn.report.figures.plane import (
     plane_axes,
     shared_limits,
 )
-from maesn.report.runs import Exploration
+from maesn.report.runs import RecordedExploration
 from maesn.report.style import TWO_COLUMNS, new_figure, publication_style
 
 _ABOVE_AND_BELOW = 0.8  # inches of titles and labels
@@ -30,7 +30,7 @@ Colours = Float[np.ndarray, "episode 4"]
 
 
 @publication_style()
-def plot_structured_noise(exploration: Exploration) -> Figure:
+def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     """Draw trajectories with the latent drawn from the prior beside those with it fixed.
 
     Colours are the direction in which an episode ends. If the drawn latents are known and have two

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from maesn.report.figures.plane import draw_start, plane_axes, shared_limits
-from maesn.report.runs import Exploration
+from maesn.report.runs import RecordedExploration
 from maesn.report.style import (
     BLUE,
     BLUISH_GREEN,
@@ -20,7 +20,7 @@ _BESIDE = 0.6  # inches of labels beside it
 
 
 @publication_style()
-def plot_task_distribution(exploration: Exploration) -> Figure:
+def plot_task_distribution(exploration: RecordedExploration) -> Figure:
     """Draw the goals of training, those adapted to, and the size of one goal region."""
     training, goals = exploration.training_goals, exploration.goals
     radius = exploration.sparse_radius
