@@ -58,6 +58,8 @@ def play_on_host(
 def _calmed(decision: Decision) -> Decision:
     """Give no control to episodes that have ended: what they ask for may be NaN."""
     ended = np.asarray(decision.ended).reshape(-1, 1)
+    if not ended.any():
+        return decision
     return decision._replace(control=np.where(ended, 0.0, np.asarray(decision.control)))
 
 
