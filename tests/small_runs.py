@@ -94,6 +94,10 @@ def tiny_settings(**settings: Any) -> RunSettings:
     return RunSettings(**defaults | settings)
 
 
+def create_tiny(directory: Path, **settings: Any) -> Run:
+    return Run.create(directory, tiny_maesn(), tiny_settings(**settings))
+
+
 def tensors(path: Path) -> dict[str, bytes]:
     """Every tensor of a checkpoint as type, shape and bytes."""
     values = read_checkpoint(path).values

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.envs import hidden_end, point
+from maesn.axes import Readings
+from maesn.envs import HiddenEnd, hidden_end, point
 from maesn.episodes import Episodes
 from maesn.evaluate import adapt, as_rows, measure
 from maesn.explore import FIXED_STD, explore
@@ -125,19 +126,38 @@ def test_exploration_is_spread_over_tasks(collect: Collector, learner: GradientF
     assert len(np.unique(exploration.prior_paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
 
 
-def test_paths_stay_where_their_episodes_end() -> None:
-    env = hidden_end.make_env()
-    collect = Collector(make_world(env, hidden_end.task_set("test", size=4)), 1)
+SHORT_LIVES = hidden_end.task_set("test", size=4)
+
+
+def lives_explored(env: HiddenEnd) -> np.ndarray:
+    """The share of the horizon that is over, as the paths of all lives show it."""
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
-    sizes = (env.observation_size, env.action_size)
-    paths = explore(
-        meta.fast_learner(meta.init(jax.random.key(0), *sizes, 10)), collect, num_tasks=4
-    ).prior_paths
+    state = meta.init(jax.random.key(0), env.observation_size, env.action_size, 10)
+    collect = Collector(make_world(env, SHORT_LIVES), 1)
+    return explore(meta.fast_learner(state), collect, num_tasks=4).prior_paths[..., 0]
+
+
+def test_paths_stay_where_their_episodes_end() -> None:
+    env = HiddenEnd()
     # The probe shows the share of the horizon that is over, and NaN when its lifetime is.
-    lived = np.minimum(np.ceil(hidden_end.task_set("test", size=4).tasks), env.horizon)
+    lived = np.minimum(np.ceil(SHORT_LIVES.tasks), env.horizon)
     expected = np.minimum(np.arange(env.horizon + 1), lived[:, None]) / env.horizon
     assert (lived < env.horizon).any()
-    np.testing.assert_allclose(paths[..., 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
+
+
+def test_paths_stay_before_a_state_that_blew_up() -> None:
+    class LostEnd(HiddenEnd):
+        def observe(self, readings: Readings) -> jax.Array:
+            share = readings["qpos"][:1] / self.horizon
+            return jnp.where(self.terminated(readings), jnp.nan, share)
+
+    env = LostEnd()
+    # What is seen of the state that ends an episode is NaN: the one before it is the last place.
+    last = np.minimum(np.ceil(SHORT_LIVES.tasks) - 1, env.horizon)
+    expected = np.minimum(np.arange(env.horizon + 1), last[:, None]) / env.horizon
+    assert (last < env.horizon).any()
+    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
 
 
 def test_exploration_without_a_latent_has_nothing_to_hold(collect: Collector) -> None:

@@ -68,5 +68,10 @@ def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, An
 def _stay(
     path: Float[Array, "time_plus_1 2"], valid: Bool[Array, " time"]
 ) -> Float[Array, "time_plus_1 2"]:
-    """Let a path end where its episode does: what comes later is garbage."""
-    return path[jnp.minimum(jnp.arange(len(path)), valid.sum())]
+    """Let a path end where its episode does: what comes later is garbage.
+
+    A state that ends the episode because it blew up is no place: the path ends a step earlier.
+    """
+    last = valid.sum()
+    last = jnp.where(jnp.isfinite(path[last]).all(), last, jnp.maximum(last - 1, 0))
+    return path[jnp.minimum(jnp.arange(len(path)), last)]

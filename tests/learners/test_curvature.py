@@ -76,10 +76,8 @@ def dense(jacobian: Any, at: Any, weight: jax.Array) -> np.ndarray:
     return sum(r.T @ r for r in rows) + REGION.damping * np.eye(size)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_with_stride_one_it_is_the_exact_product(method: str) -> None:
+def assert_product_is_exact(objective: MetaObjective, parameters: MetaParameters) -> None:
     """J by forward mode through the whole definition, without a loop and without sampling."""
-    objective, parameters = problem_of(learner_of(method))
     flat, unravel = ravel_pytree(parameters)
 
     def distribution(x: jax.Array) -> Any:
@@ -89,19 +87,15 @@ def test_with_stride_one_it_is_the_exact_product(method: str) -> None:
     expected = dense(jacobian, at, step_weights(objective.post))
     actual = products(objective, parameters, 1, 0)
     np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_with_stride_one_it_is_the_exact_product(method: str) -> None:
+    assert_product_is_exact(*problem_of(learner_of(method)))
 
 
 def test_two_inner_updates_are_linearised_one_after_the_other() -> None:
-    objective, parameters = problem_of(learner_of("maml", inner_updates=2))
-    flat, unravel = ravel_pytree(parameters)
-
-    def distribution(x: jax.Array) -> Any:
-        return objective.distributions(unravel(x), objective.post)
-
-    at, jacobian = jax.jit(lambda x: (distribution(x), jax.jacfwd(distribution)(x)))(flat)
-    expected = dense(jacobian, at, step_weights(objective.post))
-    actual = products(objective, parameters, 1, 0)
-    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+    assert_product_is_exact(*problem_of(learner_of("maml", inner_updates=2)))
 
 
 @pytest.mark.parametrize("method", METHODS)

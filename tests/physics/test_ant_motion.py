@@ -1,27 +1,21 @@
 """How the ant moves: against plain MuJoCo, and where a law of mechanics says how it must."""
 
-import xml.etree.ElementTree as ElementTree
-from importlib import resources
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from physics.plain import assert_equal
+from physics.robots import without_looks
 
 from maesn.envs import Ant
 from maesn.envs.ant import rotation_matrix
-from maesn.physics import NativeSimulator, Readings, load_model
+from maesn.physics import NativeSimulator, Readings
 
+ROBOT = "ant"
 SIMULATIONS, STEPS = 6, 80
 READ = (*Ant.readings, "xmat")
 SHINS = [4, 7, 10, 13]
 GRAVITY, TIME_STEP = 9.81, 0.01
-
-
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model("ant")
 
 
 @pytest.fixture
@@ -165,21 +159,8 @@ def test_each_motor_turns_its_own_joint_by_thirty_newton_metres(model: mujoco.Mj
 
 
 def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = mujoco.MjModel.from_xml_string(_without_looks())
-    assert (bare.nsite, bare.nmocap, bare.nmat, bare.ncam, bare.nlight) == (0, 0, 0, 0, 0)
+    bare = without_looks(ROBOT)
     np.testing.assert_array_equal(_walk(bare), _walk(model))
-
-
-def _without_looks() -> str:
-    text = (resources.files("maesn.physics") / "models/ant.xml").read_text("utf-8")
-    root = ElementTree.fromstring(text)
-    looks = {"site", "camera", "light", "visual", "statistic", "asset", "sensor"}
-    for parent in list(root.iter()):
-        parent.attrib.pop("material", None)
-        for child in list(parent):
-            if child.tag in looks or child.get("mocap"):
-                parent.remove(child)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _walk(model: mujoco.MjModel) -> np.ndarray:

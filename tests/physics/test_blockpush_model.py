@@ -1,14 +1,13 @@
 """The compiled block pushing against the numbers of the experiment's description."""
 
 import math
-from importlib import resources
 
 import mujoco
 import numpy as np
 import pytest
+from physics.robots import names
 
-from maesn.physics import load_model
-
+ROBOT = "blockpush"
 BLOCKS = [f"block_{index}" for index in range(5)]
 CAPSULES = ["crossbar", "right_arm", "left_arm"]
 TIPS = ["right_tip", "left_tip"]
@@ -30,22 +29,6 @@ GRIPPER_MASS = sum(MASSES.values())
 BLOCK_MASS = BLOCK_DENSITY * 8 * math.prod(BLOCK)
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model("blockpush")
-
-
-@pytest.fixture
-def data(model: mujoco.MjModel) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
-    return [mujoco.mj_id2name(model, kind, index) for index in range(count)]
-
-
 def moving_geoms() -> list[str]:
     return [*CAPSULES, *TIPS, *BLOCKS]
 
@@ -57,12 +40,6 @@ def test_simulation_options(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(model.opt.gravity, np.zeros(3))
     assert model.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert model.opt.enableflags == 0
-
-
-def test_the_file_itself_switches_automatic_resets_off() -> None:
-    text = (resources.files("maesn.physics") / "models/blockpush.xml").read_text("utf-8")
-    flags = mujoco.MjModel.from_xml_string(text).opt.disableflags
-    assert flags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
 def test_order_of_coordinates_and_parts(model: mujoco.MjModel) -> None:

@@ -1,27 +1,21 @@
 """How gripper and blocks move: laws of mechanics, and plain MuJoCo bit for bit."""
 
-import xml.etree.ElementTree as ElementTree
-from importlib import resources
-
 import mujoco
 import numpy as np
 import pytest
 from physics.plain import assert_equal, plain_episodes
+from physics.robots import text_of, without_looks
 
 from maesn.envs import blockpush
-from maesn.physics import NativeSimulator, Readings, load_model
+from maesn.physics import NativeSimulator, Readings
 
+ROBOT = "blockpush"
 NUM_SIMULATIONS, STEPS = 16, 100
 STATE = ("qpos", "qvel")
 TIME_STEP, ARMATURE = 0.01, 0.04
 GRIPPER_MASS, BLOCK_MASS = 0.00611563, 1.8e-7  # kg; see `test_blockpush_model.py`
 HOMES = 0.2 * np.arange(1, 6)
 AWAY = 5.0  # metres; as far as no other block is
-
-
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model("blockpush")
 
 
 @pytest.fixture
@@ -154,7 +148,7 @@ def test_a_block_pushes_the_next_one(model: mujoco.MjModel, data: mujoco.MjData)
 
 
 def test_a_table_that_can_be_touched_would_change_nothing(model: mujoco.MjModel) -> None:
-    solid = mujoco.MjModel.from_xml_string(_text())
+    solid = mujoco.MjModel.from_xml_string(text_of(ROBOT))
     table = solid.geom("table").id
     solid.geom_contype[table] = solid.geom_conaffinity[table] = 1
     ours, others = (
@@ -166,25 +160,9 @@ def test_a_table_that_can_be_touched_would_change_nothing(model: mujoco.MjModel)
 
 
 def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = mujoco.MjModel.from_xml_string(_without_looks())
-    assert (bare.nsite, bare.nmocap, bare.nmat, bare.ncam, bare.nlight) == (0, 0, 0, 0, 0)
+    bare = without_looks(ROBOT)
     ours, others = (
         plain_episodes([each] * NUM_SIMULATIONS, *begin(), controls(), STATE)
         for each in (model, bare)
     )
     assert_equal(ours, others)
-
-
-def _text() -> str:
-    return (resources.files("maesn.physics") / "models/blockpush.xml").read_text("utf-8")
-
-
-def _without_looks() -> str:
-    root = ElementTree.fromstring(_text())
-    looks = {"site", "camera", "light", "visual", "statistic", "asset"}
-    for parent in list(root.iter()):
-        parent.attrib.pop("material", None)
-        for child in list(parent):
-            if child.tag in looks or child.get("mocap"):
-                parent.remove(child)
-    return ElementTree.tostring(root, encoding="unicode")

@@ -1,14 +1,13 @@
 """The compiled wheeled robot against the numbers of the experiment's description."""
 
 import math
-from importlib import resources
 
 import mujoco
 import numpy as np
 import pytest
+from physics.robots import inertia_tensor, names
 
-from maesn.physics import load_model
-
+ROBOT = "wheeled"
 TOTAL_MASS = 14.0
 BOX = (0.15, 0.1, 0.046)  # half sizes
 RADIUS, HALF_LENGTH = 0.1, 0.046
@@ -27,43 +26,12 @@ JOINTS = ["x", "y", "z", "yaw", "right_wheel", "left_wheel"]
 GEOMS = ["floor", "car", "right_wheel", "left_wheel"]
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model("wheeled")
-
-
-@pytest.fixture
-def data(model: mujoco.MjModel) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
-    return [mujoco.mj_id2name(model, kind, index) for index in range(count)]
-
-
-def inertia_tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """Inertia about the centre of mass, along the axes of the body."""
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, model.body(body).iquat)
-    axes = axes.reshape(3, 3)
-    return axes @ np.diag(model.body(body).inertia) @ axes.T
-
-
 def test_simulation_options(model: mujoco.MjModel) -> None:
     assert model.opt.timestep == 0.01
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
     np.testing.assert_array_equal(model.opt.gravity, [0, 0, -9.81])
     assert model.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert model.opt.enableflags == 0
-
-
-def test_the_file_itself_switches_automatic_resets_off() -> None:
-    text = (resources.files("maesn.physics") / "models/wheeled.xml").read_text("utf-8")
-    flags = mujoco.MjModel.from_xml_string(text).opt.disableflags
-    assert flags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    assert "settotalmass" not in text
 
 
 def test_order_of_coordinates_and_parts(model: mujoco.MjModel) -> None:

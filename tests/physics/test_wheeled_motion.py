@@ -1,22 +1,13 @@
 """How the wheeled robot moves, where a law of mechanics says how it must."""
 
-import xml.etree.ElementTree as ElementTree
-from importlib import resources
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
+from physics.robots import without_looks
 
-from maesn.physics import load_model
-
+ROBOT = "wheeled"
 GRAVITY, TIME_STEP, FRICTION = 9.81, 0.01, 0.4
 WHEEL_SPIN = 2.612362039296805 * 0.1**2 / 2  # kg m^2: a uniform cylinder about its axis
-
-
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model("wheeled")
 
 
 @pytest.fixture
@@ -72,21 +63,8 @@ def test_both_wheels_drive_forwards(model: mujoco.MjModel, data: mujoco.MjData) 
 
 
 def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = mujoco.MjModel.from_xml_string(_without_looks())
-    assert (bare.nsite, bare.nmocap, bare.nmat, bare.ncam, bare.nlight) == (0, 0, 0, 0, 0)
+    bare = without_looks(ROBOT)
     np.testing.assert_array_equal(_drive(bare), _drive(model))
-
-
-def _without_looks() -> str:
-    path = Path(str(resources.files("maesn.physics"))) / "models" / "wheeled.xml"
-    root = ElementTree.parse(path).getroot()
-    looks = {"site", "camera", "light", "visual", "statistic", "asset"}
-    for parent in list(root.iter()):
-        parent.attrib.pop("material", None)
-        for child in list(parent):
-            if child.tag in looks or child.get("mocap"):
-                parent.remove(child)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _drive(model: mujoco.MjModel) -> np.ndarray:

@@ -1,14 +1,13 @@
 """What `config.json` says: believed if it is ours, never executed."""
 
 import json
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from small_runs import tiny_maesn, tiny_settings
+from small_runs import create_tiny, tiny_maesn, tiny_settings
 
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, TaskFamily
@@ -17,21 +16,6 @@ from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 
 POINT = FAMILIES["point"]
-
-
-def create(directory: Path, **settings: Any) -> Run:
-    return Run.create(directory, tiny_maesn(), tiny_settings(**settings))
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run directory that tests copy instead of making their own."""
-    return create(tmp_path_factory.mktemp("runs") / "run").directory
-
-
-@pytest.fixture
-def directory(finished: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(finished, tmp_path / "run")
 
 
 def edit(directory: Path, **changes: Any) -> None:
@@ -119,7 +103,7 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]
 
 
 def test_a_family_of_ones_own_is_given_again(tmp_path: Path, own_module: str) -> None:
-    made = create(tmp_path / "run", family=f"{own_module}:own")
+    made = create_tiny(tmp_path / "run", family=f"{own_module}:own")
     assert made.family.name == "own"
     # A fresh start: whatever opens the run now must not import what the file names.
     del sys.modules[own_module]
@@ -156,5 +140,5 @@ def test_a_family_can_be_given_as_an_object(tmp_path: Path) -> None:
 )
 def test_an_unknown_family(tmp_path: Path, own_module: str, name: str, said: str) -> None:
     with pytest.raises(RunError, match=said):
-        create(tmp_path / "run", family=name)
+        create_tiny(tmp_path / "run", family=name)
     assert not (tmp_path / "run").exists()

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import pytest
 from small_runs import create as create_drift
-from small_runs import tensors, tiny_maesn, tiny_settings
+from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES
@@ -26,21 +26,6 @@ from maesn.runs.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
 
 POINT = FAMILIES["point"]
-
-
-def create(directory: Path, **settings: Any) -> Run:
-    return Run.create(directory, tiny_maesn(), tiny_settings(**settings))
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run directory that tests copy instead of making their own."""
-    return create(tmp_path_factory.mktemp("runs") / "run").directory
-
-
-@pytest.fixture
-def directory(finished: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(finished, tmp_path / "run")
 
 
 def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:
@@ -67,7 +52,9 @@ def test_the_configuration_says_what_took_part(finished: Path) -> None:
 
 
 def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
-    runs = [create(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2))]
+    runs = [
+        create_tiny(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2))
+    ]
     assert [path.name for path in runs[0].checkpoints()] == ["iteration-000000.safetensors"]
     first, same, other = (tensors(run.checkpoints()[0]) for run in runs)
     assert first == same != other
@@ -91,7 +78,7 @@ def test_all_keys_of_a_run_differ(finished: Path) -> None:
 
 
 def test_a_run_makes_its_environment(tmp_path: Path, finished: Path) -> None:
-    own = create(tmp_path / "a", variant="paper", sparse_radius=0.125).env()
+    own = create_tiny(tmp_path / "a", variant="paper", sparse_radius=0.125).env()
     assert (own.variant, own.reward_kind, own.sparse_radius) == ("paper", "dense", 0.125)
     run = Run.open(finished)
     default = run.env("sparse")
@@ -108,13 +95,13 @@ def test_a_run_makes_its_world(finished: Path, tmp_path: Path) -> None:
     adapting = run.world(run.task_set("test"), "sparse")
     assert adapting.tasks.digest() == POINT.task_set("test").digest()
     assert adapting.env.reward_kind == "sparse"
-    wheeled = create(tmp_path / "wheeled", family="wheeled", num_threads=1)
+    wheeled = create_tiny(tmp_path / "wheeled", family="wheeled", num_threads=1)
     assert isinstance(wheeled.world(), NativeWorld)
     assert wheeled.config.engine == "mujoco.batch"
 
 
 def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
-    run = create(tmp_path / "a", tasks="validation")
+    run = create_tiny(tmp_path / "a", tasks="validation")
     assert run.training_tasks.digest() == POINT.task_set("validation").digest()
     assert Run.open(run.directory).task_set("training").digest() == run.training_tasks.digest()
 
@@ -140,7 +127,7 @@ def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None
     assert (directory / "checkpoints").exists()
     with pytest.raises(RunError, match="there is no run in"):
         Run.open(directory)
-    made = create(directory)
+    made = create_tiny(directory)
     assert Run.open(directory).config == made.config
     assert sorted(entry.name for entry in directory.iterdir()) == ["checkpoints", "config.json"]
 
@@ -148,19 +135,19 @@ def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None
 def test_a_directory_in_use_is_left_alone(directory: Path) -> None:
     before = {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()}
     with pytest.raises(RunError, match=r"must be a new or an empty directory.*maesn resume"):
-        create(directory)
+        create_tiny(directory)
     assert {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()} == before
 
 
 def test_an_empty_directory_may_exist(tmp_path: Path) -> None:
-    assert create(tmp_path).directory == tmp_path
+    assert create_tiny(tmp_path).directory == tmp_path
 
 
 @pytest.mark.parametrize("below", ["", "sub", "sub/sub"])
 def test_a_directory_that_cannot_be_made(tmp_path: Path, below: str) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match=r"cannot make `.*file.*`.*: .* choose another directory"):
-        create(tmp_path / "file" / below)
+        create_tiny(tmp_path / "file" / below)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +168,7 @@ def test_a_directory_that_cannot_be_filled_is_removed_again(
     with monkeypatch.context() as patch:
         patch.setattr(call, fail)
         with pytest.raises(RunError, match=said):
-            create(tmp_path / "run")
+            create_tiny(tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

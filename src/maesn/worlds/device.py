@@ -41,10 +41,6 @@ class DeviceWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    @property
-    def max_simulations(self) -> None:
-        return None
-
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. Nothing in here can fail: JAX raises no numerical errors."""
         first: Readings = {"qpos": start.qpos, "qvel": start.qvel}

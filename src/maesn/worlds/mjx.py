@@ -56,10 +56,6 @@ class MjxWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    @property
-    def max_simulations(self) -> None:
-        return None
-
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`."""
         state, first = self._reset(start)

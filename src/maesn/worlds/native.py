@@ -42,10 +42,6 @@ class NativeWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    @property
-    def max_simulations(self) -> None:
-        return None
-
     def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         simulator = self._simulator(start.qpos.shape[0])
