@@ -1,34 +1,25 @@
 """RL2 on Bernoulli bandits against the optimum of dynamic programming."""
 
-import importlib.util
 import itertools
 import math
-import sys
-from pathlib import Path
 from types import ModuleType
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scripts import ROOT, load_script
 
 from maesn.envs import Bandit, TaskSet, bandit
 from maesn.evaluate import adapt
 from maesn.learners import RecurrentFastLearner
 
-ROOT = Path(__file__).parents[1]
 COMMITTED = ROOT / "results" / "bandit" / "policy.safetensors"
 
 
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("bandit_benchmark", ROOT / "benchmarks/bandit.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("benchmarks/bandit.py")
 
 
 def best_of_all_policies(arms: int, pulls: int) -> float:

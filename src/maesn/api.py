@@ -28,6 +28,7 @@ from maesn.runs.exploration import record_exploration
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
+from maesn.runs.shipped import find_run, working_copy
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
@@ -47,7 +48,8 @@ def train(
         learner: the method and its settings; see `maesn.PRESETS`.
         settings: of the run.
         directory: must be empty or not exist.
-        init_from: directory of a run whose policy and step sizes to start from.
+        init_from: directory of a run, or name of a policy that comes with the library, whose policy
+            and step sizes to start from.
         family: a family of your own; None for the one that `settings.family` names.
 
     Raises:
@@ -92,7 +94,9 @@ def adapt(
     """Adapt a trained policy to new tasks, and write the curves as a table.
 
     Args:
-        directory: of the run; its latest checkpoint is adapted, never the best one.
+        directory: of the run, or the name of a policy that comes with the library, which is adapted
+            in a copy, `maesn-NAME` in the current folder. A directory of that name wins. The latest
+            checkpoint is adapted, never the best one.
         reward: dense or sparse.
         updates: policy-gradient updates per task.
         episodes_per_task: episodes per task and update.
@@ -111,7 +115,7 @@ def adapt(
             "`updates` must be at least 0, `episodes_per_task` at least 1 and `seed` from 0 to "
             f"2^32 - 1, got {updates}, {episodes_per_task} and {seed}."
         )
-    run = Run.open(directory, family=family)
+    run = Run.open(working_copy(directory), family=family)
     learner = test_time.add_to(run.learner.fast_learner(run.latest_state()), run, run.env())
     go_on, done = None, 0
     with closing(run.world(run.task_set(tasks), reward, engine)) as world:
@@ -138,11 +142,12 @@ def export(directory: str | Path, path: str | Path, family: str | TaskFamily | N
     """Write a trained policy as one `.npz` file for `maesn.runtime`.
 
     Args:
-        directory: of the run; its latest checkpoint is exported.
+        directory: of the run, or the name of a policy that comes with the library; its latest
+            checkpoint is exported.
         path: of the file to write.
         family: the run's family, if it is your own: itself, or `module:name`.
     """
-    run = Run.open(directory, family=family)
+    run = Run.open(find_run(directory), family=family)
     checkpoint = run.latest()
     learner = run.learner.fast_learner(checkpoint.state)
     description: dict[str, str | int | float] = {
@@ -168,14 +173,15 @@ def plot(
     training, `adapt` renews it.
 
     Args:
-        directories: of the runs, at least one; several are compared in one figure.
+        directories: of the runs, at least one, or names of policies that come with the library;
+            several are compared in one figure.
         out: where the figures go; None for `figures` in the first directory.
         family: the runs' family, if it is your own: itself, or `module:name`.
 
     Returns:
         The files that were written, PNG and PDF.
     """
-    runs = [Run.open(directory, family=family) for directory in directories]
+    runs = [Run.open(working_copy(directory), family=family) for directory in directories]
     for run in runs:
         if not adaptation_file(run.directory, "test", "sparse").exists():
             adapt(run.directory, family=family)

@@ -16,6 +16,7 @@ from maesn.report.filmstrip import Cell, Row, contact_sheet, film
 from maesn.rollout import Collector
 from maesn.runs.adaptation_files import adaptation_file
 from maesn.runs.run import Run
+from maesn.runs.shipped import working_copy
 from maesn.runs.storage import RunError, explained, write_whole
 from maesn.worlds import Scene, arena, places
 
@@ -43,7 +44,8 @@ def render(
     The episodes are the first ones of those that `adapt` plays in this task with the same seed.
 
     Args:
-        directory: of the run; its latest checkpoint is adapted.
+        directory: of the run, or the name of a policy that comes with the library; its latest
+            checkpoint is adapted.
         task: index of the task in its set.
         update: numbers of updates after which episodes are shown; 0 is before any adaptation.
         reward: dense or sparse.
@@ -61,7 +63,7 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run = Run.open(directory, family=family)
+    run = Run.open(working_copy(directory), family=family)
     task_set, updates = run.task_set(tasks), sorted(set(update))
     _check(task, len(task_set), updates, episodes, episodes_per_task, seed)
     world = run.world(task_set, reward)

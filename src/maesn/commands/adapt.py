@@ -12,6 +12,7 @@ from maesn.envs import RewardKind
 from maesn.report import print_adaptation_summary
 from maesn.runs.adaptation_files import adaptation_file, engine_suffix
 from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.shipped import working_copy
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
 
@@ -21,7 +22,9 @@ class Options:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does."""
 
     run: tyro.conf.Positional[Path]
-    """Directory of the run."""
+    """Directory of the run, or the name of a policy that comes with the library (`maesn list`). A
+    directory of that name in the current folder wins; without one, files go to `maesn-NAME` there,
+    a run directory like any other."""
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     updates: int = 10
@@ -49,7 +52,7 @@ def main(arguments: list[str]) -> None:
     options = parse(Options, "adapt", arguments)
     enable_compilation_cache()
     settings = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    directory = settings.pop("run")
+    directory = working_copy(settings.pop("run"))
     outcome = api.adapt(directory, **settings)
     suffix = options.test_time.suffix + engine_suffix(options.engine)
     table = options.out or adaptation_file(

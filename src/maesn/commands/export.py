@@ -14,7 +14,8 @@ class Options:
     """Write a trained policy as one file for the NumPy runtime."""
 
     run: tyro.conf.Positional[Path]
-    """Directory of the run."""
+    """Directory of the run, or the name of a policy that comes with the library (`maesn list`). A
+    directory of that name in the current folder wins."""
     path: tyro.conf.Positional[Path]
     """File to write, `.npz`."""
     family: str | None = None

@@ -1,15 +1,17 @@
-"""`maesn list`: the methods and the families of tasks."""
+"""`maesn list`: methods, families of tasks, and policies that come with the library."""
 
 import dataclasses
 
 from maesn.commands.options import parse
 from maesn.envs import FAMILIES, PROBES
 from maesn.learners import PRESETS
+from maesn.runs.config import read_config
+from maesn.runs.shipped import TRAINED, policy_names
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """List the methods and the families of tasks."""
+    """List methods, families of tasks, and policies that come with the library."""
 
 
 def main(arguments: list[str]) -> None:
@@ -21,6 +23,10 @@ def main(arguments: list[str]) -> None:
     print("families:")
     for name, family in FAMILIES.items():
         print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
+    print("trained policies, for `maesn adapt NAME`:")
+    for name in policy_names():
+        settings = read_config(TRAINED / name).settings
+        print(f"  {name:16s}{settings.method}, {settings.iterations} meta-iterations")
     print("probes, with known optimum:")
     for name, family in PROBES.items():
         print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")

@@ -16,7 +16,9 @@ class Options:
     """Draw the paper's figures from one or several runs."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Directories of the runs; several are compared in one figure."""
+    """Directories of the runs, or names of policies that come with the library (`maesn list`);
+    several are compared in one figure. A directory of that name in the current folder wins; without
+    one, files go to `maesn-NAME` there, a run directory like any other."""
     out: Path | None = None
     """Where the figures go; None: `figures` in the first run's directory."""
     family: str | None = None

@@ -25,7 +25,8 @@ class Options:
     run: Path | None = None
     """Directory of the new run; must be empty or not exist. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
-    """Directory of a run whose policy and step sizes to start from."""
+    """Directory of a run, or name of a policy that comes with the library, whose policy and step
+    sizes to start from."""
 
 
 def main(arguments: list[str]) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 from maesn.runs.checkpoint import named_leaves, restore
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
+from maesn.runs.shipped import find_run
 from maesn.runs.storage import RunError
 
 
@@ -17,13 +18,14 @@ def begun_state(run: Run, source_directory: str | Path) -> Any:
 
     Args:
         run: the new run.
-        source_directory: of the other run.
+        source_directory: of the other run, or the name of a policy that comes with the library.
 
     Raises:
         RunError: the source cannot be read or does not fit.
     """
-    same_family = read_config(Path(source_directory)).family == run.config.family
-    source = Run.open(source_directory, run.family if same_family else None)
+    directory = find_run(source_directory)
+    same_family = read_config(directory).family == run.config.family
+    source = Run.open(directory, run.family if same_family else None)
     _check_sizes(run, source)
     fresh = run.untrained_state()
     iteration, rows = run.learner.iteration(fresh), _rows_of_tasks(run)

@@ -1,0 +1,109 @@
+"""Make the policy that the package ships for a family out of a finished run.
+
+    python results/ship.py results/wheeled/maesn-20x50-seed-0 --commit 640fd42
+
+writes `src/maesn/trained/FAMILY`: the run's last checkpoint, and its `config.json` with where the
+policy comes from as an entry `provenance`. `maesn adapt FAMILY` then adapts it on every
+installation.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from maesn.learners import METHODS
+from maesn.runs.config import CONFIG, RunConfig, RunSettings
+from maesn.runs.run import CHECKPOINTS, TASKS, Run
+from maesn.runs.serialization import TAG, fields_to_json, to_json
+from maesn.runs.shipped import TRAINED
+from maesn.runs.storage import new_directory, write_json
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is shipped."""
+
+    run: tyro.conf.Positional[Path]
+    """Directory of a finished run."""
+    commit: str
+    """Of the code that trained it."""
+
+
+def command(config: RunConfig) -> str:
+    """Return the command that trains such a run: the settings that are not the method's own.
+
+    Raises:
+        ValueError: no command trains such a learner.
+    """
+    method = config.settings.method
+    if method not in METHODS:
+        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
+    found = _options(fields_to_json(config.settings)) | _options(to_json(config.learner))
+    usual = _options(fields_to_json(RunSettings())) | _options(to_json(METHODS[method]()))
+    chosen = {name: value for name, value in found.items() if usual.get(name) != value}
+    slots = [name for name in chosen if name.split(".")[-1] == TAG]
+    if slots:
+        raise ValueError(f"no option of `maesn train {method}` changes {', '.join(slots)}.")
+    del chosen["method"]
+    words = [f"--{name.replace('_', '-')} {value}" for name, value in chosen.items()]
+    return " ".join(["maesn train", method, *words])
+
+
+def _options(document: dict[str, Any]) -> dict[str, str]:
+    return dict(_leaves("", document))
+
+
+def _leaves(prefix: str, document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the name and the value of every option, as the command line has them."""
+    for name, value in document.items():
+        if isinstance(value, dict):
+            yield from _leaves(f"{prefix}{name}.", value)
+        else:
+            values = value if isinstance(value, list) else [value]
+            yield prefix + name, " ".join(map(str, values))
+
+
+def ship(run: Run, commit: str, target: Path) -> None:
+    """Write the directory that is shipped.
+
+    Args:
+        run: a finished one.
+        commit: of the code that trained it.
+        target: the directory; what it holds is replaced.
+
+    Raises:
+        ValueError: the run is not finished, or its last checkpoint is damaged.
+    """
+    last, done = run.checkpoints()[-1], run.latest().iteration
+    if done != run.settings.iterations or run.load(last).iteration != done:
+        raise ValueError(
+            f"`{run.directory}` must be finished, but has done {done} of "
+            f"{run.settings.iterations} iterations: go on with `maesn resume {run.directory}`."
+        )
+    document = json.loads((run.directory / CONFIG).read_text("utf-8"))
+    provenance = {"command": command(run.config), "commit": commit}
+    if target.exists():
+        shutil.rmtree(target)
+    with new_directory(target):
+        (target / CHECKPOINTS).mkdir()
+        shutil.copy(last, target / CHECKPOINTS)
+        if (run.directory / TASKS).exists():
+            shutil.copy(run.directory / TASKS, target)
+        write_json(target / CONFIG, document | {"provenance": provenance})
+
+
+def main(settings: Settings) -> None:
+    """Ship a run under the name of its family."""
+    run = Run.open(settings.run)
+    target = TRAINED / run.family.name
+    ship(run, settings.commit, target)
+    print(target)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))

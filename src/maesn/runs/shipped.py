@@ -1,0 +1,78 @@
+"""Policies that come with the library, each a run directory of its last checkpoint alone.
+
+A command takes the name of one in the place of a directory. What is installed is read and never
+written to: a command that leaves files works in a copy in the current folder.
+"""
+
+import shutil
+from pathlib import Path
+
+from maesn.runs.storage import RunError, explained, new_directory
+
+TRAINED = Path(__file__).resolve().parents[1] / "trained"
+
+# Of the copy, before the policy's name.
+_PREFIX = "maesn-"
+
+
+def policy_names() -> list[str]:
+    """Return the names of the policies that come with the library."""
+    return sorted(entry.name for entry in TRAINED.iterdir() if entry.is_dir())
+
+
+def find_run(run: str | Path) -> Path:
+    """Return the directory to read a run from.
+
+    Args:
+        run: a directory, or the name of a policy that comes with the library. What has that name
+            in the current folder wins.
+
+    Raises:
+        RunError: it is neither.
+    """
+    if Path(run).exists():
+        return Path(run)
+    if str(run) in policy_names():
+        return TRAINED / run
+    raise RunError(
+        f"there is no run in `{run}`: name a directory that `maesn train` has made, or a policy "
+        f"that comes with the library: {', '.join(policy_names())}."
+    )
+
+
+def working_copy(run: str | Path) -> Path:
+    """Return the directory of a run that may be written to.
+
+    This is the run's own, or `maesn-NAME` in the current folder for the policy `NAME` that comes
+    with the library. That one is a run directory like any other, made when it is first asked for.
+
+    Args:
+        run: as for `find_run`.
+
+    Raises:
+        RunError: there is no such run, or something else is where its copy should be.
+    """
+    source = find_run(run)
+    if source.parent != TRAINED:
+        return source
+    copy = Path(f"{_PREFIX}{source.name}")
+    if _content(copy) != _content(source):
+        _copy(source, copy)
+    return copy
+
+
+def _content(directory: Path) -> dict[str, bytes]:
+    """Return what makes a run the one that it is, not what commands have left beside it."""
+    files = [directory / "config.json", *sorted(directory.glob("checkpoints/*.safetensors"))]
+    with explained("read", directory):
+        return {file.name: file.read_bytes() for file in files if file.exists()}
+
+
+def _copy(source: Path, copy: Path) -> None:
+    if _content(copy):
+        raise RunError(
+            f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
+            f"of the library: name `{copy}` itself if it is meant, or move it away."
+        )
+    with new_directory(copy):
+        shutil.copytree(source, copy, dirs_exist_ok=True)

@@ -1,0 +1,191 @@
+"""The policies that come with the library: all that are there, by their names."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scripts import load_script
+from small_runs import Drift, create, finish, tiny_settings
+
+from maesn import api, cli, film
+from maesn.commands.options import parse
+from maesn.commands.train import Options
+from maesn.context import LatentContext
+from maesn.envs import find_family
+from maesn.learners import AbstractMetaLearner, maesn
+from maesn.policies import CategoricalMLP, GaussianMLP
+from maesn.runs.config import RunConfig, RunSettings, new_config
+from maesn.runs.run import Run
+from maesn.runs.serialization import digest
+from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
+from maesn.runs.storage import RunError
+from maesn.runtime import Explorer
+from maesn.trust_region import TrustRegion
+
+POLICIES = policy_names()
+LARGEST = 400_000  # bytes
+
+ship = load_script("results/ship.py")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def files(directory: Path) -> dict[Path, bytes]:
+    found = [path for path in directory.rglob("*") if path.is_file()]
+    return {path.relative_to(directory): path.read_bytes() for path in found}
+
+
+def config_of(learner: AbstractMetaLearner[Any, Any], **settings: Any) -> RunConfig:
+    chosen = tiny_settings(**{"method": "maesn"} | settings)
+    family = find_family(chosen.family)
+    return new_config(chosen, learner, family, family.task_set("training"))
+
+
+def test_there_are_some() -> None:
+    assert {"wheeled", "blockpush"} <= set(POLICIES)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
+    run = Run.open(TRAINED / name)
+    assert run.family.name == name
+    assert run.latest().iteration == run.settings.iterations > 0
+    assert len(run.checkpoints()) == 1
+    provenance = json.loads((TRAINED / name / "config.json").read_text())["provenance"]
+    assert provenance["command"].startswith(f"maesn train {run.settings.method}")
+    assert re.fullmatch("[0-9a-f]{7,40}", provenance["commit"])
+    assert sum(map(len, files(TRAINED / name).values())) < LARGEST
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, folder: Path) -> None:
+    installed = files(TRAINED)
+    family = Run.open(find_run(name)).family
+    tasks = family.task_set("test", 20).tasks
+    leaves = tasks if isinstance(tasks, tuple) else (tasks,)
+    np.savez("twenty.npz", **dict(zip(family.task_names, leaves, strict=True)))
+    options = ["--tasks", "twenty.npz", "--updates", "3", "--episodes-per-task", "20"]
+    assert cli.run(["adapt", name, *options]) == 0
+    table = folder / f"maesn-{name}" / "adaptation" / "file-twenty-sparse.csv"
+    rows = np.genfromtxt(table, delimiter=",", names=True)
+    before, after = (rows["mean_return"][rows["update"] == update].reshape(20) for update in (0, 3))
+    gain = after - before
+    # Better by more than four standard errors of the mean over tasks.
+    assert gain.mean() > 4 * gain.std(ddof=1) / np.sqrt(len(gain))
+    assert files(TRAINED) == installed
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_each_can_be_drawn_and_filmed(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 5)
+    api.adapt(name, updates=1, episodes_per_task=5)
+    for path in api.plot([name]):
+        assert path.parent == Path(f"maesn-{name}") / "figures"
+    pictures = film.render(name, update=[0], episodes=1, episodes_per_task=2)
+    assert {path.parent for path in pictures} == {Path(f"maesn-{name}") / "render"}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_each_can_be_exported_without_a_copy(name: str, folder: Path) -> None:
+    assert cli.run(["export", name, "policy.npz"]) == 0
+    assert [path.name for path in folder.iterdir()] == ["policy.npz"]
+    assert Explorer.load("policy.npz", seed=0).update == 0
+
+
+def test_training_can_begin_with_one(folder: Path) -> None:
+    settings = RunSettings(family="wheeled", iterations=0)
+    run = api.train(maesn(), settings, folder / "run", init_from="wheeled")
+    begun, shipped = run.latest_state(), Run.open(TRAINED / "wheeled").latest_state()
+    np.testing.assert_array_equal(
+        begun.parameters.policy.log_std, shipped.parameters.policy.log_std
+    )
+
+
+def test_the_copy_is_made_once_and_is_a_run_like_any_other() -> None:
+    copy = working_copy("wheeled")
+    assert copy == Path("maesn-wheeled")
+    assert files(copy) == files(TRAINED / "wheeled")
+    (copy / "notes.txt").touch()
+    assert working_copy("wheeled") == copy
+    assert (copy / "notes.txt").exists()
+    assert working_copy(copy) == copy
+    assert Run.open(copy).latest().iteration == Run.open(TRAINED / "wheeled").latest().iteration
+
+
+def test_the_installed_directory_is_never_written_to() -> None:
+    assert working_copy(TRAINED / "wheeled") == Path("maesn-wheeled")
+
+
+def test_a_directory_of_that_name_wins() -> None:
+    run = create(Path("wheeled"))
+    assert find_run("wheeled") == working_copy("wheeled") == run.directory
+    assert not Path("maesn-wheeled").exists()
+
+
+def test_another_run_in_the_place_of_the_copy_is_left_alone() -> None:
+    create(Path("maesn-wheeled"))
+    before = files(Path("maesn-wheeled"))
+    with pytest.raises(RunError, match="is another run than the policy `wheeled`"):
+        working_copy("wheeled")
+    assert files(Path("maesn-wheeled")) == before
+
+
+def test_a_name_that_is_none_is_told_which_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["adapt", "weeled"]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert "there is no run in `weeled`" in error
+    assert ", ".join(POLICIES) in error
+    assert "Traceback" not in error
+
+
+def test_list_names_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["list"]) == 0
+    trained = capsys.readouterr().out.split("trained policies")[1]
+    assert all(name in trained for name in POLICIES)
+
+
+def test_the_command_of_a_run_builds_its_learner_and_settings() -> None:
+    learner = maesn(
+        context=LatentContext(kl_weight=0.5),
+        policy=GaussianMLP((32, 16)),
+        trust_region=TrustRegion(damping=1e-2),
+        meta_batch_size=10,
+    )
+    config = config_of(learner, sparse_radius=0.25, seed=3)
+    words = ship.command(config).split()
+    assert words[:3] == ["maesn", "train", "maesn"]
+    default = Options(RunSettings(method="maesn"), maesn())
+    options = parse(Options, "train maesn", words[3:], default)
+    assert options.settings == config.settings
+    assert digest(options.learner) == digest(config.learner)
+
+
+def test_what_no_option_can_name_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"no option of `maesn train maesn` changes policy\.type"):
+        ship.command(config_of(maesn(policy=CategoricalMLP())))
+    with pytest.raises(ValueError, match=r"`method` must be one of maesn.*, got 'Drift'"):
+        ship.command(config_of(Drift(), method="Drift"))
+
+
+def test_shipping_takes_the_last_checkpoint_and_leaves_a_run(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ship, "METHODS", {"Drift": Drift})
+    run = create(folder / "run")
+    with pytest.raises(ValueError, match="must be finished, but has done 0 of 6"):
+        ship.ship(run, "0123abc", folder / "shipped")
+    finish(run)
+    ship.ship(run, "0123abc", folder / "shipped")
+    ship.ship(run, "0123abc", folder / "shipped")  # replaces what is there
+    shipped = Run.open(folder / "shipped")
+    assert [path.name for path in shipped.checkpoints()] == ["iteration-000006.safetensors"]
+    np.testing.assert_array_equal(shipped.latest_state().rows, run.latest_state().rows)
