@@ -22,15 +22,16 @@ demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks
 test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
-# Meta-World needs a MuJoCo that the engine of our own robots is too new for.
+# Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
 EXTERNAL := .venv-external
-test-external: | $(EXTERNAL)/.ready ## Test the examples of foreign environments, in an environment of their own
-	@$(EXTERNAL)/bin/python -m pytest --quiet --tb=short tests/external/test_examples.py
+test-external: | $(EXTERNAL)/.ready ## Test against other libraries, in an environment of their own
+	@$(EXTERNAL)/bin/python -m pytest --quiet --tb=short tests/external
 
 $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mjx, which is too new as well
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest
+	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest \
+	  sb3-contrib torch
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and the floors of the architecture
