@@ -3,29 +3,24 @@
     python benchmarks/meta_iteration.py --family wheeled
 
 The meta-iteration is everything that training does: both collections, advantages, inner update,
-and the outer step. The physics alone is `mujoco.batch.Batch`, called just as the collections call
-it: the same resets and steps, the same number of simulations and threads, the same readings copied
-out, driven by the controls that the collections used. Both are timed in turn in one process, so
-that what else the machine does falls on both. Compilation is excluded and reported apart.
+and the outer step. The physics alone is that of the collections, again: see `bare_physics.py`. Both
+are timed in turn in one process, so that what else the machine does falls on both. Compilation is
+excluded and reported apart.
 """
 
 import resource
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
-import mujoco
 import numpy as np
 import tyro
-from mujoco.batch import Batch
+from bare_physics import BarePhysics, Recorder
 
-from maesn.envs import AbstractMujocoEnv, find_family
-from maesn.episodes import Episodes
+from maesn.envs import AbstractMujocoEnv
 from maesn.learners import PRESETS
-from maesn.physics import load_model
 from maesn.rollout import Collector
+from maesn.runs.task_sources import resolve_family
 from maesn.worlds import make_world
 
 
@@ -34,7 +29,7 @@ class Settings:
     """What is timed."""
 
     family: str = "wheeled"
-    """A family that is moved by the MuJoCo engine."""
+    """A family that is moved by the MuJoCo engine; your own as `module:name`."""
     method: str = "maesn"
     """Preset of the learner."""
     meta_batch_size: int = 20
@@ -47,57 +42,9 @@ class Settings:
     """Threads of the engine; 0 for all cores."""
 
 
-class Recorder:
-    """Passes calls on to a collector, and keeps its batches and the time that they took."""
-
-    def __init__(self, collector: Collector) -> None:
-        self._collector = collector
-        self.seconds = 0.0
-        self.batches: list[Episodes] = []
-
-    @property
-    def num_tasks(self) -> int:
-        return self._collector.num_tasks
-
-    def __call__(self, *arguments: Any) -> Episodes:
-        start = time.perf_counter()
-        episodes = jax.block_until_ready(self._collector(*arguments))
-        self.seconds += time.perf_counter() - start
-        self.batches.append(episodes)
-        return episodes
-
-
-def bare_physics(env: AbstractMujocoEnv[Any], num_simulations: int, num_threads: int) -> Callable:
-    """Return a function that plays one collection's controls on the engine alone."""
-    batch = Batch(load_model(env.model), num_simulations, num_threads)
-    qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-    readings = [batch.bind(name) for name in env.readings]
-    derived = any(name not in ("qpos", "qvel") for name in env.readings)
-    stage = (mujoco.mjtStage.mjSTAGE_ACC if derived else mujoco.mjtStage.mjSTAGE_NONE).value
-
-    def play(start: tuple[np.ndarray, np.ndarray], controls: np.ndarray) -> None:
-        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        qpos[...], qvel[...] = start
-        if derived:
-            batch.forward()
-        for control in controls:
-            ctrl[...] = control
-            batch.step(stage=stage)
-            for reading in readings:
-                reading.copy()
-
-    return play
-
-
-def controls_of(env: AbstractMujocoEnv[Any], episodes: Episodes) -> np.ndarray:
-    """Return the controls of a collection as `[time, simulation, control]`."""
-    controls = jax.vmap(jax.vmap(jax.vmap(env.control)))(episodes.action)
-    return np.asarray(controls).reshape(-1, *controls.shape[2:]).swapaxes(0, 1).copy()
-
-
 def main(settings: Settings) -> None:
     """Time meta-iterations and the bare engine in turn, and print their ratio."""
-    family = find_family(settings.family)
+    family = resolve_family(settings.family)
     env = family.make_env(reward_kind="dense")
     assert isinstance(env, AbstractMujocoEnv), f"{settings.family} does not run on MuJoCo"
     world = make_world(env, family.task_set("training"), num_threads=settings.num_threads)
@@ -111,33 +58,18 @@ def main(settings: Settings) -> None:
     first = time.perf_counter() - begin
 
     num_simulations = settings.meta_batch_size * settings.episodes_per_task
-    physics = bare_physics(env, num_simulations, settings.num_threads)
+    physics = BarePhysics(env, num_simulations, settings.num_threads)
     whole, collecting, bare = [], [], []
     for iteration in range(settings.iterations):
-        collect.seconds, collect.batches = 0.0, []
+        collect.clear()
         begin = time.perf_counter()
         state, _ = jax.block_until_ready(
             learner.step(jax.random.key(2 + iteration), state, collect)
         )
         whole.append(time.perf_counter() - begin)
         collecting.append(collect.seconds)
-        played = [controls_of(env, episodes) for episodes in collect.batches]
-        start = start_states(env, num_simulations)
-        begin = time.perf_counter()
-        for controls in played:
-            physics(start, controls)
-        bare.append(time.perf_counter() - begin)
+        bare.append(physics.timed(collect.played()))
     report(settings, first, np.array(whole), np.array(collecting), np.array(bare))
-
-
-def start_states(
-    env: AbstractMujocoEnv[Any], num_simulations: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return initial states of the family's first task."""
-    task = find_family(env.name).task_set("training")[0]
-    keys = jax.random.split(jax.random.key(0), num_simulations)
-    qpos, qvel = jax.vmap(env.initial, in_axes=(0, None))(keys, task)
-    return np.asarray(qpos), np.asarray(qvel)
 
 
 def report(

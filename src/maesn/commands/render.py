@@ -16,9 +16,9 @@ class Options:
     """Film how a trained policy explores a new task, and what it does after adapting to it."""
 
     run: tyro.conf.Positional[Path]
-    """Directory of the run, whose last checkpoint is adapted, or the name of a policy that comes with
-    the library (`maesn list`). A directory of that name in the current folder wins; without one,
-    files go to `maesn-NAME` there, a run directory like any other."""
+    """Directory of the run, whose last checkpoint is adapted, or the name of a policy that comes
+    with the library (`maesn list`). A directory of that name in the current folder wins; without
+    one, files go to `maesn-NAME` there, a run directory like any other."""
     task: int = 0
     """Index of the task in its set."""
     update: tuple[int, ...] = (0, 5)
