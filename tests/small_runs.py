@@ -39,7 +39,14 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
     nonfinite_from: int = 1000
     nonfinite_until: int = 1000
 
-    def init(self, key: Key, observation_size: int, action_size: int, num_tasks: int) -> DriftState:
+    def init(
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
+    ) -> DriftState:
         rows = jax.random.normal(key, (num_tasks, 2))
         return DriftState(jnp.zeros(3), rows, jnp.zeros((), int))
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.context import BiasContext as BiasContext
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
+    from maesn.context import ToldContext as ToldContext
     from maesn.curiosity import Curiosity as Curiosity
     from maesn.envs import FAMILIES as FAMILIES
     from maesn.envs import AbstractMujocoEnv as AbstractMujocoEnv
@@ -55,6 +56,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import maml as maml
     from maesn.learners import maml_bias as maml_bias
     from maesn.learners import maml_bias_only as maml_bias_only
+    from maesn.learners import oracle as oracle
     from maesn.learners import rl2 as rl2
     from maesn.numerics import MinibatchDescent as MinibatchDescent
     from maesn.policies import CategoricalMLP as CategoricalMLP
@@ -88,6 +90,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "BiasContext",
         "LatentContext",
         "NoContext",
+        "ToldContext",
     ),
     "maesn.curiosity": ("Curiosity",),
     "maesn.envs": (
@@ -126,6 +129,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "maml",
         "maml_bias",
         "maml_bias_only",
+        "oracle",
         "rl2",
     ),
     "maesn.numerics": ("MinibatchDescent",),

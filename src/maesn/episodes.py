@@ -72,7 +72,7 @@ class Episodes(eqx.Module):
     terminated: Bool[Array, "*batch"]
     """Whether the episode ended by nature rather than by the clock."""
     noise: Float[Array, "*batch noise"]
-    """The standard normal draw behind the context of the episode."""
+    """The standard normal draw behind the context of the episode; its description if it is told."""
     context: Float[Array, "*batch context"]
     """What the policy was fed throughout the episode: the recorded latent z."""
     behaviour: AbstractDistribution

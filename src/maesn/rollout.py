@@ -102,7 +102,7 @@ class Collector:
             context_key, start_key, action_key = jax.random.split(
                 jax.random.fold_in(key, episode), 3
             )
-            noise = jax.random.normal(context_key, (agent.context.noise_size,))
+            noise = agent.context.noise(context_key, env.describe(task))
             hidden = agent.policy.initial_carry()
             carry = TrialMemory(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
             context = agent.context.draw(noise)

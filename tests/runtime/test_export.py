@@ -68,6 +68,7 @@ def test_the_floor_of_the_standard_deviation_holds() -> None:
     [
         (lambda: preset("maml"), "context NoContext.*`maesn` and `latent_space`"),
         (lambda: preset("maml_bias"), "context BiasContext"),
+        (lambda: preset("oracle"), "adapts nothing in a new task; a policy can be exported if"),
         (lambda: preset("maml_bias_only"), "context BiasContext"),
         (
             lambda: preset("maesn", adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))),

@@ -2,7 +2,8 @@
 
 A context is a small set of parameters that belongs to one task and enters the policy as an
 additional input. (The word is used as in CAVIA, for adapted parameters; in PEARL it means observed
-transitions.) Three fillings span the methods of the paper:
+transitions.) Three fillings span the methods of the paper, and a fourth
+one gives their ceiling:
 
 * `NoContext`: nothing. With adapted policy weights this is MAML.
 * `BiasContext`: a deterministic vector shared by all tasks. This is MAML with a bias
@@ -10,6 +11,7 @@ transitions.) Three fillings span the methods of the paper:
 * `LatentContext`: a Gaussian per training task, from which one z is drawn per episode. This is
   MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
   LatentSpace.
+* `ToldContext`: the task itself. This is the oracle, which has nothing to find out.
 
 Each filling comes as two types. The *settings* (`AbstractContext`) know how contexts start and what
 they cost. The *values* (`AbstractContextValue`) hold the arrays of one task.
@@ -19,7 +21,9 @@ from maesn.context.settings import AbstractContext as AbstractContext
 from maesn.context.settings import BiasContext as BiasContext
 from maesn.context.settings import LatentContext as LatentContext
 from maesn.context.settings import NoContext as NoContext
+from maesn.context.settings import ToldContext as ToldContext
 from maesn.context.values import AbstractContextValue as AbstractContextValue
 from maesn.context.values import Bias as Bias
 from maesn.context.values import Latent as Latent
 from maesn.context.values import Nothing as Nothing
+from maesn.context.values import Told as Told

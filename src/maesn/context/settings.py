@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
-from maesn.context.values import AbstractContextValue, Bias, Latent, Nothing
+from maesn.context.values import AbstractContextValue, Bias, Latent, Nothing, Told
 from maesn.numerics import DiagonalGaussian
 
 Value = TypeVar("Value", bound=AbstractContextValue)
@@ -19,8 +19,14 @@ class AbstractContext(eqx.Module, Generic[Value]):
     """Settings of a context: how it starts, what it costs, how its draw is differentiated."""
 
     @abstractmethod
-    def init(self, key: Key, num_tasks: int) -> Value:
-        """Return the meta-learned context: one row per training task, or shared by all."""
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Value:
+        """Return the meta-learned context: one row per training task, or shared by all.
+
+        Args:
+            key: random key.
+            num_tasks: number of training tasks.
+            description_size: components of the description of a task.
+        """
 
     @abstractmethod
     def start(self, learned: Value, task_index: Int[Array, " task"]) -> Value:
@@ -59,7 +65,7 @@ class AbstractContext(eqx.Module, Generic[Value]):
 class NoContext(AbstractContext[Nothing]):
     """No context: the policy sees observations alone."""
 
-    def init(self, key: Key, num_tasks: int) -> Nothing:
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Nothing:
         return Nothing()
 
     def start(self, learned: Nothing, task_index: Int[Array, " task"]) -> Nothing:
@@ -85,6 +91,38 @@ class NoContext(AbstractContext[Nothing]):
         return jnp.zeros(())
 
 
+class ToldContext(AbstractContext[Told]):
+    """The task itself: the policy sees what tells the task from all others.
+
+    Nothing in it is learned or adapted, and nothing is charged for it.
+    """
+
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Told:
+        return Told(description_size)
+
+    def start(self, learned: Told, task_index: Int[Array, " task"]) -> Told:
+        return learned
+
+    def start_new(self, learned: Told, num_tasks: int) -> Told:
+        return learned
+
+    def inner_draw(
+        self, value: Told, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+    ) -> Float[Array, " context"]:
+        return drawn
+
+    def draw_loss(
+        self,
+        value: Told,
+        drawn: Float[Array, "episode context"],
+        episode_advantage: Float[Array, " episode"],
+    ) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+    def penalty(self, value: Told) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+
 class BiasContext(AbstractContext[Bias]):
     """A deterministic vector, shared by all tasks before adaptation.
 
@@ -98,7 +136,7 @@ class BiasContext(AbstractContext[Bias]):
         if self.size < 0:
             raise ValueError(f"`size` of BiasContext must be at least 0, got {self.size}.")
 
-    def init(self, key: Key, num_tasks: int) -> Bias:
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Bias:
         return Bias(jnp.zeros(self.size))
 
     def start(self, learned: Bias, task_index: Int[Array, " task"]) -> Bias:
@@ -150,7 +188,7 @@ class LatentContext(AbstractContext[Latent]):
         if self.initial_spread < 0:
             raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
 
-    def init(self, key: Key, num_tasks: int) -> Latent:
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Latent:
         shape = (num_tasks, self.size)
         return Latent(self.initial_spread * jax.random.normal(key, shape), jnp.zeros(shape))
 

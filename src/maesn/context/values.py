@@ -3,8 +3,10 @@
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
+from maesn.axes import Key
 from maesn.numerics import DiagonalGaussian
 
 
@@ -23,7 +25,16 @@ class AbstractContextValue(eqx.Module):
     @property
     @abstractmethod
     def noise_size(self) -> int:
-        """Number of standard normal components behind one draw."""
+        """Number of components behind one draw."""
+
+    def noise(self, key: Key, description: Float[Array, " description"]) -> Float[Array, " noise"]:
+        """Return what one draw is made from: standard normal components, unless it is told.
+
+        Args:
+            key: random key.
+            description: what tells the episode's task from all others.
+        """
+        return jax.random.normal(key, (self.noise_size,))
 
 
 class Nothing(AbstractContextValue):
@@ -80,3 +91,27 @@ class Latent(AbstractContextValue):
     def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
         """Return z = mean + exp(log_std) * noise."""
         return self.distribution.sample_from_noise(noise)
+
+
+class Told(AbstractContextValue):
+    """The value of `ToldContext`: the description of the task takes the place of the noise.
+
+    So whoever plays an episode hands the description over, and it is recorded with the episode.
+    """
+
+    description_size: int = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return self.description_size
+
+    @property
+    def noise_size(self) -> int:
+        return self.description_size
+
+    def noise(self, key: Key, description: Float[Array, " description"]) -> Float[Array, " noise"]:
+        """Return the description; nothing about it is random."""
+        return description
+
+    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+        return noise

@@ -11,6 +11,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -105,6 +106,14 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         This is nothing, unless the environment says otherwise.
         """
         return jnp.zeros(0)
+
+    def describe(self, task: Task) -> Float[Array, " description"]:
+        """Return what tells a task from all others: a vector for oracles, and for nobody else.
+
+        All numbers of the task, unless an environment knows better what an oracle needs.
+        """
+        leaves = [jnp.ravel(jnp.asarray(leaf)).astype(float) for leaf in jax.tree.leaves(task)]
+        return jnp.concatenate(leaves)
 
     @abstractmethod
     def reward(

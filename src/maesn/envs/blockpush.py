@@ -108,6 +108,11 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
     def instruction(self, task: BlockPushTask) -> Float[Array, " instruction"]:
         return jnp.asarray(task.goal) if self.variant == "paper" else jnp.zeros(0)
 
+    def describe(self, task: BlockPushTask) -> Float[Array, " 7"]:
+        """Return which block counts (one-hot) and where it is to go; the table can be seen."""
+        chosen = jnp.arange(NUM_BLOCKS) == task.block
+        return jnp.concatenate([chosen.astype(float), jnp.asarray(task.goal)])
+
     def reward(
         self,
         readings: Readings,

@@ -7,6 +7,8 @@ from maesn.learners.curious import CuriousMetaLearner as CuriousMetaLearner
 from maesn.learners.fast import GradientFastLearner as GradientFastLearner
 from maesn.learners.fast import GradientFastState as GradientFastState
 from maesn.learners.fine_tuning import FineTuning as FineTuning
+from maesn.learners.floor import FixedPolicy as FixedPolicy
+from maesn.learners.floor import floors as floors
 from maesn.learners.gradient import GradientMetaLearner as GradientMetaLearner
 from maesn.learners.gradient import GradientState as GradientState
 from maesn.learners.info import GradientInfo as GradientInfo
@@ -22,6 +24,7 @@ from maesn.learners.presets import maml as maml
 from maesn.learners.presets import maml_bias as maml_bias
 from maesn.learners.presets import maml_bias_only as maml_bias_only
 from maesn.learners.presets import method_name as method_name
+from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.recurrent import RecurrentInfo as RecurrentInfo
 from maesn.learners.recurrent import RecurrentMetaLearner as RecurrentMetaLearner

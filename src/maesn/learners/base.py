@@ -81,8 +81,23 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     """Learns across tasks how to learn inside one."""
 
     @abstractmethod
-    def init(self, key: Key, observation_size: int, action_size: int, num_tasks: int) -> MetaState:
-        """Return the state before any training."""
+    def init(
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
+    ) -> MetaState:
+        """Return the state before any training.
+
+        Args:
+            key: random key.
+            observation_size: components of an observation.
+            action_size: components of an action, or number of choices.
+            num_tasks: number of training tasks.
+            description_size: components of the description of a task, for a policy that is told.
+        """
 
     @abstractmethod
     def step(self, key: Key, state: MetaState, collect: Collect) -> tuple[MetaState, Info]:

@@ -118,11 +118,17 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
     """What the bonus is."""
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, num_tasks: int
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
     ) -> CuriousState:
         learner_key, model_key = jax.random.split(key)
+        sizes = observation_size, action_size, num_tasks, description_size
         return CuriousState(
-            self.learner.init(learner_key, observation_size, action_size, num_tasks),
+            self.learner.init(learner_key, *sizes),
             self.curiosity.init(model_key, observation_size, action_size),
         )
 

@@ -82,7 +82,12 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             )
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, num_tasks: int
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
     ) -> GradientState:
         """See `AbstractMetaLearner.init`.
 
@@ -91,7 +96,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """
         check_enough_tasks(num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
-        context = self.context.init(context_key, num_tasks)
+        context = self.context.init(context_key, num_tasks, description_size)
         policy = self.policy.init(policy_key, observation_size, action_size, context.size)
         one_task = jax.tree.map(lambda x: x[0], self.context.start_new(context, 1))
         sizes = self.adaptation.init(Agent(policy, one_task))
@@ -154,7 +159,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
         rows = partial(self.context.init, num_tasks=collect.num_tasks)
         expected = jax.eval_shape(rows, jax.random.key(0))
-        if jax.tree.map(jnp.shape, expected) != jax.tree.map(jnp.shape, parameters.context):
+        shapes = ([x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context))
+        if len({tuple(found) for found in shapes}) > 1:
             raise ValueError(
                 f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
                 "number: call `init` with the number of tasks that are played."

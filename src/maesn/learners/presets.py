@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from maesn.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.context import BiasContext, LatentContext, NoContext
+from maesn.context import BiasContext, LatentContext, NoContext, ToldContext
 from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.curious import CuriousMetaLearner
 from maesn.learners.gradient import GradientMetaLearner
@@ -84,6 +84,21 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
     )
 
 
+def oracle(**settings: Any) -> GradientMetaLearner:
+    """The oracle: a policy that is told the task, the ceiling of all others.
+
+    Updates change nothing: its curve in a new task is flat. In training it plays as
+    many episodes per meta-iteration as MAESN and learns from all of them, by the same outer step.
+    """
+    return _fill(
+        settings,
+        context=ToldContext(),
+        adaptation=Adaptation(),
+        inner_updates=0,
+        outer_batches=2,
+    )
+
+
 def _fill(settings: dict[str, Any], **defaults: Any) -> GradientMetaLearner:
     return GradientMetaLearner(**{**defaults, **settings})
 
@@ -99,7 +114,7 @@ def rl2(**settings: Any) -> RecurrentMetaLearner:
 
 PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
     preset.__name__: preset
-    for preset in (maesn, maesn_theta, maml, maml_bias, maml_bias_only, latent_space, rl2)
+    for preset in (maesn, maesn_theta, maml, maml_bias, maml_bias_only, latent_space, rl2, oracle)
 }
 
 

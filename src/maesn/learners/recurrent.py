@@ -89,7 +89,12 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
             )
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, num_tasks: int
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
     ) -> RecurrentState:
         """See `AbstractMetaLearner.init`.
 

@@ -92,6 +92,7 @@ METHOD_STYLES = {
     "vime": MethodStyle("VIME", BLUE, _DOTS, "h"),
     "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),
     "reinforce": MethodStyle("REINFORCE", GREY, _DOTS, ">"),
+    "oracle": MethodStyle("oracle", DARK_GREY, "-", "*"),
 }
 
 # For what has no style of its own, and for a second experiment with the same method.

@@ -119,6 +119,8 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
     )
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
+    if learner.adaptation.policy is None and learner.adaptation.context is None:
+        raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
     if not isinstance(learner.context, LatentContext):
         raise ValueError(
             f"`learner` has the context {type(learner.context).__name__}, whose update needs the "
@@ -129,9 +131,8 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
             f"`learner` adapts its latent by the {learner.context.gradient} gradient, which needs "
             f"the derivative of the policy; {advice}."
         )
-    if learner.adaptation.policy is not None or learner.adaptation.context is None:
-        moving = "nothing" if learner.adaptation.policy is None else "the policy's weights"
-        raise ValueError(f"`learner` adapts {moving} in a new task; {advice}.")
+    if learner.adaptation.policy is not None:
+        raise ValueError(f"`learner` adapts the policy's weights in a new task; {advice}.")
     if not isinstance(learner.policy, GaussianMLPPolicy):
         raise ValueError(
             f"`learner` has the policy {type(learner.policy).__name__}; the runtime computes "

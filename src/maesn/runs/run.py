@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax
 
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
@@ -239,4 +240,6 @@ class Run:
     def _made_of(self, num_tasks: int | None = None) -> tuple[Any, ...]:
         """Return what `untrained_state` makes a state of."""
         rows = len(self.training_tasks) if num_tasks is None else num_tasks
-        return self.learner, self.env(), self.settings.seed, rows
+        env, tasks = self.env(), self.training_tasks
+        told = jax.eval_shape(env.describe, tasks[0]).size
+        return self.learner, env, self.settings.seed, rows, told

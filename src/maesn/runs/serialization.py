@@ -15,7 +15,7 @@ import equinox as eqx
 
 from maesn.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.advantage import AdvantageEstimator
-from maesn.context import BiasContext, LatentContext, NoContext
+from maesn.context import BiasContext, LatentContext, NoContext, ToldContext
 from maesn.curiosity import Curiosity
 from maesn.learners import (
     CuriousMetaLearner,
@@ -54,6 +54,7 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         RecurrentMetaLearner,
         RecurrentValue,
         StepSchedule,
+        ToldContext,
         TrustRegion,
         TrustRegionStep,
     )
@@ -89,7 +90,12 @@ def from_json(document: Mapping[str, Any]) -> eqx.Module:
 
 def digest(module: eqx.Module) -> str:
     """Return a hexadecimal hash of settings: equal if and only if they are."""
-    text = json.dumps(to_json(module), sort_keys=True)
+    return digest_of_document(to_json(module))
+
+
+def digest_of_document(document: Mapping[str, Any]) -> str:
+    """Return a hexadecimal hash of a JSON document."""
+    text = json.dumps(document, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

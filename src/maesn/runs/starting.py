@@ -21,11 +21,16 @@ def iteration_key(seed: int, iteration: int) -> Key:
 
 
 def untrained_state(
-    learner: AbstractMetaLearner[Any, Any], env: AnyEnv, seed: int, num_tasks: int
+    learner: AbstractMetaLearner[Any, Any],
+    env: AnyEnv,
+    seed: int,
+    num_tasks: int,
+    description_size: int,
 ) -> Any:
     """Return the state that the seed says."""
     key = iteration_key(seed, _UNTRAINED)
-    return _init(learner, key, env.observation_size, env.action_size, num_tasks)
+    sizes = (env.observation_size, env.action_size, num_tasks, description_size)
+    return _init(learner, key, *sizes)
 
 
 @eqx.filter_jit
@@ -35,6 +40,7 @@ def _init(
     observation_size: int,
     action_size: int,
     num_tasks: int,
+    description_size: int,
 ) -> Any:
     # One program instead of many small ones takes half the time to compile.
-    return learner.init(key, observation_size, action_size, num_tasks)
+    return learner.init(key, observation_size, action_size, num_tasks, description_size)

@@ -1,0 +1,110 @@
+"""The oracle: it is told the task, learns what to do with that, and adapts nothing."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import assert_same, keys
+from small_runs import create, finish, outcome
+
+from maesn import api
+from maesn.context import ToldContext
+from maesn.envs import FAMILIES, PROBES, BlockPushTask, hidden_target
+from maesn.evaluate import adapt
+from maesn.learners import oracle
+from maesn.policies import GaussianMLP
+from maesn.rollout import Collector
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.worlds import make_world
+
+SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
+
+
+def test_a_told_policy_is_fed_the_description_of_its_own_task() -> None:
+    env, tasks = FAMILIES["point"].make_env(), FAMILIES["point"].task_set("test", 6)
+    learner = oracle(**SMALL)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 6, 2))
+    index = jnp.asarray([4, 1])
+    agents = fast.agents(fast.init(keys(2)))
+    episodes = Collector(make_world(env, tasks), 3)(keys(2), agents, index)
+    wanted = np.repeat(np.asarray(tasks.tasks)[[4, 1], None], 3, axis=1)
+    np.testing.assert_array_equal(episodes.context, wanted)
+    np.testing.assert_array_equal(episodes.noise, wanted)
+    assert episodes.observation.shape[-1] == 2
+
+
+def test_a_told_context_is_neither_random_nor_learned_nor_paid_for() -> None:
+    context = ToldContext()
+    learned = context.init(jax.random.key(0), num_tasks=5, description_size=3)
+    assert jax.tree.leaves(learned) == []
+    assert (learned.size, learned.noise_size) == (3, 3)
+    told = jnp.asarray([1.0, -2.0, 0.5])
+    for key in keys(2):
+        np.testing.assert_array_equal(learned.draw(learned.noise(key, told)), told)
+    assert context.start(learned, jnp.asarray([1])) == context.start_new(learned, 2) == learned
+    drawn = jnp.ones((2, 3))
+    np.testing.assert_array_equal(context.inner_draw(learned, drawn[0], told), told)
+    assert context.draw_loss(learned, drawn, jnp.ones(2)) == context.penalty(learned) == 0.0
+
+
+@pytest.mark.parametrize("name", FAMILIES | PROBES)
+def test_descriptions_tell_all_tasks_apart(name: str) -> None:
+    family = (FAMILIES | PROBES)[name]
+    env, tasks = family.make_env(), family.task_set("test", 20)
+    told = np.asarray(jax.vmap(env.describe)(jax.tree.map(jnp.asarray, tasks.tasks)))
+    assert told.ndim == 2
+    assert np.isfinite(told).all()
+    different = {tuple(row) for row in told}
+    leaves = [np.asarray(leaf).reshape(20, -1) for leaf in jax.tree.leaves(tasks.tasks)]
+    assert len(different) == len(np.unique(np.concatenate(leaves, axis=1), axis=0))
+
+
+def test_an_oracle_of_block_pushing_is_told_the_block_and_the_goal() -> None:
+    task = BlockPushTask(jnp.asarray(3), jnp.asarray([0.8, -0.25]), jnp.zeros((5, 2)))
+    for variant in ("reference", "paper"):
+        told = FAMILIES["blockpush"].make_env(variant=variant).describe(task)
+        np.testing.assert_array_equal(told, np.float32([0, 0, 0, 1, 0, 0.8, -0.25]))
+
+
+def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
+    # Without being told, -0.595 is the best there is (`maesn.envs.target_probes`); told, 0.
+    env, tasks = hidden_target.make_env(), hidden_target.task_set("training", 20)
+    learner = oracle(policy=GaussianMLP((16,)), meta_batch_size=10)
+    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, 20, 2)
+    collect = Collector(make_world(env, tasks), 10)
+    for step in range(80):
+        state, _ = learner.step(jax.random.key(step), state, collect)
+    unseen = Collector(make_world(env, hidden_target.task_set("test", 20)), 20)
+    curves = adapt(learner.fast_learner(state), unseen, updates=0).curves
+    assert curves.mean_return.mean() > -0.3
+
+
+def test_updates_of_the_oracle_change_nothing() -> None:
+    env, tasks = FAMILIES["point"].make_env(), FAMILIES["point"].task_set("test", 3)
+    learner = oracle(**SMALL)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 6, 2))
+    state = fast.init(keys(3))
+    episodes = Collector(make_world(env, tasks), 3)(keys(3), fast.agents(state), jnp.arange(3))
+    assert_same(fast.agents(fast.update(state, episodes)), fast.agents(state))
+
+
+def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
+    whole = finish(create(tmp_path / "whole", oracle(**SMALL)))
+    finish(create(tmp_path / "parts", oracle(**SMALL)), iterations=4)
+    assert outcome(finish(Run.open(tmp_path / "parts"))) == outcome(whole)
+    assert whole.settings.method == "oracle"
+
+
+def test_verbs_of_an_oracle(tmp_path: Path) -> None:
+    run = finish(create(tmp_path / "run", oracle(**SMALL), iterations=2))
+    curves = api.adapt(run.directory, updates=1, episodes_per_task=2).curves
+    assert curves.mean_return.shape == (100, 2)
+    names = {path.stem for path in api.plot([run.directory])}
+    assert {"adaptation-curves-test-sparse", "exploration"} <= names
+    begun = api.train(oracle(**SMALL), run.settings, tmp_path / "begun", init_from=run.directory)
+    assert begun.latest().iteration == 2
+    with pytest.raises(RunError, match="adapts nothing in a new task; a policy can be exported"):
+        api.export(run.directory, tmp_path / "policy.npz")
