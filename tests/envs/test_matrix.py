@@ -58,6 +58,7 @@ def one_step(env: AnyEnv) -> Callable[[jax.Array, Any], dict[str, Any]]:
             "solved": env.solved(following, task),
             "position": env.position(observation),
             "goal": env.goal(task),
+            "landmarks": env.landmarks(task),
             "model_fields": env.model_fields(task),
         }
 
@@ -97,6 +98,7 @@ def test_sizes_are_as_announced(family: TaskFamily, env: AnyEnv) -> None:
     assert step["observation"].shape == (env.observation_size,)
     assert jax.tree.map(jnp.shape, step["following"]) == jax.tree.map(jnp.shape, step["readings"])
     assert step["position"].shape == step["goal"].shape == (2,)
+    assert step["landmarks"].shape == ((5, 2) if env.name == "blockpush" else (0, 2))
     assert step["reward"].goal.shape == step["reward"].other.shape == ()
     assert (step["terminated"].dtype, step["solved"].dtype) == (bool, bool)
     floats = [x for x in jax.tree.leaves(step) if x.dtype != bool]

@@ -139,6 +139,22 @@ def test_task_distribution() -> None:
     assert disc.get_radius() == RADIUS
 
 
+def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
+    # Tasks 0 and 1 share a layout, whose objects are drawn once.
+    layout = np.array([[0.4, 0.1], [0.5, -0.3]])
+    training = np.stack([layout, layout, layout + 5.0])
+    figure = plot_task_distribution(
+        replace(exploration(), training_landmarks=training, landmarks=layout[None] - 5.0)
+    )
+    (axes,) = figure.axes
+    drawn = line(axes, "objects of training tasks")
+    np.testing.assert_array_equal(drawn, np.concatenate([layout, layout + 5.0]))
+    np.testing.assert_array_equal(line(axes, "objects of tasks adapted to"), layout - 5.0)
+    # The panel holds them all.
+    assert axes.get_xlim()[0] < -4.6
+    assert axes.get_xlim()[1] > 5.5
+
+
 def test_latents() -> None:
     figure = plot_latents(latents(), half_circle(NUM_TASKS))
     before, after, bar = figure.axes

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from synthetic_runs import (
     NUM_EPISODES,
+    NUM_TASKS,
     RADIUS,
     exploration,
     latents,
@@ -114,6 +116,16 @@ def test_exploration_is_read(tmp_path: Path, *, has_latents: bool) -> None:
         np.testing.assert_array_equal(getattr(read, name), expected)
 
 
+def test_what_tasks_lay_out_is_read_where_it_is_recorded(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).normal(size=(10, 3, 2))
+    laid_out = {"training_landmarks": places, "landmarks": places[:NUM_TASKS]}
+    write_exploration(tmp_path / "figures" / "exploration.npz", replace(exploration(), **laid_out))
+    read = read_exploration(tmp_path)
+    assert read is not None
+    for name, expected in laid_out.items():
+        np.testing.assert_array_equal(getattr(read, name), expected)
+
+
 def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
     """A recorder may write the (empty) context of every method."""
     file = tmp_path / "figures" / "exploration.npz"
@@ -133,6 +145,10 @@ def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
         ({"prior_paths": np.array(["x"])}, r"`prior_paths` \[episode, time, 2\] .* got <U1 \[1\]"),
         ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, context\] .* got float64 \[2"),
         ({"solved_at_reset": np.zeros(3)}, r"`solved_at_reset` \[8\] .* got float64 \[3\]"),
+        (
+            {"landmarks": np.zeros((3, 5, 2))},
+            r"`landmarks` \[8, landmark, 2\] .* got float64",
+        ),
         ({"sparse_radius": np.zeros(2)}, r"`sparse_radius` \[\] .* got float64 \[2\]"),
         ({"goals": np.array([None])}, "something else that cannot be read"),
     ],

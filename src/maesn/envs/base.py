@@ -178,6 +178,13 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def goal(self, task: Task) -> Float[Array, " 2"]:
         """Return the planar position (metres) by which figures show the task."""
 
+    def landmarks(self, task: Task) -> Float[Array, "landmark 2"]:
+        """Return the planar positions (metres) of what a task lays out beside its goal.
+
+        This is nothing, unless the environment says otherwise.
+        """
+        return jnp.zeros((0, 2))
+
 
 class AbstractSimulatedEnv(AbstractEnv[Task]):
     """An environment whose world is a state of positions and velocities."""

@@ -156,6 +156,10 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
     def goal(self, task: BlockPushTask) -> Float[Array, " 2"]:
         return jnp.asarray(task.goal)
 
+    def landmarks(self, task: BlockPushTask) -> Float[Array, "5 2"]:
+        """Return where the blocks stand at the start."""
+        return jnp.asarray(task.layout)
+
 
 def _homes() -> Float[Array, "5 2"]:
     """Return where the model's blocks are at home: what their coordinates count from."""

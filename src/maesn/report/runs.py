@@ -137,6 +137,10 @@ class RecordedExploration:
     """Share of them that start there."""
     episodes_per_task: int
     """Number of those episodes per task."""
+    training_landmarks: Float[np.ndarray, "row landmark 2"] | None = None
+    """What the training tasks lay out beside their goals; None in a world of goals alone."""
+    landmarks: Float[np.ndarray, "task landmark 2"] | None = None
+    """The same of the tasks that the run was adapted to."""
 
     @property
     def untrained_reach(self) -> PriorReach | None:
@@ -164,11 +168,14 @@ def read_exploration(path: Path) -> RecordedExploration | None:
     def take(name: str, *shape: int | str) -> np.ndarray:
         return take_array(arrays, name, shape, file, _EXPLORE_REMEDY)
 
+    def landmarks(name: str, rows: int) -> np.ndarray | None:
+        return take(name, rows, "landmark", 2) if name in arrays else None
+
     has_latents = "fixed_paths" in arrays
     prior = take("prior_paths", "episode", "time", 2)
-    goals = take("goals", "task", 2)
+    training_goals, goals = take("training_goals", "row", 2), take("goals", "task", 2)
     return RecordedExploration(
-        training_goals=take("training_goals", "row", 2),
+        training_goals=training_goals,
         goals=goals,
         sparse_radius=float(take("sparse_radius")),
         prior_paths=prior,
@@ -182,6 +189,8 @@ def read_exploration(path: Path) -> RecordedExploration | None:
         untrained_success_rate=take("untrained_success_rate", len(goals)),
         solved_at_reset=take("solved_at_reset", len(goals)),
         episodes_per_task=int(take("episodes_per_task")),
+        training_landmarks=landmarks("training_landmarks", len(training_goals)),
+        landmarks=landmarks("landmarks", len(goals)),
     )
 
 

@@ -33,7 +33,7 @@ def record_exploration(run: Run) -> Path:
     everywhere = Collector(world, EXPLORATION_EPISODES)
     reach = adapt(new, everywhere, updates=0, chunk_size=at_once).curves
     world.close()
-    goal = jax.vmap(env.goal)
+    goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
     arrays = {
         "training_goals": goal(run.training_tasks.tasks),
         "goals": goal(tasks.tasks),
@@ -47,6 +47,9 @@ def record_exploration(run: Run) -> Path:
     }
     if trained.fixed_paths is not None:
         arrays["fixed_paths"] = trained.fixed_paths
+    if landmarks(tasks.tasks).size:
+        arrays["training_landmarks"] = landmarks(run.training_tasks.tasks)
+        arrays["landmarks"] = landmarks(tasks.tasks)
     path = run.directory / EXPLORATION
     write_arrays(path, arrays)
     return path

@@ -1,6 +1,8 @@
-"""The paper's Fig. 4, right: where the goals of a family lie."""
+"""The paper's Fig. 4, right: where the goals of a family lie, and what else tasks lay out."""
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -21,11 +23,20 @@ _BESIDE = 0.6  # inches of labels beside it
 
 @publication_style()
 def plot_task_distribution(exploration: RecordedExploration) -> Figure:
-    """Draw the goals of training, those adapted to, and the size of one goal region."""
+    """Draw the goals of training, those adapted to, and the size of one goal region.
+
+    What a task lays out beside its goal, such as blocks, is drawn as well.
+    """
     training, goals = exploration.training_goals, exploration.goals
     radius = exploration.sparse_radius
     middle = goals[np.argmin(np.linalg.norm(goals - goals.mean(0), axis=-1))]
-    limits = shared_limits([middle[None], goals, training, exploration.prior_paths[:, 0]], radius)
+    landmarks = {
+        "training tasks": (exploration.training_landmarks, VERMILLION),
+        "tasks adapted to": (exploration.landmarks, BLUE),
+    }
+    places = [array for array, _ in landmarks.values() if array is not None]
+    starts = exploration.prior_paths[:, 0]
+    limits = shared_limits([middle[None], goals, training, starts, *places], radius)
     figure = new_figure(ONE_COLUMN, (ONE_COLUMN - _BESIDE) * limits.aspect + _SURROUNDINGS)
     axes = figure.subplots()
     axes.plot(
@@ -56,7 +67,26 @@ def plot_task_distribution(exploration: RecordedExploration) -> Figure:
             label=f"goal region ({radius:g} m)",
         )
     )
+    for tasks, (array, colour) in landmarks.items():
+        if array is not None:
+            _draw_landmarks(axes, array, f"objects of {tasks}", colour)
     draw_start(axes, exploration.prior_paths)
     plane_axes(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
     return figure
+
+
+def _draw_landmarks(
+    axes: Axes, landmarks: Float[np.ndarray, "task landmark 2"], label: str, colour: str
+) -> None:
+    """Draw each object once: several tasks may share a layout."""
+    places = np.unique(landmarks.reshape(-1, 2), axis=0)
+    axes.plot(
+        *places.T,
+        "s",
+        color=colour,
+        fillstyle="none",
+        markersize=3.5,
+        markeredgewidth=0.7,
+        label=label,
+    )
