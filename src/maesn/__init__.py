@@ -20,6 +20,9 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.api import plot as plot
     from maesn.api import resume as resume
     from maesn.api import train as train
+    from maesn.comparison import Place as Place
+    from maesn.comparison import Scratch as Scratch
+    from maesn.comparison import compare as compare
     from maesn.context import BiasContext as BiasContext
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
@@ -64,6 +67,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import Recurrent as Recurrent
     from maesn.rollout import Collector as Collector
     from maesn.runs.config import RunSettings as RunSettings
+    from maesn.runs.contest import Conditions as Conditions
     from maesn.runs.run import Run as Run
     from maesn.runs.storage import RunError as RunError
     from maesn.trust_region import TrustRegion as TrustRegion
@@ -86,6 +90,11 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "StepSchedule",
     ),
     "maesn.advantage": ("AdvantageEstimator",),
+    "maesn.comparison": (
+        "Place",
+        "Scratch",
+        "compare",
+    ),
     "maesn.context": (
         "BiasContext",
         "LatentContext",
@@ -140,6 +149,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     ),
     "maesn.rollout": ("Collector",),
     "maesn.runs.config": ("RunSettings",),
+    "maesn.runs.contest": ("Conditions",),
     "maesn.runs.run": ("Run",),
     "maesn.runs.storage": ("RunError",),
     "maesn.trust_region": ("TrustRegion",),

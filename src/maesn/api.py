@@ -22,6 +22,7 @@ from maesn.runs.adaptation_files import (
     read_latents,
     write_outcome,
 )
+from maesn.runs.adaptation_record import adaptation_record, identity_of_run
 from maesn.runs.beginning import begun_state
 from maesn.runs.config import RunSettings
 from maesn.runs.exploration import record_exploration
@@ -132,9 +133,18 @@ def adapt(
             start=go_on,
             first_update=done,
         )
+        record = adaptation_record(
+            identity_of_run(run, test_time.suffix),
+            world,
+            run.settings.engine if engine is None else engine,
+            episodes_per_task,
+            seed,
+            updates,
+            done,
+        )
     suffix = test_time.suffix + engine_suffix(engine)
     table = adaptation_file(run.directory, tasks, reward, done, suffix)
-    write_outcome(table if out is None else Path(out), outcome)
+    write_outcome(table if out is None else Path(out), outcome, record)
     return outcome
 
 

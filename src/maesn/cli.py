@@ -11,6 +11,7 @@ COMMANDS = {
     "train": "meta-train a method on a family of tasks",
     "resume": "go on with a run from its latest checkpoint",
     "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
+    "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",

@@ -18,16 +18,19 @@ _START = 0xFFFFFFFF
 CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
 
 
-def tasks_at_once(max_simulations: int | None, episodes_per_task: int) -> int:
+def tasks_at_once(
+    max_simulations: int | None, episodes_per_task: int, most: int = CHUNK_SIZE
+) -> int:
     """Return how many tasks to adapt to at once.
 
     Args:
         max_simulations: how many episodes a world can hold; None for any number.
         episodes_per_task: number of episodes that are played of each task at a time.
+        most: number of tasks that memory allows.
     """
     if max_simulations is None:
-        return CHUNK_SIZE
-    return min(max(max_simulations // episodes_per_task, 1), CHUNK_SIZE)
+        return most
+    return min(max(max_simulations // episodes_per_task, 1), most)
 
 
 class AdaptationCurves(eqx.Module):

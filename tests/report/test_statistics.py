@@ -9,6 +9,8 @@ import scipy.stats
 from maesn.report.statistics import (
     NUM_RESAMPLES,
     difference_interval,
+    improvement_interval,
+    interquartile_mean_interval,
     mean_interval,
     mean_intervals,
 )
@@ -152,3 +154,42 @@ def test_other_tasks_cannot_be_paired() -> None:
 def test_no_tasks_are_refused() -> None:
     with pytest.raises(ValueError, match=r"`values` must hold at least one seed and one task"):
         mean_interval(np.zeros((1, 0)))
+
+
+def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> None:
+    values = np.random.default_rng(0).permutation([*range(1, 8), 1e6]).reshape(2, 4)
+    interval = interquartile_mean_interval(values)
+    assert interval.mean == np.mean([3, 4, 5, 6])
+    assert "of the interquartile mean, resampling 4 tasks and 2 seeds" in interval.label
+
+
+def test_the_interval_of_an_interquartile_mean_of_many_values_is_the_asymptotic_one() -> None:
+    # Variance of a trimmed mean: that of the winsorised values, over (1 - 2 * 0.25)^2 n.
+    values = draw(1, 400)
+    ends = np.quantile(values, [0.25, 0.75])
+    expected = np.clip(values, *ends).std() / (0.5 * math.sqrt(values.size))
+    error = interquartile_mean_interval(values).standard_error
+    # Beside chance: the bootstrap moves the quartiles, which the formula takes as they are.
+    assert error == pytest.approx(expected, rel=0.1)
+
+
+def test_the_probability_of_improvement_counts_pairs_of_seeds_within_tasks() -> None:
+    first = np.array([[1.0, 5.0, 2.0], [3.0, 5.0, 0.0]])
+    second = np.array([[2.0, 5.0, 1.0]])
+    # Task 0: 1 < 2, 3 > 2; task 1: two ties; task 2: 2 > 1, 0 < 1.
+    assert improvement_interval(first, second).mean == pytest.approx((1 + 1 + 1) / 6)
+    both = improvement_interval(first, second).mean + improvement_interval(second, first).mean
+    assert both == pytest.approx(1.0)
+
+
+def test_the_probability_of_improvement_of_one_seed_is_a_mean_of_coins() -> None:
+    first, second = draw(1, 100), 0.5 + draw(1, 100, seed=1)
+    coins = (first > second).astype(float)
+    interval = improvement_interval(first, second)
+    assert interval.mean == pytest.approx(coins.mean())
+    assert interval.standard_error == pytest.approx(coins.std() / 10, rel=TOLERANCE)
+
+
+def test_improvement_is_judged_on_the_same_tasks() -> None:
+    with pytest.raises(ValueError, match="must hold the same tasks, got 3 and 4"):
+        improvement_interval(draw(1, 3), draw(1, 4))

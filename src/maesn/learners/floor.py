@@ -49,10 +49,11 @@ def floors(
         action_size: components of an action, or number of choices.
         action_kind: continuous or discrete.
     """
-    sizes = observation_size, action_size
     if action_kind == "discrete":
-        return {"random choices": FixedPolicy(_blind(CategoricalMLP(()), *sizes))}
-    random = _blind(GaussianMLP(()), *sizes)
+        return {
+            "random choices": FixedPolicy(_blind(CategoricalMLP(()), observation_size, action_size))
+        }
+    random = _blind(GaussianMLP(()), observation_size, action_size)
     least = jnp.full(action_size, math.log(MINIMUM_STD), dtype=float)
     still = eqx.tree_at(lambda policy: policy.log_std, random, least)
     return {"zero action": FixedPolicy(still), "random actions": FixedPolicy(random)}

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -12,7 +13,7 @@ import numpy as np
 from maesn.context import AbstractContextValue, Latent
 from maesn.envs import NAMED_SETS, RewardKind
 from maesn.evaluate import AdaptationOutcome, as_rows
-from maesn.runs.storage import RunError, explained, write_whole
+from maesn.runs.storage import RunError, explained, write_json, write_whole
 
 
 def adaptation_file(
@@ -42,14 +43,39 @@ def latents_file(table: Path) -> Path:
     return table.with_suffix(".latents.npz")
 
 
-def write_outcome(table: Path, outcome: AdaptationOutcome) -> None:
-    """Write curves as a `.csv` file, and adapted latents as `.latents.npz` beside it."""
-    rows = list(as_rows(outcome))
+def record_file(table: Path) -> Path:
+    """Return the path of the file that says how a table of adaptation curves was made."""
+    return table.with_suffix(".settings.json")
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows of the same columns, at least one, as a `.csv` file."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    _write(table, text.getvalue().encode())
+    _write(path, text.getvalue().encode())
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a `.csv` file that `write_rows` wrote, as texts."""
+    with explained("read", path), path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> None:
+    """Write curves as a `.csv` file; beside it adapted latents, and how both were made.
+
+    Args:
+        table: path of the curves.
+        outcome: what to write.
+        record: how it was made, as JSON values.
+    """
+    # In this order: a record never stands beside curves that it does not belong to.
+    with explained("replace", record_file(table)):
+        record_file(table).unlink(missing_ok=True)
+    write_rows(table, list(as_rows(outcome)))
+    write_json(record_file(table), dict(record))
     if isinstance(outcome.contexts, Latent):
         arrays = {
             "mean": outcome.contexts.mean.swapaxes(0, 1),

@@ -57,6 +57,12 @@ def named_leaves(tree: Any) -> dict[str, Any]:
     return named
 
 
+def digest_of_arrays(tree: Any) -> str:
+    """Return a hexadecimal hash of all names, types, shapes and values of a pytree of arrays."""
+    leaves = named_leaves(jax.device_get(tree)).items()
+    return _checksum(Tensors({name: np.asarray(leaf) for name, leaf in leaves}, {}))[:16]
+
+
 def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
     """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none.
 

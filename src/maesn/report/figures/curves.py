@@ -54,12 +54,19 @@ def percent_axis(axes: Axes, label: str) -> None:
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
 
 
-def explain(figure: Figure, axes: Axes, note: str) -> None:
-    """Put a note and the legend of one panel below all panels; the figure grows by their height."""
+def explain(figure: Figure, axes: Axes, note: str, line_characters: int = _LINE_CHARACTERS) -> None:
+    """Put a note and the legend of one panel below all panels; the figure grows by their height.
+
+    Args:
+        figure: to write in.
+        axes: the panel of which the legend is.
+        note: what else is to be said.
+        line_characters: as many fit across the figure.
+    """
     handles, labels = axes.get_legend_handles_labels()
-    fitting = _LINE_CHARACTERS // (max(map(len, labels)) + _HANDLE_CHARACTERS)
+    fitting = line_characters // (max(map(len, labels)) + _HANDLE_CHARACTERS)
     columns = max(1, min(len(labels), _LEGEND_COLUMNS, fitting))
-    note = "\n".join(textwrap.fill(line, _LINE_CHARACTERS) for line in note.splitlines())
+    note = "\n".join(textwrap.fill(line, line_characters) for line in note.splitlines())
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=note)
     legend.get_title().set_fontsize(NOTE_SIZE)
     legend.get_title().set_multialignment("center")

@@ -1,0 +1,259 @@
+"""All methods under the same conditions: trained runs, methods from scratch, floor and oracle."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TypeAlias
+
+from maesn.entries import Entry, entry_of_runs, entry_of_scratch, floor_entries
+from maesn.envs import Variant
+from maesn.learners import SCRATCH
+from maesn.report.adaptation_table import read_adaptation
+from maesn.report.comparison import Comparison, Line, first_part, write_tidy_table
+from maesn.report.comparison_tables import write_summary
+from maesn.report.figures.comparison import plot_comparison
+from maesn.report.runs import read_run
+from maesn.report.series import group_series
+from maesn.report.style import METHOD_STYLES, save_figure
+from maesn.runs.config import RunSettings
+from maesn.runs.contest import Conditions, Ground, curves_of, open_ground
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError, explained
+from maesn.runs.task_sources import resolve_family
+from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
+from maesn.worlds import EngineName
+
+Say: TypeAlias = Callable[[str], None]
+
+
+def silent(sentence: str) -> None:
+    """Keep to oneself what goes on."""
+
+
+TABLE, SUMMARY, FIGURE, CURVES = "table.csv", "summary.md", "comparison", "curves"
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """The world of a comparison; what is None is what the runs that are compared say."""
+
+    family: str | None = None
+    """Family of tasks, or `module:name` of your own."""
+    variant: Variant | None = None
+    """Rewards of the code behind the published curves, or as printed in the paper."""
+    sparse_radius: float | None = None
+    """Metres around the goal in which sparse reward tells the distance."""
+    engine: EngineName | None = None
+    """Engine that moves the world, native or mjx."""
+    num_threads: int = 0
+    """Threads of the physics engine; 0: one for each CPU."""
+
+    def settings(self, runs: Iterable[Run]) -> RunSettings:
+        """Return the settings of a world in which the runs can be compared.
+
+        Raises:
+            RunError: neither this place nor the runs say which family it is, or the runs disagree.
+        """
+        said = {
+            "family": [self.family] if self.family else [run.config.family for run in runs],
+            **{
+                name: [getattr(run.settings, name) for run in runs]
+                for name in ("variant", "sparse_radius", "engine")
+                if getattr(self, name) is None
+            },
+        }
+        for name, values in said.items():
+            if len(set(values)) > 1:
+                found = " and ".join(map(str, sorted(set(values), key=str)))
+                raise RunError(
+                    f"the runs must agree in `{name}` to be compared, got {found}: say which one "
+                    f"with --{name.replace('_', '-')}, or compare fewer runs."
+                )
+        if not said["family"]:
+            raise RunError("`family` must be given where no run says it: --family NAME.")
+        given = {
+            name: getattr(self, name)
+            for name in ("variant", "sparse_radius", "engine")
+            if getattr(self, name) is not None
+        }
+        first = {name: values[0] for name, values in said.items() if values}
+        return RunSettings(**{**first, **given, "num_threads": self.num_threads})
+
+
+@dataclasses.dataclass(frozen=True)
+class Scratch:
+    """Methods that begin anew in every task."""
+
+    methods: tuple[str, ...] = ()
+    """trpo, reinforce, vime; NAME:COUNT adapts to the first COUNT tasks alone, as in `vime:30`."""
+    seeds: tuple[int, ...] = (0,)
+    """Each method begins anew in every task with each of these seeds."""
+
+
+ANYWHERE, NOBODY, USUAL = Place(), Scratch(), Conditions()
+
+
+def compare(
+    directories: Sequence[str | Path] = (),
+    *,
+    out: str | Path,
+    scratch: Scratch = NOBODY,
+    place: Place = ANYWHERE,
+    conditions: Conditions = USUAL,
+    oracle: str | Path | None = None,
+    test_time: AtTestTime = NOTHING_ADDED,
+    say: Say = silent,
+) -> Comparison:
+    """Adapt methods to the same tasks; write curves, a figure and tables.
+
+    What was adapted before under the same conditions is not repeated: neither the tables that
+    `adapt` has left in the runs' directories, nor what an earlier, perhaps interrupted comparison
+    has left in `out`.
+
+    Args:
+        directories: of trained runs, each with its latest checkpoint. Those that differ in their
+            seed alone become one line.
+        out: directory for all that is written.
+        scratch: methods that have learned nothing before.
+        place: the world.
+        conditions: tasks, reward, updates, episodes.
+        oracle: directory of a run of the preset `oracle`; without it there is no score.
+        test_time: if it asks for fine-tuning, every run takes part a second time, fine-tuned.
+        say: is told what goes on.
+
+    Raises:
+        RunError: a setting, a run or a directory cannot be used.
+    """
+    own = place.family if place.family and ":" in place.family else None
+    runs = [Run.open(path, family=own) for path in directories]
+    told = None if oracle is None else Run.open(oracle, family=own)
+    settings = place.settings(runs)
+    with closing(ground_of(settings, conditions)) as ground:
+        check_family([*runs, *([told] if told else [])], ground)
+        entries = _entries(runs, ground, scratch, place.engine, test_time, say)
+        if not entries:
+            raise RunError("name at least one run directory, or a method with --scratch.")
+        return compare_entries(entries, ground, Path(out), oracle=told, say=say)
+
+
+def ground_of(settings: RunSettings, conditions: Conditions) -> Ground:
+    """Return where the settings and conditions say; to be closed."""
+    return open_ground(resolve_family(settings.family), settings, conditions)
+
+
+def check_family(runs: Sequence[Run], ground: Ground) -> None:
+    """Refuse runs that were trained in another family.
+
+    Raises:
+        RunError: a run was.
+    """
+    for run in runs:
+        if run.config.family != ground.env.name:
+            raise RunError(
+                f"`{run.directory}` must be a run on {ground.env.name} to be compared there, got "
+                f"one on {run.config.family}: leave it out, or give another --family."
+            )
+
+
+def compare_entries(
+    entries: Sequence[Entry],
+    ground: Ground,
+    out: Path,
+    *,
+    oracle: Run | None = None,
+    say: Say = silent,
+) -> Comparison:
+    """Adapt all entries, floor and oracle; write curves, a figure and tables.
+
+    Args:
+        entries: the lines of the comparison.
+        ground: where.
+        out: directory for all that is written.
+        oracle: a run that is told the tasks.
+        say: is told what goes on.
+    """
+
+    def line(entry: Entry) -> Line:
+        return _line(entry, ground, out / CURVES, say)
+
+    told = None
+    if oracle is not None:
+        # Its updates change nothing: the start says all.
+        told = entry_of_runs("oracle", METHOD_STYLES["oracle"], [oracle], ground, updates=0)
+    comparison = Comparison(
+        lines=tuple(map(line, entries)),
+        horizon=ground.env.horizon,
+        floor=tuple(map(line, floor_entries(ground))),
+        oracle=None if told is None else line(told),
+    )
+    with explained("make", out):
+        out.mkdir(parents=True, exist_ok=True)
+    write_tidy_table(comparison, out / TABLE)
+    write_summary(comparison, out / SUMMARY)
+    for path in (*save_figure(plot_comparison(comparison), out, FIGURE), out / TABLE):
+        say(str(path))
+    return comparison
+
+
+def _entries(
+    runs: Sequence[Run],
+    ground: Ground,
+    scratch: Scratch,
+    engine: EngineName | None,
+    test_time: AtTestTime,
+    say: Say,
+) -> list[Entry]:
+    by_path = {run.directory: run for run in runs}
+    entries: list[Entry] = []
+    for series in group_series([read_run(run.directory) for run in runs]):
+        members = [by_path[one.path] for one in series.runs]
+        entries.append(entry_of_runs(series.name, series.style, members, ground, engine=engine))
+        if test_time != NOTHING_ADDED:
+            try:
+                entries.append(
+                    entry_of_runs(
+                        series.name,
+                        series.style,
+                        members,
+                        ground,
+                        engine=engine,
+                        test_time=test_time,
+                    )
+                )
+            except RunError as error:
+                say(f"{series.label} takes part as it is: {error}")
+    counts = [_method_and_count(text) for text in scratch.methods]
+    return entries + [entry_of_scratch(*one, scratch.seeds, ground) for one in counts]
+
+
+def _method_and_count(text: str) -> tuple[str, int | None]:
+    """Read NAME or NAME:COUNT."""
+    name, colon, count = text.partition(":")
+    if name not in SCRATCH:
+        raise RunError(
+            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
+        )
+    if colon and not (count.isdecimal() and int(count)):
+        raise RunError(
+            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
+        )
+    return SCRATCH[name].__name__, int(count) if colon else None
+
+
+def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:
+    tables = [
+        first_part(
+            read_adaptation(curves_of(contestant, ground, directory, say)),
+            contestant.num_tasks,
+            contestant.record["updates"],
+        )
+        for contestant in entry.contestants
+    ]
+    conditions = ground.conditions
+    named = (
+        dataclasses.replace(table, tasks=conditions.tasks, reward=conditions.reward)
+        for table in tables
+    )
+    seeds = tuple(contestant.seed for contestant in entry.contestants)
+    return Line(entry.name, entry.style, seeds, tuple(named), entry.trial_episodes)

@@ -1,0 +1,135 @@
+"""Who takes part in a comparison: trained runs, methods from scratch, and the floor."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from maesn.learners import SCRATCH, AbstractFastLearner, floors
+from maesn.policies import AbstractPolicySettings, CategoricalMLP, GaussianMLP
+from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
+from maesn.runs.adaptation_files import adaptation_file, engine_suffix
+from maesn.runs.adaptation_record import Identity, identity_of_run
+from maesn.runs.contest import Contestant, Ground
+from maesn.runs.run import Run
+from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
+from maesn.worlds import EngineName
+
+# A policy of the usual size for each kind of action, for methods from scratch.
+POLICIES: dict[str, AbstractPolicySettings] = {
+    "continuous": GaussianMLP(),
+    "discrete": CategoricalMLP(),
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Entry:
+    """One line of a comparison, before it is adapted."""
+
+    name: str
+    style: MethodStyle
+    contestants: tuple[Contestant, ...]
+    """One per seed."""
+    trial_episodes: int | None = None
+    """Number of episodes that meta-training has prepared for; None if there is no such limit."""
+
+
+def entry_of_runs(
+    name: str,
+    style: MethodStyle,
+    runs: Sequence[Run],
+    ground: Ground,
+    *,
+    updates: int | None = None,
+    engine: EngineName | None = None,
+    test_time: AtTestTime = NOTHING_ADDED,
+) -> Entry:
+    """Return trained runs that differ in their seed alone.
+
+    Args:
+        name: of the line.
+        style: of the line.
+        runs: each with its latest checkpoint, never the best one.
+        ground: where they are adapted.
+        updates: number of updates; None for that of the conditions.
+        engine: the engine, if it was asked for by name.
+        test_time: what is added to the learners in new tasks.
+
+    Raises:
+        RunError: the learner cannot be given that.
+    """
+    conditions = ground.conditions
+    number = conditions.updates if updates is None else updates
+    suffix = test_time.suffix + engine_suffix(engine)
+    contestants, trial_episodes = [], None
+    for run in runs:
+        learner = run.learner.fast_learner(run.latest_state())
+        learner = test_time.add_to(learner, run, ground.env)
+        trial_episodes = learner.trial_episodes
+        contestants.append(
+            Contestant(
+                name=name + test_time.suffix,
+                seed=run.settings.seed,
+                learner=learner,
+                record=ground.record(
+                    identity_of_run(run, test_time.suffix), conditions.seed, number
+                ),
+                num_tasks=ground.num_tasks,
+                earlier=adaptation_file(
+                    run.directory, conditions.tasks, conditions.reward, 0, suffix
+                ),
+            )
+        )
+    drawn = style if test_time == NOTHING_ADDED else _tuned(style, test_time)
+    return Entry(name + test_time.suffix, drawn, tuple(contestants), trial_episodes)
+
+
+def entry_of_scratch(
+    name: str, num_tasks: int | None, seeds: Sequence[int], ground: Ground
+) -> Entry:
+    """Return a method that begins anew in every task, with several seeds.
+
+    Args:
+        name: one of `SCRATCH`.
+        num_tasks: the first so many tasks alone; None for all of the comparison.
+        seeds: each is the seed of fresh policies and of the episodes.
+        ground: where it learns.
+    """
+    env = ground.env
+    learner = SCRATCH[name](env.observation_size, env.action_size, policy=POLICIES[env.action_kind])
+    count = ground.num_tasks if num_tasks is None else min(num_tasks, ground.num_tasks)
+    contestants = [
+        _unlearned(name, learner, seed, ground, ground.conditions.updates, count) for seed in seeds
+    ]
+    return Entry(name, METHOD_STYLES[name], tuple(contestants))
+
+
+def floor_entries(ground: Ground) -> list[Entry]:
+    """Return the agents that learn nothing, of which the better one is the floor."""
+    env, seed = ground.env, ground.conditions.seed
+    entries = []
+    for name, learner in floors(env.observation_size, env.action_size, env.action_kind).items():
+        contestant = _unlearned(name.replace(" ", "_"), learner, seed, ground, 0, ground.num_tasks)
+        style = MethodStyle(name, DARK_GREY, ":", ".")
+        entries.append(Entry(contestant.name, style, (contestant,)))
+    return entries
+
+
+def _unlearned(
+    name: str,
+    learner: AbstractFastLearner[Any],
+    seed: int,
+    ground: Ground,
+    updates: int,
+    num_tasks: int,
+) -> Contestant:
+    """Return a contestant that has learned nothing before."""
+    written = " ".join(f"{name} {learner}".split())
+    record = ground.record(Identity(written), seed, updates)
+    return Contestant(name, seed, learner, record, num_tasks)
+
+
+def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
+    """Return the style of a method that something is added to: its colour, dashed."""
+    added = test_time.suffix.strip("-").replace("-", " ")
+    label = f"{style.label} ({added})"
+    return dataclasses.replace(style, label=label, line=(0, (2.0, 1.0)), marker="d")

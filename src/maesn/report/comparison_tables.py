@@ -1,0 +1,155 @@
+"""What a comparison comes to, as tables: where the methods end, and who beats whom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from maesn.report.comparison import Comparison, Line, paired
+from maesn.report.statistics import (
+    Interval,
+    improvement_interval,
+    interquartile_mean_interval,
+    mean_interval,
+)
+from maesn.report.tables import MAX_WIDTH, UNITS, Unit
+
+_SCORE = Unit("score", digits=2)
+_PROBABILITY = Unit("probability", digits=2)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of texts, with a title above and sentences below."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+    def to_rich(self) -> Table:
+        """Return the table for a terminal."""
+        table = Table(title=self.title, caption="\n".join(self.notes), box=None)
+        for column, heading in enumerate(self.headings):
+            widths = [len(row[column]) for row in self.rows]
+            # A heading may be broken into lines, a number may not.
+            table.add_column(heading, justify="right" if column else "left", min_width=max(widths))
+        for row in self.rows:
+            table.add_row(*map(Text, row))
+        return table
+
+    def to_markdown(self) -> str:
+        """Return the table as Markdown."""
+        ruler = ["---", *["---:"] * (len(self.headings) - 1)]
+        lines = [_markdown_row(row) for row in (self.headings, ruler, *self.rows)]
+        return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
+
+
+def summary_tables(comparison: Comparison) -> list[TextTable]:
+    """Return where each method ends and, if there are several, who beats whom."""
+    tables = [_ends(comparison)]
+    if len(comparison.lines) > 1:
+        tables.append(_improvements(comparison))
+    return tables
+
+
+def write_summary(comparison: Comparison, path: Path) -> None:
+    """Write the tables as Markdown."""
+    texts = [table.to_markdown() for table in summary_tables(comparison)]
+    path.write_text("\n".join(texts), encoding="utf-8")
+
+
+def print_summary(comparison: Comparison, console: Console | None = None) -> None:
+    """Show the tables in the terminal.
+
+    Args:
+        comparison: what to show.
+        console: where; None for standard output.
+    """
+    console = Console() if console is None else console
+    for table in summary_tables(comparison):
+        # A narrow terminal may break lines, but no number is cut off.
+        console.print(table.to_rich(), width=max(console.width, MAX_WIDTH), crop=False)
+
+
+def _ends(comparison: Comparison) -> TextTable:
+    headings = ("method", "seeds", "tasks", "steps", "return", "IQM", "reaches goal (%)", "score")
+    labels: list[str] = []
+    rows = [_end(comparison, line, labels) for line in comparison.everyone]
+    notes = [
+        "Mean and interquartile mean (IQM) of the sparse-reward curves' last points."
+        if comparison.lines[0].tables[0].reward == "sparse"
+        else "Mean and interquartile mean (IQM) of the dense-reward curves' last points.",
+        f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
+        *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
+        comparison.why_no_score,
+        *comparison.notes,
+    ]
+    tables = comparison.lines[0].tables
+    title = f"After {int(tables[0].updates[-1])} updates in {tables[0].tasks} tasks"
+    return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
+
+
+def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ...]:
+    """Return one method's row; what its intervals resample is added to the labels."""
+    last = line.measure("mean_return")[..., -1]
+    returns, middle = mean_interval(last), interquartile_mean_interval(last)
+    success = mean_interval(line.measure("success_rate")[..., -1])
+    labels.append(returns.label)
+    return (
+        line.label,
+        str(len(line.seeds)),
+        str(line.num_tasks),
+        f"{int(comparison.steps(line)[-1]):,}",
+        _text(returns, UNITS["mean_return"]),
+        _text(middle, UNITS["mean_return"]),
+        _text(success, UNITS["success_rate"]),
+        _score(comparison, line, returns),
+    )
+
+
+def _score(comparison: Comparison, line: Line, returns: Interval) -> str:
+    """Return the score with its interval, in which floor and oracle stay as they are."""
+    ends = np.array([returns.mean, returns.low, returns.high])
+    scores = comparison.score(ends, line.num_tasks)
+    if scores is None:
+        return ""
+    mean, low, high = map(float, scores)
+    return _text(replace(returns, mean=mean, low=low, high=high), _SCORE)
+
+
+def _beyond(line: Line) -> str:
+    return (
+        f"{line.label} is beyond the {line.trial_episodes} episodes that it was trained for from "
+        f"update {line.first_beyond} on."
+    )
+
+
+def _improvements(comparison: Comparison) -> TextTable:
+    rows, labels = [], []
+    for first, second in combinations(comparison.lines, 2):
+        interval = improvement_interval(*paired(first, second, "mean_return"))
+        labels.append(interval.label)
+        rows.append((first.label, second.label, _text(interval, _PROBABILITY)))
+    return TextTable(
+        "Probability that the first method ends above the second in a task",
+        ("first", "second", "probability"),
+        tuple(rows),
+        (f"In brackets: {'; or '.join(dict.fromkeys(labels))}. A tie counts as half a win.",),
+    )
+
+
+def _text(interval: Interval, unit: Unit) -> str:
+    mean = unit.number(interval.mean)
+    if not interval.is_known:
+        return mean
+    return f"{mean} [{unit.number(interval.low)}, {unit.number(interval.high)}]"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

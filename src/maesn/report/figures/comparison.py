@@ -1,0 +1,105 @@
+"""All methods' adaptation curves over the same tasks, against environment steps."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from maesn.report.comparison import Comparison, Line
+from maesn.report.figures.curves import Curve, draw_curve, explain, percent_axis
+from maesn.report.statistics import Interval, mean_intervals
+from maesn.report.style import DARK_GREY, ONE_COLUMN, new_figure, publication_style
+
+_HEIGHT = 3.4  # inches, without the legend
+_HEIGHTS = (1.5, 1.0)  # return above, success below
+_LINE_CHARACTERS = 58  # of a note in one column
+_FAINT = 0.35  # opacity of what a method was never trained for
+
+
+@publication_style()
+def plot_comparison(comparison: Comparison) -> Figure:
+    """Draw return and success over the steps that were learned from in the new task.
+
+    Floor and oracle are horizontal lines. What a method with memory does beyond the length of the
+    trials that it was trained on is faint.
+
+    Args:
+        comparison: what to draw.
+    """
+    figure = new_figure(ONE_COLUMN, _HEIGHT)
+    panels = figure.subplots(2, 1, sharex=True, height_ratios=_HEIGHTS)
+    for axes, measure in zip(panels, ("mean_return", "success_rate"), strict=True):
+        labels = {
+            line.label: _draw_line(axes, comparison, line, measure) for line in comparison.lines
+        }
+    _draw_bounds(panels[0], comparison)
+    panels[0].set_ylabel(f"mean {comparison.lines[0].tables[0].reward} return")
+    percent_axis(panels[1], "success rate")
+    _steps_axis(panels[1], comparison)
+    explain(figure, panels[0], _note(comparison, labels), _LINE_CHARACTERS)
+    return figure
+
+
+def _draw_line(axes: Axes, comparison: Comparison, line: Line, measure: str) -> str:
+    """Draw one method and return what its band resamples."""
+    intervals = mean_intervals(line.measure(measure))
+    steps = comparison.steps(line).astype(float)
+    beyond = len(steps) if line.first_beyond is None else max(line.first_beyond, 1)
+    prepared = slice(0, beyond)
+    draw_curve(axes, _curve(steps, intervals, prepared), line.style, num_seeds=len(line.seeds))
+    if beyond < len(steps):
+        curve = _curve(steps, intervals, slice(beyond - 1, None))
+        axes.plot(curve.x, curve.y, color=line.style.colour, linestyle=":", alpha=_FAINT)
+        axes.fill_between(
+            curve.x, *curve.ends, color=line.style.colour, alpha=_FAINT / 4, linewidth=0
+        )
+    return intervals[0].label
+
+
+def _curve(steps: np.ndarray, intervals: Sequence[Interval], part: slice) -> Curve:
+    mean, low, high = (
+        np.array([getattr(interval, name) for interval in intervals[part]])
+        for name in ("mean", "low", "high")
+    )
+    return Curve(steps[part], mean, (low, high))
+
+
+def _draw_bounds(axes: Axes, comparison: Comparison) -> None:
+    most = max(line.num_tasks for line in comparison.lines)
+    floor, oracle = comparison.bounds(most)
+    for height, name in ((floor, "floor"), (oracle, "oracle")):
+        if height is not None:
+            style = "-" if name == "oracle" else (0, (1.0, 1.5))
+            axes.axhline(height, color=DARK_GREY, linewidth=0.8, linestyle=style, label=name)
+
+
+def _steps_axis(axes: Axes, comparison: Comparison) -> None:
+    """Count steps; beyond the shortest update logarithmically, if the updates differ in length."""
+    shortest = {int(comparison.steps(line)[1]) for line in comparison.lines if _has_updates(line)}
+    axes.set_xlabel("environment steps in the new task")
+    if len(shortest) > 1:
+        axes.set_xscale("symlog", linthresh=min(shortest), linscale=0.5)
+        axes.set_xlim(left=0)
+    else:
+        axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
+
+
+def _has_updates(line: Line) -> bool:
+    return len(line.tables[0].episodes) > 1
+
+
+def _note(comparison: Comparison, labels: dict[str, str]) -> str:
+    """Say what the bands are, and what is faint."""
+    members: dict[str, list[str]] = {}
+    for name, label in labels.items():
+        members.setdefault(label, []).append(name)
+    rule, *exceptions = sorted(members, key=lambda label: -len(members[label]))
+    parts = [f"bands: {rule}"]
+    parts += [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
+    parts += [
+        f"{line.label}, faint: beyond the {line.trial_episodes} episodes that it was trained for"
+        for line in comparison.lines
+        if line.first_beyond is not None
+    ]
+    return "\n".join(parts)

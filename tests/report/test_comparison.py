@@ -1,0 +1,165 @@
+"""Comparisons: the score, the tidy table, the summary and the figure, from synthetic curves."""
+
+import csv
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from figure_checks import check_saved_whole, legend, line, note
+from rich.console import Console
+from synthetic_runs import NUM_UPDATES, adaptation_table
+
+from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.comparison import (
+    COLUMNS,
+    Comparison,
+    Line,
+    first_part,
+    paired,
+    tidy_rows,
+    write_tidy_table,
+)
+from maesn.report.comparison_tables import print_summary, summary_tables, write_summary
+from maesn.report.figures.comparison import plot_comparison
+from maesn.report.reading import ReportError
+from maesn.report.style import METHOD_STYLES, ONE_COLUMN, MethodStyle
+
+HORIZON = 20
+
+
+def constant(value: float, num_tasks: int = 8) -> AdaptationTable:
+    return dataclasses.replace(
+        first_part(adaptation_table(num_tasks), num_tasks, 0),
+        mean_return=np.full((num_tasks, 1), value),
+    )
+
+
+def named(name: str, *tables: AdaptationTable, **options: int) -> Line:
+    style = METHOD_STYLES.get(name, MethodStyle(name, "#000000", "-", "o"))
+    return Line(name, style, tuple(range(len(tables))), tables, **options)
+
+
+def comparison(*lines: Line, oracle: float | None = -300.0) -> Comparison:
+    return Comparison(
+        lines=lines or (named("maesn", adaptation_table()),),
+        horizon=HORIZON,
+        floor=(named("idle", constant(-400.0)), named("random", constant(-420.0))),
+        oracle=None if oracle is None else named("oracle", constant(oracle)),
+    )
+
+
+def test_the_score_is_linear_between_the_better_floor_and_the_oracle_and_beyond() -> None:
+    returns = np.array([-400.0, -350.0, -300.0, -450.0, -200.0])
+    np.testing.assert_allclose(comparison().score(returns, 8), [0.0, 0.5, 1.0, -0.5, 2.0])
+
+
+def test_floor_and_oracle_are_means_over_the_tasks_that_are_scored() -> None:
+    uneven = dataclasses.replace(
+        constant(0.0), mean_return=np.array([[-300.0]] * 4 + [[-100.0]] * 4)
+    )
+    told = dataclasses.replace(comparison(), oracle=named("oracle", uneven))
+    assert told.bounds(8) == (-400.0, -200.0)
+    assert told.bounds(4) == (-400.0, -300.0)
+
+
+def test_without_an_oracle_above_the_floor_there_is_no_score_and_it_is_said_why() -> None:
+    for oracle, why in ((None, "--oracle DIR"), (-400.0, "oracle's mean return -400.0 is not")):
+        compared = comparison(oracle=oracle)
+        assert compared.score(np.zeros(3), 8) is None
+        assert why in compared.why_no_score
+        assert {row["score"] for row in tidy_rows(compared)} == {""}
+        assert why in summary_tables(compared)[0].to_markdown()
+    assert comparison().why_no_score == ""
+
+
+def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Path) -> None:
+    tables = [adaptation_table(seed=seed) for seed in range(2)]
+    compared = comparison(named("maesn", *tables), named("trpo", adaptation_table(5)))
+    write_tidy_table(compared, tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    # Floor and oracle are played once, at the start.
+    assert len(rows) == (2 * 8 + 5) * (NUM_UPDATES + 1) + 3 * 8
+    keys = {(row["method"], row["seed"], row["task"], row["update"]) for row in rows}
+    assert len(keys) == len(rows)
+    (row,) = (
+        row
+        for row in rows
+        if (row["method"], row["seed"], row["task"], row["update"]) == ("maesn", "1", "3", "2")
+    )
+    assert int(row["steps"]) == 2 * 50 * HORIZON
+    assert float(row["mean_return"]) == tables[1].mean_return[3, 2]
+    assert float(row["success_rate"]) == tables[1].success_rate[3, 2]
+    np.testing.assert_allclose(float(row["score"]), (tables[1].mean_return[3, 2] + 400) / 100)
+
+
+def test_a_longer_table_is_cut_to_what_is_compared() -> None:
+    table = adaptation_table()
+    cut = first_part(table, 3, 1)
+    np.testing.assert_array_equal(cut.mean_return, table.mean_return[:3, :2])
+    assert cut.episodes.tolist() == [0, 50]
+    for tasks, updates in ((9, 1), (3, NUM_UPDATES + 1)):
+        with pytest.raises(ReportError, match=f"{tasks} tasks with {updates} updates"):
+            first_part(table, tasks, updates)
+
+
+def test_pairs_are_compared_on_the_tasks_that_both_have() -> None:
+    first, second = named("maesn", adaptation_table()), named("vime", adaptation_table(5, seed=1))
+    one, other = paired(first, second, "mean_return")
+    assert one.shape == other.shape == (1, 5)
+    np.testing.assert_array_equal(one, first.measure("mean_return")[:, :5, -1])
+
+
+def test_the_summary_says_what_it_resamples(tmp_path: Path) -> None:
+    tables = [adaptation_table(seed=seed) for seed in range(2)]
+    worse = [adaptation_table(seed=7, gain=-50.0)]
+    compared = comparison(named("maesn", *tables), named("trpo", *worse))
+    write_summary(compared, tmp_path / "summary.md")
+    text = (tmp_path / "summary.md").read_text()
+    assert "95 % interval, resampling 8 tasks and 2 seeds" in text
+    assert "| MAESN | TRPO | 1.00 [1.00, 1.00] |" in text
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_summary(compared, console)
+    shown = console.export_text()
+    assert "IQM" in shown
+    last = np.mean([table.mean_return[:, -1] for table in tables])
+    assert f"{last:.1f} [" in shown
+
+
+def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> None:
+    compared = comparison(named("maesn", adaptation_table()), named("trpo", adaptation_table(5)))
+    figure = plot_comparison(compared)
+    returns, success = figure.axes
+    assert figure.get_size_inches()[0] == ONE_COLUMN
+    drawn = line(returns, "MAESN")
+    np.testing.assert_array_equal(drawn[:, 0], HORIZON * 50 * np.arange(NUM_UPDATES + 1))
+    np.testing.assert_allclose(drawn[:, 1], adaptation_table().mean_return.mean(0))
+    assert line(returns, "floor")[:, 1].tolist() == [-400.0, -400.0]
+    assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
+    assert success.get_xscale() == "linear"
+    assert set(legend(figure)) == {"MAESN", "TRPO", "floor", "oracle"}
+    check_saved_whole(figure, tmp_path)
+
+
+def test_memory_beyond_its_trials_is_faint_and_short_updates_are_seen(tmp_path: Path) -> None:
+    remembered = dataclasses.replace(adaptation_table(), episodes=np.arange(NUM_UPDATES + 1))
+    memory = named("rl2", remembered, trial_episodes=2)
+    # The first two episodes are what it was trained for: those before which it knows 0 and 1.
+    assert memory.first_beyond == 2
+    assert named("rl2", remembered, trial_episodes=9).first_beyond is None
+    figure = plot_comparison(comparison(memory, named("maesn", adaptation_table())))
+    returns, success = figure.axes
+    assert len(line(returns, "RL²")) == 2
+    faint = [np.asarray(one.get_xydata()) for one in returns.lines if one.get_alpha()]
+    assert [len(points) for points in faint] == [NUM_UPDATES]
+    assert "RL², faint: beyond the 2 episodes" in note(figure).replace("\n", " ")
+    assert success.get_xscale() == "symlog"
+    check_saved_whole(figure, tmp_path)
+
+
+def test_a_crowd_fits_into_a_column(tmp_path: Path) -> None:
+    lines = [named(name, adaptation_table(seed=i)) for i, name in enumerate(METHOD_STYLES)]
+    check_saved_whole(plot_comparison(comparison(*lines)), tmp_path)

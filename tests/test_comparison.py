@@ -1,0 +1,196 @@
+"""Comparisons from end to end, on runs that take seconds."""
+
+import csv
+import dataclasses
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import create, finish, tiny_maesn
+
+from maesn import api, cli, entries, evaluate
+from maesn.comparison import Scratch, compare, ground_of, silent
+from maesn.learners import oracle
+from maesn.policies import GaussianMLP
+from maesn.report.adaptation_table import read_adaptation
+from maesn.report.style import METHOD_STYLES
+from maesn.runs import contest
+from maesn.runs.config import RunSettings
+from maesn.runs.contest import Conditions
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+
+FEW = Conditions(num_tasks=4, updates=1, episodes_per_task=3, tasks_at_once=2)
+SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    place = tmp_path_factory.mktemp("runs")
+    made = {
+        "maesn": create(place / "maesn", tiny_maesn()),
+        "again": create(place / "again", tiny_maesn(), seed=1),
+        "oracle": finish(create(place / "oracle", oracle(**SMALL), iterations=2)),
+    }
+    return {name: run.directory for name, run in made.items()}
+
+
+@pytest.fixture(autouse=True)
+def small_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Methods from scratch with small networks, which compile and run faster."""
+    monkeypatch.setitem(entries.POLICIES, "continuous", GaussianMLP((4,)))
+
+
+@contextmanager
+def adapted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[int]]]:
+    """Note the tasks of every adaptation that is played meanwhile."""
+    played: list[list[int]] = []
+
+    def noting(*arguments: object, tasks: list[int], **options: object) -> object:
+        played.append(tasks)
+        return evaluate.adapt(*arguments, tasks=tasks, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(contest, "adapt", noting)
+        yield played
+
+
+def table(out: Path) -> list[dict[str, str]]:
+    with (out / "table.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_methods_on_the_same_tasks(
+    runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {
+        "out": tmp_path,
+        "scratch": Scratch(("reinforce", "trpo:2"), seeds=(0, 1)),
+        "conditions": FEW,
+        "oracle": runs["oracle"],
+    }
+    with adapted(monkeypatch) as played:
+        done = compare([runs["maesn"], runs["again"]], **asked)
+    # Two seeds of each, by chunks of two tasks; floor twice, oracle once.
+    assert sorted(map(tuple, played)) == sorted(
+        (2 * 2 + 2 * 1 + 1) * [(0, 1), (2, 3)] + 2 * [(0, 1)]
+    )
+    assert [(line.name, line.seeds, line.num_tasks) for line in done.lines] == [
+        ("maesn", (0, 1), 4),
+        ("reinforce", (0, 1), 4),
+        ("trpo", (0, 1), 2),
+    ]
+    means = {one.name: one.measure("mean_return")[..., 0].mean() for one in done.everyone}
+    floor = max(means["zero_action"], means["random_actions"])
+    assert done.bounds(4) == pytest.approx((floor, means["oracle"]))
+    rows = table(tmp_path)
+    counts = {name: sum(row["method"] == name for row in rows) for name in ("maesn", "trpo")}
+    assert counts == {"maesn": 2 * 4 * 2, "trpo": 2 * 2 * 2}
+    assert {row["steps"] for row in rows} == {"0", str(3 * 40)}
+    for name in ("comparison.png", "comparison.pdf", "summary.md"):
+        assert (tmp_path / name).stat().st_size > 500
+    before = (tmp_path / "table.csv").read_bytes()
+    with adapted(monkeypatch) as played:
+        compare([runs["maesn"], runs["again"]], **asked)
+    assert played == []
+    assert (tmp_path / "table.csv").read_bytes() == before
+
+
+def test_an_interrupted_comparison_goes_on_with_the_chunk_that_was_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object, tasks: list[int], **options: object) -> object:
+        if tasks == [2, 3]:
+            raise KeyboardInterrupt
+        return evaluate.adapt(*arguments, tasks=tasks, **options)
+
+    with closing(ground_of(RunSettings(family="point"), FEW)) as ground:
+        (contestant,) = entries.entry_of_scratch("reinforce", None, (0,), ground).contestants
+        with monkeypatch.context() as patch:
+            patch.setattr(contest, "adapt", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                contest.curves_of(contestant, ground, tmp_path / "parts", silent)
+        with adapted(monkeypatch) as played:
+            parts = contest.curves_of(contestant, ground, tmp_path / "parts", silent)
+        assert played == [[2, 3]]
+        whole = contest.curves_of(contestant, ground, tmp_path / "whole", silent)
+    assert parts.read_bytes() == whole.read_bytes()
+    assert not list(tmp_path.glob("**/pieces"))
+
+
+def test_tables_of_adapt_are_used_where_they_fit(
+    runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = api.adapt(runs["maesn"], updates=2, episodes_per_task=3)
+    with adapted(monkeypatch) as played:
+        done = compare([runs["maesn"]], out=tmp_path, conditions=FEW)
+    assert played == 2 * [[0, 1], [2, 3]]  # floor alone
+    curves = done.lines[0].tables[0].mean_return
+    np.testing.assert_array_equal(curves, outcome.curves.mean_return[:4, :2])
+    style = METHOD_STYLES["maesn"]
+    table = runs["maesn"] / "adaptation" / "test-sparse.csv"
+    with closing(ground_of(RunSettings(family="point"), FEW)) as ground:
+        (own,) = entries.entry_of_runs(
+            "maesn", style, [Run.open(runs["maesn"])], ground
+        ).contestants
+        assert own.earlier == table
+        assert contest.curves_of(own, ground, tmp_path, silent) == table
+        for name in own.record:
+            other = {"updates": 3}.get(name, "something else")
+            asked = dataclasses.replace(own, record={**own.record, name: other})
+            assert not contest._fits(asked)
+        table.unlink()
+        # Played anew, in chunks of another size: the same but for rounding.
+        fresh = read_adaptation(contest.curves_of(own, ground, tmp_path, silent))
+    np.testing.assert_allclose(fresh.mean_return, curves, rtol=1e-5)
+
+
+def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
+    options = "--num-tasks 2 --updates 2 --episodes-per-task 3 --fine-tune trpo --after 1"
+    command = ["compare", str(runs["maesn"]), "--out", str(tmp_path), *options.split()]
+    assert cli.run(command) == 0
+    rows = table(tmp_path)
+    plain, tuned = (
+        [row["mean_return"] for row in rows if row["method"] == name]
+        for name in ("maesn", "maesn-1-then-trpo")
+    )
+    assert len(plain) == len(tuned) == 2 * 3
+    # After 0 and 1 updates the same, after 2 not.
+    assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--out {0}", "`family` must be given"),
+        ("--family point --out {0}", "name at least one run directory, or a method with --scratch"),
+        ("--family point --scratch sac --out {0}", "no method `sac` that begins from scratch"),
+        ("--family point --scratch trpo:x --out {0}", "must be a positive integer"),
+        ("{1} --family wheeled --out {0}", "must be a run on wheeled"),
+        ("{1} --updates -1 --out {0}", "`updates` must be at least 0"),
+        ("{1} --oracle {0} --out {0}", "there is no run in"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_in_a_sentence(
+    runs: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: str,
+    message: str,
+) -> None:
+    command = arguments.format(tmp_path / "out", runs["maesn"]).split()
+    try:
+        code = cli.run(["compare", *command])
+    except SystemExit as ended:  # of the parser of options
+        code = ended.code
+    assert code == cli.USAGE_ERROR
+    shown = capsys.readouterr()
+    assert message in " ".join((shown.err + shown.out).replace("│", " ").split())
+
+
+def test_runs_in_different_worlds_are_refused(runs: dict[str, Path], tmp_path: Path) -> None:
+    other = create(tmp_path / "other", tiny_maesn(), sparse_radius=1.0)
+    with pytest.raises(RunError, match="must agree in `sparse_radius` to be compared"):
+        compare([runs["maesn"], other.directory], out=tmp_path / "out", conditions=FEW)
