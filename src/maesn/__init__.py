@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from maesn._version import __version__ as __version__
 
 if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in the table below
+    from maesn.ablation import Ablation as Ablation
+    from maesn.ablation import ablate as ablate
     from maesn.adaptation import Adaptation as Adaptation
     from maesn.adaptation import InnerStep as InnerStep
     from maesn.adaptation import StepSchedule as StepSchedule
@@ -77,6 +79,10 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
 # Module -> the names that it gives to the public surface. A name must not equal that of a module
 # of this package: importing the module would silently put it in the name's place.
 _PUBLIC: dict[str, tuple[str, ...]] = {
+    "maesn.ablation": (
+        "Ablation",
+        "ablate",
+    ),
     "maesn.api": (
         "adapt",
         "export",

@@ -12,6 +12,7 @@ COMMANDS = {
     "resume": "go on with a run from its latest checkpoint",
     "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
+    "ablation": "train MAESN and MAML with parts left out, and compare them",
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",

@@ -1,0 +1,153 @@
+"""The paper's last figure: what each part of MAESN contributes, from training to the table."""
+
+import dataclasses
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from maesn import api
+from maesn.comparison import Say, check_family, compare_entries, ground_of, silent
+from maesn.entries import Entry, entry_of_runs
+from maesn.experiments import ABLATION, RADII
+from maesn.report.comparison import Comparison
+from maesn.report.style import MethodStyle, series_styles
+from maesn.runs.config import CONFIG, RunSettings
+from maesn.runs.contest import Conditions, Ground
+from maesn.runs.run import Run
+from maesn.runs.serialization import digest
+from maesn.runs.storage import RunError
+
+RUNS = "runs"
+
+
+@dataclasses.dataclass(frozen=True)
+class Ablation:
+    """Which lines of the figure, and how they are trained."""
+
+    settings: RunSettings
+    """Of every run: family, seed, iterations, episodes per task."""
+    only: tuple[str, ...] = ()
+    """Names of some lines; empty for all."""
+    learner: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Settings that all learners are given, such as `meta_batch_size`."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.only if name not in ABLATION]
+        if unknown:
+            raise ValueError(
+                f"`only` must name lines of the ablation, got {unknown[0]}: known are "
+                f"{', '.join(ABLATION)}."
+            )
+
+    @property
+    def own_family(self) -> str | None:
+        """The family as it has to be given again, if it is the user's own."""
+        return self.settings.family if ":" in self.settings.family else None
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the lines, in the order of the figure."""
+        return [name for name in ABLATION if not self.only or name in self.only]
+
+
+def ablate(
+    ablation: Ablation,
+    out: str | Path,
+    *,
+    conditions: Conditions,
+    radii: Sequence[float] = RADII,
+    oracle: str | Path | None = None,
+    say: Say = silent,
+) -> dict[float, Comparison]:
+    """Meta-train the runs that are missing, adapt all at every radius, draw and tabulate.
+
+    Runs that are finished are used, and unfinished ones are resumed, so that calling it again goes
+    on where it stopped. Seeds that earlier calls have trained in the same directory join the
+    figure.
+
+    Args:
+        ablation: which lines, trained how.
+        out: directory of runs, curves, figures and tables.
+        conditions: of the adaptation.
+        radii: sparse radii of the new tasks, in metres.
+        oracle: directory of a run of the preset `oracle`; without it there is no score.
+        say: is told what goes on.
+
+    Returns:
+        One comparison per radius.
+
+    Raises:
+        RunError: a run in `out` is another one than is asked for.
+    """
+    out = Path(out)
+    for number, name in enumerate(ablation.names, start=1):
+        say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
+        _train(ablation, name, out / RUNS)
+    told = None if oracle is None else Run.open(oracle, ablation.own_family)
+    done: dict[float, Comparison] = {}
+    for radius in radii:
+        say(f"adaptation on sparse reward within {radius:g} m of the goal")
+        settings = dataclasses.replace(ablation.settings, sparse_radius=radius)
+        with closing(ground_of(settings, conditions)) as ground:
+            check_family([told] if told else [], ground)
+            entries = _entries(ablation, out / RUNS, ground)
+            place = out / f"radius-{radius:g}"
+            done[radius] = compare_entries(entries, ground, place, oracle=told, say=say)
+    return done
+
+
+def _train(ablation: Ablation, name: str, directory: Path) -> None:
+    """Begin or go on with the run of one line, unless it is finished."""
+    settings = ablation.settings
+    learner = ABLATION[name].make(settings.iterations, **ablation.learner)
+    path = directory / f"{name}-seed-{settings.seed}"
+    if not (path / CONFIG).exists():
+        api.train(learner, settings, path)
+        return
+    run = Run.open(path, ablation.own_family)
+    _check_same(run, learner, settings)
+    if run.latest().iteration < settings.iterations:
+        api.resume(path, settings.iterations, ablation.own_family)
+
+
+def _check_same(run: Run, learner: Any, settings: RunSettings) -> None:
+    """Refuse a run that was begun with other settings."""
+    free = ("method", "num_threads", "checkpoint_every")
+    for field in dataclasses.fields(RunSettings):
+        found, wanted = (getattr(one, field.name) for one in (run.settings, settings))
+        same = found == wanted or field.name in free
+        if not same:
+            raise RunError(
+                f"`{run.directory}` was begun with `{field.name}` {found}, but {wanted} is asked "
+                "for: give the same again, or another --out."
+            )
+    if digest(run.learner) != digest(learner):
+        raise RunError(
+            f"`{run.directory}` was begun with other settings of its learner than are asked for: "
+            "give the same again, or another --out."
+        )
+
+
+def _entries(ablation: Ablation, directory: Path, ground: Ground) -> list[Entry]:
+    styles = _styles(ablation.names)
+    return [
+        entry_of_runs(name, styles[name], _finished(ablation, name, directory), ground)
+        for name in ablation.names
+    ]
+
+
+def _finished(ablation: Ablation, name: str, directory: Path) -> list[Run]:
+    """Return the runs of one line that are finished, one per seed."""
+    paths = sorted(directory.glob(f"{name}-seed-*/{CONFIG}"))
+    runs = [Run.open(path.parent, ablation.own_family) for path in paths]
+    finished = [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
+    return sorted(finished, key=lambda run: run.settings.seed)
+
+
+def _styles(names: Sequence[str]) -> dict[str, MethodStyle]:
+    drawn = series_styles(names)
+    return {
+        name: dataclasses.replace(style, label=ABLATION[name].label)
+        for name, style in zip(names, drawn, strict=True)
+    }

@@ -1,0 +1,87 @@
+"""`maesn ablation`: the paper's last figure, from training to the table."""
+
+import dataclasses
+from pathlib import Path
+
+from maesn.ablation import Ablation, ablate
+from maesn.commands.options import parse
+from maesn.comparison import USUAL
+from maesn.experiments import RADII
+from maesn.report.comparison_tables import print_summary
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.config import RunSettings
+from maesn.runs.contest import Conditions
+from maesn.runs.storage import RunError
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Train MAESN and MAML with parts left out, adapt them to unseen sparse tasks, compare them."""
+
+    out: Path = Path("runs/ablation")
+    """Directory of runs, figures and tables; an ablation that was interrupted goes on there."""
+    family: str = "wheeled"
+    """Family of tasks."""
+    iterations: int = 300
+    """Meta-iterations of every run."""
+    meta_batch_size: int = 20
+    """Training tasks per meta-iteration."""
+    episodes_per_task: int = 20
+    """Episodes that are played of each task before, and again after, an inner update."""
+    seed: int = 0
+    """Of the training. Seeds that were trained before under the same `--out` join the figure."""
+    only: tuple[str, ...] = ()
+    """Names of some lines of the figure; none for all."""
+    radii: tuple[float, ...] = RADII
+    """Sparse radii of the new tasks, in metres; a figure for each."""
+    tasks: str = USUAL.tasks
+    """Tasks to adapt to: test, validation, training, ood, or an `.npz` file."""
+    num_tasks: int | None = USUAL.num_tasks
+    """The first so many of them; None: all."""
+    updates: int = USUAL.updates
+    """Updates per task."""
+    test_episodes_per_task: int = USUAL.episodes_per_task
+    """Episodes per task and update in the new tasks."""
+    tasks_at_once: int = USUAL.tasks_at_once
+    """Tasks that advance together in the adaptation. Memory grows with it."""
+    oracle: Path | None = None
+    """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run the command."""
+    options = parse(Options, "ablation", arguments)
+    enable_compilation_cache()
+    ablation, conditions = _asked_for(options)
+    done = ablate(
+        ablation,
+        options.out,
+        conditions=conditions,
+        radii=options.radii,
+        oracle=options.oracle,
+        say=print,
+    )
+    for radius, comparison in done.items():
+        print(f"sparse radius {radius:g} m")
+        print_summary(comparison)
+
+
+def _asked_for(options: Options) -> tuple[Ablation, Conditions]:
+    try:
+        settings = RunSettings(
+            family=options.family,
+            seed=options.seed,
+            iterations=options.iterations,
+            episodes_per_task=options.episodes_per_task,
+        )
+        conditions = Conditions(
+            tasks=options.tasks,
+            num_tasks=options.num_tasks,
+            updates=options.updates,
+            episodes_per_task=options.test_episodes_per_task,
+            tasks_at_once=options.tasks_at_once,
+        )
+        learner = {"meta_batch_size": options.meta_batch_size}
+        return Ablation(settings, options.only, learner), conditions
+    except ValueError as error:
+        raise RunError(str(error)) from error

@@ -1,0 +1,63 @@
+"""The paper's settings as named values: each figure is a list of runs."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from maesn.adaptation import Adaptation, InnerStep
+from maesn.context import LatentContext
+from maesn.learners import (
+    AbstractMetaLearner,
+    maesn,
+    maesn_theta,
+    maml,
+    maml_bias,
+    maml_bias_only,
+)
+from maesn.learners.presets import POLICY_STEP
+
+RADII = (0.8, 1.0)
+"""Sparse radii of the last figure on `wheeled`, in metres: that of the paper's text, and the one
+that the published figure appears to have been made with."""
+
+
+class Variation(NamedTuple):
+    """One line of an ablation."""
+
+    label: str
+    make: Callable[..., AbstractMetaLearner[Any, Any]]
+    """Takes settings of the learner, and the iterations that it will be trained for."""
+
+
+def _variation(
+    label: str, preset: Callable[..., AbstractMetaLearner[Any, Any]], **changed: Any
+) -> Variation:
+    return Variation(label, lambda iterations, **settings: preset(**{**changed, **settings}))
+
+
+def _staged(iterations: int, **settings: Any) -> AbstractMetaLearner[Any, Any]:
+    """Return MAESN with theta, of which the second half of the iterations adapts theta."""
+    adaptation = Adaptation(
+        policy=InnerStep(POLICY_STEP, first_iteration=iterations // 2), context=InnerStep(1.0)
+    )
+    return maesn_theta(adaptation=adaptation, **settings)
+
+
+ABLATION: dict[str, Variation] = {
+    "maesn": _variation("MAESN", maesn),
+    "maml": _variation("MAML", maml),
+    "maml_bias": _variation("MAML + bias, all parameters", maml_bias),
+    "maml_bias_only": _variation("MAML + bias, bias only", maml_bias_only),
+    "maml_learned_steps": _variation(
+        "MAML, learned steps", maml, adaptation=Adaptation(policy=InnerStep(POLICY_STEP))
+    ),
+    "maesn_fixed_steps": _variation(
+        "MAESN, fixed steps", maesn, adaptation=Adaptation(context=InnerStep(1.0, learned=False))
+    ),
+    "maesn_without_kl": _variation(
+        "MAESN, without KL", maesn, context=LatentContext(kl_weight=0.0)
+    ),
+    "maesn_theta": Variation("MAESN + θ, staged", _staged),
+    "maesn_2_updates": _variation("MAESN, 2 inner updates", maesn, inner_updates=2),
+    "maesn_3_updates": _variation("MAESN, 3 inner updates", maesn, inner_updates=3),
+}
+"""The appendix "Ablation Study": its four lines, and what each part of MAESN contributes."""

@@ -1,0 +1,112 @@
+"""The ablation: what its lines differ in, and the chain from training to the figure."""
+
+from pathlib import Path
+
+import pytest
+
+from maesn import cli
+from maesn.experiments import ABLATION
+from maesn.learners import AbstractMetaLearner, maesn, maml, method_name
+from maesn.report.style import series_styles
+from maesn.runs.run import Run
+from maesn.runs.serialization import digest, from_json, to_json
+
+OPTIONS = [
+    *("ablation", "--family", "point", "--iterations", "2", "--meta-batch-size", "3"),
+    *("--episodes-per-task", "3", "--test-episodes-per-task", "3", "--num-tasks", "3"),
+    *("--updates", "1", "--radii", "0.8", "1.0", "--only", "maml_bias_only", "maesn_fixed_steps"),
+]
+
+
+def line(name: str) -> AbstractMetaLearner:
+    return ABLATION[name].make(300)
+
+
+def test_all_lines_are_different_learners_that_can_be_stored() -> None:
+    learners = {name: line(name) for name in ABLATION}
+    assert len({digest(learner) for learner in learners.values()}) == len(ABLATION) == 10
+    for learner in learners.values():
+        assert from_json(to_json(learner)) == learner
+
+
+def test_each_line_is_its_preset_with_one_thing_changed() -> None:
+    assert line("maesn") == maesn()
+    assert line("maml") == maml()
+    methods = {name: method_name(line(name)) for name in ABLATION}
+    assert methods["maml_bias"] == "maml_bias"
+    assert methods["maml_learned_steps"] == "maml"
+    assert methods["maesn_theta"] == "maesn_theta"
+    assert line("maml_learned_steps").adaptation.policy.learned
+    assert not line("maesn_fixed_steps").adaptation.context.learned
+    assert line("maesn_fixed_steps").adaptation.context.initial_size == 1.0
+    assert line("maesn_without_kl").context.kl_weight == 0.0
+    assert [line(f"maesn_{count}_updates").inner_updates for count in (2, 3)] == [2, 3]
+
+
+def test_theta_joins_in_the_second_half() -> None:
+    for iterations in (300, 100):
+        learner = ABLATION["maesn_theta"].make(iterations)
+        assert learner.adaptation.policy.first_iteration == iterations // 2
+
+
+def test_settings_reach_every_line() -> None:
+    for variation in ABLATION.values():
+        assert variation.make(10, meta_batch_size=5).meta_batch_size == 5
+
+
+def test_lines_can_be_told_apart() -> None:
+    styles = series_styles(list(ABLATION))
+    assert len({(style.colour, style.line, style.marker) for style in styles}) == len(ABLATION)
+
+
+def test_the_whole_chain_and_how_it_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [*OPTIONS, "--out", str(tmp_path)]
+    assert cli.run(command) == 0
+    for radius in ("0.8", "1"):
+        assert (tmp_path / f"radius-{radius}" / "comparison.png").stat().st_size > 5000
+        table = (tmp_path / f"radius-{radius}" / "table.csv").read_text()
+        assert len(table.splitlines()) == 1 + 2 * 3 * 2 + 2 * 3
+    assert "MAESN, fixed steps" in capsys.readouterr().out
+    run = tmp_path / "runs" / "maml_bias_only-seed-0"
+    checkpoints = [path.read_bytes() for path in Run.open(run).checkpoints()]
+    # A run that was stopped goes on, one that is finished does not; a new seed joins.
+    other = Run.open(tmp_path / "runs" / "maesn_fixed_steps-seed-0")
+    last = other.checkpoints()[-1]
+    finished = last.read_bytes()
+    last.unlink()
+    assert cli.run([*command, "--radii", "1.0"]) == 0
+    assert last.read_bytes() == finished
+    assert [path.read_bytes() for path in Run.open(run).checkpoints()] == checkpoints
+    assert "done before" in capsys.readouterr().out
+    assert cli.run([*command, "--radii", "1.0", "--seed", "1"]) == 0
+    table = (tmp_path / "radius-1" / "table.csv").read_text()
+    assert len(table.splitlines()) == 1 + 2 * 2 * 3 * 2 + 2 * 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--only", "maesm"], "`only` must name lines of the ablation, got maesm"),
+        (["--iterations", "-1"], "`iterations` must be at least 0"),
+        (["--episodes-per-task", "0"], "`episodes_per_task` must be at least 1"),
+    ],
+)
+def test_wrong_options_are_told_in_a_sentence(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["ablation", "--out", str(tmp_path), *options]) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+
+
+def test_a_run_of_other_settings_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maesn"]
+    assert cli.run(short) == 0
+    capsys.readouterr()
+    assert cli.run([*short, "--episodes-per-task", "4"]) == cli.USAGE_ERROR
+    assert "was begun with `episodes_per_task` 3, but 4 is asked for" in capsys.readouterr().err
+    assert cli.run([*short, "--meta-batch-size", "4"]) == cli.USAGE_ERROR
+    assert "other settings of its learner" in capsys.readouterr().err
