@@ -4,7 +4,7 @@ import dataclasses
 
 from maesn.commands.options import parse
 from maesn.envs import FAMILIES, PROBES
-from maesn.learners import PRESETS
+from maesn.learners import CURIOUS, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.shipped import TRAINED, policy_names
 
@@ -20,6 +20,12 @@ def main(arguments: list[str]) -> None:
     print("methods:")
     for name, preset in PRESETS.items():
         print(f"  {name:16s}{_first_line(preset.__doc__)}")
+    print(
+        f"  {'NAME' + CURIOUS:16s}Any of these, paid for what it finds out about the world as well."
+    )
+    print("from scratch, for `maesn compare --scratch`:")
+    for name, make in SCRATCH.items():
+        print(f"  {name:16s}{_first_line(make.__doc__)}")
     print("families:")
     for name, family in FAMILIES.items():
         print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
