@@ -209,5 +209,5 @@ def test_too_few_tasks_are_refused() -> None:
 
 def test_thinned_curvature_is_refused_where_there_is_memory() -> None:
     slots = maesn()
-    with pytest.raises(ValueError, match="`curvature_stride` is 10, but a policy with memory"):
+    with pytest.raises(ValueError, match="`curvature_stride` is 20, but a policy with memory"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent())

@@ -61,7 +61,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Inner updates per meta-iteration, each on episodes of its own."""
     outer_batches: int = 1
     """Batches of episodes that the outer step learns from."""
-    curvature_stride: int = 10
+    curvature_stride: int = 20
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
     steps resemble each other); 1 for all. The reference uses all. Where an inner step runs through
     the policy, its derivative inside the curvature is sampled likewise (`learners.curvature`)."""
