@@ -12,7 +12,9 @@ import resource
 import time
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from bare_physics import BarePhysics, Recorder
@@ -38,12 +40,33 @@ class Settings:
     """Episodes per task and collection."""
     iterations: int = 15
     """Timed meta-iterations; the median counts."""
+    first_iteration: int = 0
+    """Number of the first of them: methods that are trained in stages do more later."""
     num_threads: int = 0
     """Threads of the engine; 0 for all cores."""
 
 
-def main(settings: Settings) -> None:
-    """Time meta-iterations and the bare engine in turn, and print their ratio."""
+@dataclass(frozen=True)
+class Times:
+    """Seconds of meta-iterations."""
+
+    first: float
+    """Of the first one, with compilation."""
+    whole: np.ndarray
+    """Of each timed one."""
+    collecting: np.ndarray
+    """Of its collections."""
+    bare: np.ndarray
+    """Of the physics of these collections alone."""
+
+    @property
+    def ratio(self) -> float:
+        """Median of whole meta-iterations divided by their physics."""
+        return float(np.median(self.whole / self.bare))
+
+
+def measure(settings: Settings) -> Times:
+    """Time meta-iterations and the bare engine in turn."""
     family = resolve_family(settings.family)
     env = family.make_env(reward_kind="dense")
     assert isinstance(env, AbstractMujocoEnv), f"{settings.family} does not run on MuJoCo"
@@ -53,6 +76,7 @@ def main(settings: Settings) -> None:
     state = learner.init(
         jax.random.key(0), env.observation_size, env.action_size, collect.num_tasks
     )
+    state = eqx.tree_at(lambda s: s.iteration, state, jnp.asarray(settings.first_iteration))
     begin = time.perf_counter()
     state, _ = jax.block_until_ready(learner.step(jax.random.key(1), state, collect))
     first = time.perf_counter() - begin
@@ -69,21 +93,17 @@ def main(settings: Settings) -> None:
         whole.append(time.perf_counter() - begin)
         collecting.append(collect.seconds)
         bare.append(physics.timed(collect.played()))
-    report(settings, first, np.array(whole), np.array(collecting), np.array(bare))
+    world.close()
+    return Times(first, *map(np.array, (whole, collecting, bare)))
 
 
-def report(
-    settings: Settings,
-    first: float,
-    whole: np.ndarray,
-    collecting: np.ndarray,
-    bare: np.ndarray,
-) -> None:
+def report(settings: Settings, times: Times) -> None:
     """Print where the time goes."""
+    whole, collecting, bare = times.whole, times.collecting, times.bare
     physics = np.median(bare)
     steps = settings.meta_batch_size * settings.episodes_per_task
     rows = {
-        "first meta-iteration (with compilation)": first,
+        "first meta-iteration (with compilation)": times.first,
         "meta-iteration": np.median(whole),
         "  collections": np.median(collecting),
         "    physics alone": physics,
@@ -99,8 +119,9 @@ def report(
         print(f"{name:42s} {seconds:7.3f} s  {seconds / physics:6.2f} x physics")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory: {peak:.2f} GiB")
-    print(f"ratio: {np.median(whole / bare):.2f}")
+    print(f"ratio: {times.ratio:.2f}")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    chosen = tyro.cli(Settings)
+    report(chosen, measure(chosen))

@@ -1,0 +1,108 @@
+"""Time of every method, as a multiple of what its physics alone takes.
+
+    python benchmarks/methods.py
+
+Of the methods that are meta-trained, a meta-iteration (see `meta_iteration.py`); of those that
+learn each task from scratch, an update of all tasks at once, with the episodes before it. Physics
+means the same episodes, again, on the engine alone (see `bare_physics.py`). Both are timed in turn
+in one process. Compilation is excluded.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from bare_physics import BarePhysics, Recorder
+from meta_iteration import Settings as IterationSettings
+from meta_iteration import Times
+from meta_iteration import measure as measure_iterations
+
+from maesn.envs import AbstractMujocoEnv
+from maesn.learners import SCRATCH, AbstractFastLearner
+from maesn.rollout import Collector
+from maesn.runs.task_sources import resolve_family
+from maesn.worlds import make_world
+
+# As if half of a run were over: of `maesn_theta`, all parts move by then.
+SECOND_STAGE = 150
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is timed."""
+
+    family: str = "wheeled"
+    """A family that is moved by the MuJoCo engine; your own as `module:name`."""
+    methods: tuple[str, ...] = (
+        "maesn", "latent_space", "maml_bias_only", "maml", "maml_bias", "maesn_theta", "rl2",
+    )  # fmt: skip
+    """Presets that are meta-trained."""
+    scratch: tuple[str, ...] = ("reinforce", "trpo", "vime")
+    """Methods that learn each task from scratch."""
+    tasks: int = 20
+    """Tasks of a meta-iteration, and of an update."""
+    meta_episodes: int = 20
+    """Episodes per task and collection in meta-training."""
+    scratch_episodes: int = 50
+    """Episodes per task and update from scratch."""
+    repetitions: int = 9
+    """Timed meta-iterations or updates; the median counts."""
+
+
+def measure_updates(name: str, settings: Settings) -> Times:
+    """Time updates from scratch and the bare engine in turn."""
+    family = resolve_family(settings.family)
+    env, tasks = family.make_env(reward_kind="sparse"), family.task_set("validation")
+    assert isinstance(env, AbstractMujocoEnv), f"{settings.family} does not run on MuJoCo"
+    world = make_world(env, tasks)
+    collect = Recorder(Collector(world, settings.scratch_episodes))
+    physics = BarePhysics(env, settings.tasks * settings.scratch_episodes)
+    learner: AbstractFastLearner[Any] = SCRATCH[name](env.observation_size, env.action_size)
+    state = learner.init(jax.random.split(jax.random.key(0), settings.tasks))
+    whole, collecting, bare = [], [], []
+    for update in range(1 + settings.repetitions):
+        keys = jax.random.split(jax.random.key(1 + update), settings.tasks)
+        collect.clear()
+        begin = time.perf_counter()
+        episodes = collect(keys, learner.agents(state), jnp.arange(settings.tasks))
+        state = jax.block_until_ready(learner.update(state, episodes))
+        whole.append(time.perf_counter() - begin)
+        collecting.append(collect.seconds)
+        bare.append(physics.timed(collect.played()))
+    world.close()
+    timed = (np.array(seconds[1:]) for seconds in (whole, collecting, bare))
+    return Times(whole[0], *timed)
+
+
+def report(name: str, times: Times) -> None:
+    """Print one line of the table."""
+    whole, collecting, bare = map(np.median, (times.whole, times.collecting, times.bare))
+    print(f"{name:15s} {whole:9.3f} {collecting:12.3f} {bare:9.3f} {times.ratio:8.2f}", flush=True)
+
+
+def main(settings: Settings) -> None:
+    """Time all methods."""
+    print(f"{settings.family}, {settings.tasks} tasks, median of {settings.repetitions}, seconds")
+    print(f"{'':15s} {'whole':>9s} {'collections':>12s} {'physics':>9s} {'ratio':>8s}")
+    print(f"a meta-iteration, {settings.meta_episodes} episodes per task and collection")
+    for method in settings.methods:
+        chosen = IterationSettings(
+            family=settings.family,
+            method=method,
+            meta_batch_size=settings.tasks,
+            episodes_per_task=settings.meta_episodes,
+            iterations=settings.repetitions,
+            first_iteration=SECOND_STAGE,
+        )
+        report(method, measure_iterations(chosen))
+    print(f"an update of all tasks, {settings.scratch_episodes} episodes each")
+    for method in settings.scratch:
+        report(method, measure_updates(method, settings))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
