@@ -123,9 +123,18 @@ def _unlearned(
     num_tasks: int,
 ) -> Contestant:
     """Return a contestant that has learned nothing before."""
-    written = " ".join(f"{name} {learner}".split())
+    written = " ".join(f"{name} {_written(learner)}".split())
     record = ground.record(Identity(written), seed, updates)
     return Contestant(name, seed, learner, record, num_tasks)
+
+
+def _written(settings: Any) -> str:
+    """Write settings out in full: defaults as well, which may be others in a later version."""
+    if not dataclasses.is_dataclass(settings):
+        return repr(settings)
+    fields = dataclasses.fields(settings)
+    values = (f"{field.name}={_written(getattr(settings, field.name))}" for field in fields)
+    return f"{type(settings).__name__}({', '.join(values)})"
 
 
 def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:

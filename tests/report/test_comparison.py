@@ -74,6 +74,18 @@ def test_without_an_oracle_above_the_floor_there_is_no_score_and_it_is_said_why(
     assert comparison().why_no_score == ""
 
 
+def test_methods_without_a_score_are_named_where_others_have_one() -> None:
+    # On the first four tasks the oracle is no better than the floor.
+    uneven = dataclasses.replace(
+        constant(0.0), mean_return=np.array([[-400.0]] * 4 + [[-100.0]] * 4)
+    )
+    lines = named("maesn", adaptation_table()), named("vime", adaptation_table(4))
+    told = dataclasses.replace(comparison(*lines), oracle=named("oracle", uneven))
+    assert "No score of VIME: on these tasks" in summary_tables(told)[0].to_markdown()
+    scores = {row["method"] for row in tidy_rows(told) if row["score"] == ""}
+    assert scores == {"vime"}
+
+
 def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Path) -> None:
     tables = [adaptation_table(seed=seed) for seed in range(2)]
     compared = comparison(named("maesn", *tables), named("trpo", adaptation_table(5)))

@@ -1,8 +1,8 @@
 """Methods adapted to the same tasks: what a comparison holds, its score and its tidy table."""
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,8 +77,6 @@ class Comparison:
     """Agents that learn nothing; the one with the better mean return is the floor."""
     oracle: Line | None = None
     """The agent that is told the task; None if no run of it was given."""
-    notes: tuple[str, ...] = field(default=())
-    """Sentences about how it came about."""
 
     def steps(self, line: Line) -> Int[np.ndarray, " update"]:
         """Return the environment steps per task that a method has learned from by then.
@@ -204,11 +202,3 @@ def paired(
     both = min(first.num_tasks, second.num_tasks)
     one, other = (line.measure(measure)[:, :both, update] for line in (first, second))
     return one, other
-
-
-def seeds_and_tasks(lines: Sequence[Line]) -> Mapping[str, str]:
-    """Return, by a method's label, how many seeds and tasks its numbers are means over."""
-    return {
-        line.label: f"{len(line.seeds)} seed{'s' * (len(line.seeds) > 1)}, {line.num_tasks} tasks"
-        for line in lines
-    }

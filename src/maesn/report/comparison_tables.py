@@ -87,11 +87,11 @@ def _ends(comparison: Comparison) -> TextTable:
         else "Mean and interquartile mean (IQM) of the dense-reward curves' last points.",
         f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
-        comparison.why_no_score,
-        *comparison.notes,
+        comparison.why_no_score or _scoreless(comparison),
     ]
     tables = comparison.lines[0].tables
-    title = f"After {int(tables[0].updates[-1])} updates in {tables[0].tasks} tasks"
+    updates = int(tables[0].updates[-1])
+    title = f"After {updates} update{'s' * (updates != 1)} in {tables[0].tasks} tasks"
     return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
 
 
@@ -121,6 +121,15 @@ def _score(comparison: Comparison, line: Line, returns: Interval) -> str:
         return ""
     mean, low, high = map(float, scores)
     return _text(replace(returns, mean=mean, low=low, high=high), _SCORE)
+
+
+def _scoreless(comparison: Comparison) -> str:
+    """Name the methods that have no score where others have one; empty if there are none."""
+    lines = comparison.lines
+    labels = [line.label for line in lines if comparison.score(np.zeros(1), line.num_tasks) is None]
+    if not labels:
+        return ""
+    return f"No score of {', '.join(labels)}: on these tasks the oracle is not above the floor."
 
 
 def _beyond(line: Line) -> str:
