@@ -1,5 +1,6 @@
 """The documentation: every link leads somewhere, every Python example runs."""
 
+import dataclasses
 import os
 import re
 import subprocess
@@ -7,6 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from maesn.learners.curious import CuriosityInfo
+from maesn.learners.info import GradientInfo, GroupShares
+from maesn.learners.policy_steps import ProximalInfo
+from maesn.learners.recurrent import RecurrentInfo
+from maesn.trust_region import TrustRegionInfo
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -65,3 +72,23 @@ def test_python_examples_run(page: Path, tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("prefix", "info"),
+    [
+        ("", GradientInfo),
+        ("", RecurrentInfo),
+        ("shares/", GroupShares),
+        ("trust_region/", TrustRegionInfo),
+        ("policy_step/", ProximalInfo),
+        ("curiosity/", CuriosityInfo),
+    ],
+)
+def test_every_metric_is_described(prefix: str, info: type) -> None:
+    page = (ROOT / "docs" / "files.md").read_text("utf-8")
+    rows = "".join(re.findall(r"^(\|[^|]*\|)", page, re.MULTILINE))
+    told = prose(ROOT / "docs" / "files.md").split("## metrics.jsonl")[1].split("\n## ")[0]
+    for field in dataclasses.fields(info):
+        name = f"{prefix}{field.name}"
+        assert f"`{name}" in told or f"`.../{field.name}`" in rows, name

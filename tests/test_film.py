@@ -205,3 +205,14 @@ def test_the_command_draws_or_says_what_to_install(run: Run, tmp_path: Path) -> 
         colours = len(np.unique(np.asarray(sheet).reshape(-1, 3), axis=0))
     assert colours > 300
     assert done.stdout.split() == [str(path) for path in sorted(tmp_path.iterdir())]
+
+
+def test_what_has_no_place_in_a_plane_is_refused_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    learner = tiny_maesn(policy=maesn.CategoricalMLP((8,)))
+    blind = Run.create(tmp_path / "run", learner, tiny_settings(family="bandit"))
+    assert cli.run(["render", str(blind.directory)]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert error.startswith("maesn render: `bandit` cannot be drawn: it does not say where")
+    assert error.count("\n") == 1

@@ -36,6 +36,16 @@ def test_a_users_file_never_resets_itself(tmp_path: Path) -> None:
         assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
+def test_a_model_may_be_xml_itself() -> None:
+    model = load_model(f"\n  {PLAIN}")
+    assert model.nq == 1
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    with pytest.raises(ValueError, match="XML"):
+        load_model("<mujoco><worldbody/>")
+    with pytest.warns(UserWarning, match=r"^model '<mujoco>': .*settotalmass"):
+        load_model(DEPRECATED)
+
+
 def test_an_unknown_model_names_the_known_ones() -> None:
     with pytest.raises(FileNotFoundError, match=r"wheeled\.xml.*got 'weeled'"):
         load_model("weeled")

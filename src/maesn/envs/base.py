@@ -213,7 +213,7 @@ class AbstractMujocoEnv(AbstractSimulatedEnv[Task]):
 
     engine: ClassVar[str] = "mujoco.batch"
     model: eqx.AbstractClassVar[str]
-    """File name of the model below `maesn/physics/models`, or the path of a user's own file."""
+    """Name of a model below `maesn/physics/models`, the path of a user's own file, or XML."""
     readings: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the engine's quantities that the functions above read."""
     frame_skip: ClassVar[int] = 1

@@ -23,25 +23,38 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
     on from there. Warnings of the compiler become Python warnings.
 
     Args:
-        model: name of a model of the library, such as "wheeled", or path of an MJCF or URDF file.
+        model: name of a model of the library, such as "wheeled", path of an MJCF or URDF file, or
+            the XML itself.
 
     Returns:
         The compiled model.
 
     Raises:
         FileNotFoundError: there is neither such a model nor such a file.
-        ValueError: MuJoCo cannot compile the file.
+        ValueError: MuJoCo cannot compile the XML.
     """
     _redirect_warnings()
     _messages.clear()
     compiled = _compile(os.fspath(model))
     for message in _messages:
-        warnings.warn(f"model {os.fspath(model)!r}: {message}", stacklevel=2)
+        warnings.warn(f"model {label(model)!r}: {message}", stacklevel=2)
     compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     return compiled
 
 
+def label(model: str | os.PathLike[str]) -> str:
+    """Return a model's name or path for a message; of XML itself, its first tag."""
+    name = os.fspath(model)
+    return f"{name.strip().partition('>')[0]}>" if _is_xml(name) else name
+
+
+def _is_xml(name: str) -> bool:
+    return name.lstrip().startswith("<")
+
+
 def _compile(name: str) -> mujoco.MjModel:
+    if _is_xml(name):
+        return mujoco.MjModel.from_xml_string(name)
     own = resources.files("maesn.physics") / "models"
     names = sorted(entry.name for entry in own.iterdir() if entry.name.endswith(".xml"))
     for candidate in (name, f"{name}.xml"):

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from maesn.axes import Readings
 from maesn.physics.base import EngineError, ModelFields
-from maesn.physics.loading import load_model
+from maesn.physics.loading import label, load_model
 from maesn.physics.mjx_dynamics import Dynamics, ModelVariants
 from maesn.physics.mjx_margins import MarginError, margins_as_sizes
 
@@ -68,7 +68,7 @@ class MjxEngine:
     """A model on JAX's device. `initial` and `step` are pure functions of one simulation.
 
     Args:
-        model: name of a model of the library or path of an XML file, as for `load_model`.
+        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
         frame_skip: physics steps per control step.
         limits: what may be left out for speed.
@@ -90,7 +90,7 @@ class MjxEngine:
         _check_settings(readings, frame_skip, limits)
         self._mjx, self._frame_skip = import_mjx(), frame_skip
         compiled = load_model(model)
-        with _own_rules(), _explained(os.fspath(model)):
+        with _own_rules(), _explained(label(model)):
             self._variants = ModelVariants(compiled, lambda m: self._put(m, limits))
             self._blank = self._mjx.make_data(self._prepared(compiled, limits))
         self._readers = {name: self._reader(name, compiled) for name in readings}

@@ -44,7 +44,7 @@ class NativeSimulator(AbstractSimulator):
     MuJoCo's warning counters after it.
 
     Args:
-        model: name of a model of the library or path of an XML file, as for `load_model`.
+        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         num_simulations: how many simulations move together.
         readings: names of the fields of `mujoco.MjData` that `reset` and `step` return.
         frame_skip: physics steps per control step.

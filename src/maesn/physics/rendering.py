@@ -41,7 +41,7 @@ def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos
     """Return the part of the floor that whatever moves in a model covers in some states.
 
     Args:
-        model: name of a model of the library or path of an XML file, as for `load_model`.
+        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         qpos: generalised positions of the states.
 
     Raises:
@@ -65,7 +65,7 @@ class Renderer:
     """Draws states of one model, each with its goal and the way that led there.
 
     Args:
-        model: name of a model of the library or path of an XML file, as for `load_model`.
+        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         view: what the camera must see.
         width: of the pictures, in pixels.
         height: of the pictures, in pixels.

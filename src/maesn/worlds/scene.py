@@ -36,8 +36,8 @@ class Scene:
     def __init__(self, env: AnyEnv, view: View, width: int = 320, height: int = 240) -> None:
         if not env.planar:
             raise RenderingError(
-                f"`{env.name}` cannot be drawn: it says neither where its agent is nor where the "
-                "goal of a task is (`position`, `goal`)."
+                f"`{env.name}` cannot be drawn: it does not say where in a plane its agent "
+                "(`position`) and the goal of a task (`goal`) are; give both if they have a place."
             )
         self.env = env
         self._renderer = Renderer(_model(env), view, width, height)

@@ -1,0 +1,124 @@
+"""The guide to an own family on a MuJoCo model, taken at its word: its files, its commands."""
+
+import importlib
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scripts import ROOT
+
+from maesn import cli
+from maesn.envs import NAMED_SETS, TaskSet
+from maesn.worlds import NativeWorld, make_world
+from maesn.worlds.simulators import native_simulator
+
+GUIDE = (ROOT / "docs" / "own_environment_mujoco.md").read_text("utf-8")
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCKS = FENCE.findall(GUIDE)
+FILES = [code for language, code in BLOCKS if language == "python" and code.startswith("# puck.py")]
+COMMANDS = [
+    line
+    for language, code in BLOCKS
+    if language == "console"
+    for line in code.splitlines()
+    if line.startswith("maesn ")
+]
+# What makes each command take seconds.
+FEW = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
+SMALL = {
+    "train": [*FEW, "--iterations", "1", "--checkpoint-every", "1"],
+    "adapt": ["--updates", "1", "--episodes-per-task", "2"],
+    "plot": [],
+    "render": ["--update", "0", "--episodes", "1", "--episodes-per-task", "2"],
+    "export": [],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where the guide's file is, and can be imported from."""
+    directory = tmp_path_factory.mktemp("own")
+    (directory / "puck.py").write_text("\n".join(FILES), encoding="utf-8")
+    sys.path.insert(0, str(directory))
+    yield directory
+    sys.path.remove(str(directory))
+    del sys.modules["puck"]
+
+
+@pytest.fixture(scope="module")
+def puck(folder: Path) -> ModuleType:
+    return importlib.import_module("puck")
+
+
+def test_the_family_has_less_than_sixty_lines() -> None:
+    assert len([line for line in FILES[0].splitlines() if line.strip()]) < 60
+
+
+def test_the_guide_shows_every_command_that_takes_a_run() -> None:
+    assert {line.split()[1] for line in COMMANDS} == set(SMALL)
+
+
+@pytest.mark.usefixtures("quick_compiler")
+def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    for line in COMMANDS:
+        words = shlex.split(line)[1:]
+        assert cli.run([*words, *SMALL[words[0]]]) == 0, line
+    for name in ("puck", "unknown"):
+        assert (folder / "runs" / name / "adaptation" / "test-sparse.csv").exists()
+    assert (folder / "runs" / "puck" / "figures" / "exploration.png").exists()
+    assert (folder / "runs" / "puck" / "render" / "test-sparse-task-0.gif").exists()
+    assert (folder / "puck.npz").exists()
+
+
+@pytest.mark.parametrize("name", ["family", "unknown"])
+def test_it_is_moved_by_the_batched_engine(puck: ModuleType, name: str) -> None:
+    family = getattr(puck, name)
+    world = make_world(family.make_env(), family.task_set("training"))
+    assert isinstance(world, NativeWorld)
+    assert len({family.task_set(which).digest() for which in NAMED_SETS[:3]}) == 3
+
+
+def test_its_rewards_are_those_that_it_says(puck: ModuleType) -> None:
+    goal = jnp.array([0.6, 0.8])
+    near, far = ({"qpos": jnp.asarray(at), "qvel": jnp.zeros(2)} for at in ([0.6, 0.6], [0.0, 0.0]))
+    paid = {
+        kind: [puck.Puck(reward_kind=kind).reward(far, goal, at, goal).total for at in (near, far)]
+        for kind in ("dense", "sparse")
+    }
+    np.testing.assert_allclose(paid["dense"], [-0.2, -1.0], atol=1e-6)
+    np.testing.assert_allclose(paid["sparse"], [-0.2, -1.0], atol=1e-6)
+    beyond = {"qpos": jnp.array([-0.6, -0.8]), "qvel": jnp.zeros(2)}
+    assert puck.Puck(reward_kind="sparse").reward(far, goal, beyond, goal).total == -1
+    assert puck.Puck().reward(far, goal, beyond, goal).total == pytest.approx(-2)
+
+
+def test_masses_friction_and_motors_move_the_puck_as_they_should(puck: ModuleType) -> None:
+    """MuJoCo's Euler method takes damping implicitly: m (v' - v) / h = gear u - damping v'."""
+    tasks = TaskSet(puck.draw_settings(np.random.default_rng(0), 6))
+    env = puck.UnknownPuck()
+    start = jax.vmap(env.start)(jax.random.split(jax.random.key(0), 6), tasks.tasks)
+    simulator = native_simulator(env, 6, num_threads=2)
+    qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
+    readings = simulator.reset(qpos, qvel, fields)
+    control, period = np.array([[1.0, -0.5]]).repeat(6, axis=0), 0.01
+    mass, damping, gear = (
+        np.float64(getattr(tasks.tasks, name))[:, None] for name in ("mass", "damping", "gear")
+    )
+    place, speed = readings["qpos"], readings["qvel"]
+    for _ in range(4):
+        readings = simulator.step(control)
+        for _ in range(env.frame_skip):
+            speed = (mass * speed + period * gear * control) / (mass + period * damping)
+            place = place + period * speed
+        np.testing.assert_allclose(readings["qvel"], speed, rtol=1e-9)
+        np.testing.assert_allclose(readings["qpos"], place, rtol=1e-9)
+    simulator.close()
+    assert len(np.unique(readings["qvel"][:, 0].round(3))) == 6  # so that they really differ
