@@ -11,7 +11,8 @@ import pytest
 from small_runs import create, finish, tiny_maesn
 
 from maesn import api, cli, entries, evaluate
-from maesn.comparison import Scratch, compare, ground_of, silent
+from maesn.comparison import compare, ground_of, silent
+from maesn.entries import Scratch
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
 from maesn.report.adaptation_table import read_adaptation

@@ -23,13 +23,13 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.api import resume as resume
     from maesn.api import train as train
     from maesn.comparison import Place as Place
-    from maesn.comparison import Scratch as Scratch
     from maesn.comparison import compare as compare
     from maesn.context import BiasContext as BiasContext
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
     from maesn.context import ToldContext as ToldContext
     from maesn.curiosity import Curiosity as Curiosity
+    from maesn.entries import Scratch as Scratch
     from maesn.envs import FAMILIES as FAMILIES
     from maesn.envs import AbstractMujocoEnv as AbstractMujocoEnv
     from maesn.envs import AbstractPureEnv as AbstractPureEnv
@@ -98,7 +98,6 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.advantage": ("AdvantageEstimator",),
     "maesn.comparison": (
         "Place",
-        "Scratch",
         "compare",
     ),
     "maesn.context": (
@@ -108,6 +107,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "ToldContext",
     ),
     "maesn.curiosity": ("Curiosity",),
+    "maesn.entries": ("Scratch",),
     "maesn.envs": (
         "FAMILIES",
         "AbstractMujocoEnv",

@@ -6,9 +6,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TypeAlias
 
-from maesn.entries import Entry, entry_of_runs, entry_of_scratch, floor_entries
+from maesn.entries import Entry, Scratch, entry_of_runs, floor_entries, scratch_entries
 from maesn.envs import Variant
-from maesn.learners import SCRATCH
 from maesn.report.adaptation_table import read_adaptation
 from maesn.report.comparison import Comparison, Line, first_part, write_tidy_table
 from maesn.report.comparison_tables import write_summary
@@ -79,16 +78,6 @@ class Place:
         }
         first = {name: values[0] for name, values in said.items() if values}
         return RunSettings(**{**first, **given, "num_threads": self.num_threads})
-
-
-@dataclasses.dataclass(frozen=True)
-class Scratch:
-    """Methods that begin anew in every task."""
-
-    methods: tuple[str, ...] = ()
-    """trpo, reinforce, vime; NAME:COUNT adapts to the first COUNT tasks alone, as in `vime:30`."""
-    seeds: tuple[int, ...] = (0,)
-    """Each method begins anew in every task with each of these seeds."""
 
 
 ANYWHERE, NOBODY, USUAL = Place(), Scratch(), Conditions()
@@ -223,22 +212,7 @@ def _entries(
                 )
             except RunError as error:
                 say(f"{series.label} takes part as it is: {error}")
-    counts = [_method_and_count(text) for text in scratch.methods]
-    return entries + [entry_of_scratch(*one, scratch.seeds, ground) for one in counts]
-
-
-def _method_and_count(text: str) -> tuple[str, int | None]:
-    """Read NAME or NAME:COUNT."""
-    name, colon, count = text.partition(":")
-    if name not in SCRATCH:
-        raise RunError(
-            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
-        )
-    if colon and not (count.isdecimal() and int(count)):
-        raise RunError(
-            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
-        )
-    return SCRATCH[name].__name__, int(count) if colon else None
+    return entries + scratch_entries(scratch, ground)
 
 
 def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:

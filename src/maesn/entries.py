@@ -11,6 +11,7 @@ from maesn.runs.adaptation_files import adaptation_file, engine_suffix
 from maesn.runs.adaptation_record import Identity, identity_of_run
 from maesn.runs.contest import Contestant, Ground
 from maesn.runs.run import Run
+from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
 
@@ -31,6 +32,16 @@ class Entry:
     """One per seed."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if there is no such limit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scratch:
+    """Methods that begin anew in every task."""
+
+    methods: tuple[str, ...] = ()
+    """trpo, reinforce, vime; NAME:COUNT adapts to the first COUNT tasks alone, as in `vime:30`."""
+    seeds: tuple[int, ...] = (0,)
+    """Each method begins anew in every task with each of these seeds."""
 
 
 def entry_of_runs(
@@ -101,6 +112,30 @@ def entry_of_scratch(
         _unlearned(name, learner, seed, ground, ground.conditions.updates, count) for seed in seeds
     ]
     return Entry(name, METHOD_STYLES[name], tuple(contestants))
+
+
+def scratch_entries(scratch: Scratch, ground: Ground) -> list[Entry]:
+    """Return the methods that begin anew in every task.
+
+    Raises:
+        RunError: there is no such method.
+    """
+    chosen = [_method_and_count(text) for text in scratch.methods]
+    return [entry_of_scratch(*one, scratch.seeds, ground) for one in chosen]
+
+
+def _method_and_count(text: str) -> tuple[str, int | None]:
+    """Read NAME or NAME:COUNT."""
+    name, colon, count = text.partition(":")
+    if name not in SCRATCH:
+        raise RunError(
+            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
+        )
+    if colon and not (count.isdecimal() and int(count)):
+        raise RunError(
+            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
+        )
+    return SCRATCH[name].__name__, int(count) if colon else None
 
 
 def floor_entries(ground: Ground) -> list[Entry]:

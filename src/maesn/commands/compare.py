@@ -7,7 +7,8 @@ from typing import Annotated
 import tyro
 
 from maesn.commands.options import parse
-from maesn.comparison import ANYWHERE, USUAL, Place, Scratch, compare
+from maesn.comparison import ANYWHERE, USUAL, Place, compare
+from maesn.entries import Scratch
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.contest import Conditions
