@@ -140,11 +140,12 @@ def test_task_distribution() -> None:
 
 
 def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
-    # Tasks 0 and 1 share a layout, whose objects are drawn once.
+    # Nine tasks share a layout, whose objects are drawn once.
     layout = np.array([[0.4, 0.1], [0.5, -0.3]])
-    training = np.stack([layout, layout, layout + 5.0])
+    training = np.stack([layout] * 9 + [layout + 5.0])
+    adapted_to = np.stack([layout - 5.0] * NUM_TASKS)
     figure = plot_task_distribution(
-        replace(exploration(), training_landmarks=training, landmarks=layout[None] - 5.0)
+        replace(exploration(), training_landmarks=training, landmarks=adapted_to)
     )
     (axes,) = figure.axes
     drawn = line(axes, "objects of training tasks")
