@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from small_runs import tensors
 
 from maesn import cli
 from maesn.experiments import ABLATION
@@ -74,10 +75,10 @@ def test_the_whole_chain_and_how_it_goes_on(
     # A run that was stopped goes on, one that is finished does not; a new seed joins.
     other = Run.open(tmp_path / "runs" / "maesn_fixed_steps-seed-0")
     last = other.checkpoints()[-1]
-    finished = last.read_bytes()
+    finished = tensors(last)
     last.unlink()
     assert cli.run([*command, "--radii", "1.0"]) == 0
-    assert last.read_bytes() == finished
+    assert tensors(last) == finished
     assert [path.read_bytes() for path in Run.open(run).checkpoints()] == checkpoints
     assert "done before" in capsys.readouterr().out
     assert cli.run([*command, "--radii", "1.0", "--seed", "1"]) == 0
