@@ -25,6 +25,8 @@ from maesn.runs.storage import RunError
 from maesn.runtime import Explorer
 from maesn.trust_region import TrustRegion
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 POLICIES = policy_names()
 LARGEST = 400_000  # bytes
 
