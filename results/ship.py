@@ -18,10 +18,11 @@ import tyro
 
 from maesn.learners import METHODS
 from maesn.runs.config import CONFIG, RunConfig, RunSettings
-from maesn.runs.run import CHECKPOINTS, TASKS, Run
+from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.shipped import TRAINED
 from maesn.runs.storage import new_directory, write_json
+from maesn.runs.task_sources import TASKS_FILE
 
 
 @dataclass(frozen=True)
@@ -92,8 +93,8 @@ def ship(run: Run, commit: str, target: Path) -> None:
     with new_directory(target):
         (target / CHECKPOINTS).mkdir()
         shutil.copy(last, target / CHECKPOINTS)
-        if (run.directory / TASKS).exists():
-            shutil.copy(run.directory / TASKS, target)
+        if (run.directory / TASKS_FILE).exists():
+            shutil.copy(run.directory / TASKS_FILE, target)
         write_json(target / CONFIG, document | {"provenance": provenance})
 
 

@@ -17,6 +17,7 @@ from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.learners import AbstractMetaLearner, maesn
 from maesn.policies import CategoricalMLP, GaussianMLP
+from maesn.runs import exploration
 from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
@@ -88,7 +89,7 @@ def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, folder: Path) -> N
 def test_each_can_be_drawn_and_filmed(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(api, "EXPLORATION_EPISODES", 5)
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     api.adapt(name, updates=1, episodes_per_task=5)
     for path in api.plot([name]):
         assert path.parent == Path(f"maesn-{name}") / "figures"
