@@ -54,7 +54,8 @@ def test_the_rewards_are_the_library_s(example: ModuleType) -> None:
     kinds = set()
     for _ in range(50):
         position, torque = goal + generator.uniform(-1, 1, 2), generator.uniform(-2, 2, 2)
-        readings = {"qpos": jnp.asarray([*position, 0, 0, 0, 0], jnp.float32)}
+        qpos = jnp.asarray([*position, 0, 0, 0, 0], jnp.float32)
+        readings = {"qpos": qpos, "qvel": jnp.zeros(6)}
         action = jnp.asarray(torque / 2, jnp.float32)
         wanted = reward(readings, action, readings, jnp.asarray(goal, jnp.float32))
         found = example.sparse_reward(position, torque, goal)
