@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from carts import MOTOR, RUNAWAY, CartTask, cart_on
 from gymnasium.utils.env_checker import check_env
-from playing import agents, keys
+from playing import agents
 
 import maesn.gym
 from maesn.envs import FAMILIES, TaskFamily, TaskSet, point
+from maesn.episodes import TrialMemory
 from maesn.gym import IDS, TaskEnv
 from maesn.numerics import DiagonalGaussian
 from maesn.physics import RenderingError
@@ -71,10 +72,12 @@ def test_states_and_rewards_are_those_of_the_librarys_worlds(family: str) -> Non
         return Decision(inner.control(now)[None], now[None, None], spread, None, ended)
 
     task = jax.tree.map(jnp.asarray, tasks[3])
-    none, one_key = jnp.zeros((1, 1, 2)), keys(1)[:, None]
-    actors = Actors(agents(inner, 1), jax.tree.map(lambda x: x[None], task), none, none, one_key)
+    none, row = jnp.zeros((1, 1, 2)), jax.tree.map(lambda x: x[None], task)
+    noise = jnp.zeros((inner.horizon, 1, 1, inner.action_size))
+    memory = TrialMemory(None, jnp.zeros((1, 1, inner.action_size)), jnp.zeros((1, 1)))
+    actors = Actors(agents(inner, 1), row, none, none, noise, memory)
     start = Start(jnp.asarray(first["qpos"]), jnp.asarray(first["qvel"]), {})
-    readings = make_world(inner, tasks).play(act, actors, start, None).readings
+    readings = make_world(inner, tasks).play(act, actors, start).readings
     for step, (observation, reward, _, _, information) in enumerate(steps):
         before, after = (jax.tree.map(lambda x, t=t: jnp.asarray(x[t, 0]), readings)
                          for t in (step, step + 1))  # fmt: skip

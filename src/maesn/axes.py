@@ -28,9 +28,8 @@ from jaxtyping import Key as KeyArray
 # One random key.
 Key: TypeAlias = PRNGKeyArray
 
-# One random key per task slot, or per task slot and episode.
+# One random key per task slot.
 TaskKeys: TypeAlias = KeyArray[Array, " task"]
-EpisodeKeys: TypeAlias = KeyArray[Array, "task episode"]
 
 # Named quantities of the simulated world. The names are the physics engine's own ("qpos", "qvel",
 # "subtree_com", ...), so an environment and its engine agree on them without a translation table.

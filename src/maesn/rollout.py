@@ -1,5 +1,6 @@
 """Play episodes in any world: makes the function `collect` that learners are given."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -9,9 +10,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agent, Agents
-from maesn.axes import Carry, HostReadings, Key, ObservedReward, Readings, TaskKeys
+from maesn.axes import ActionKind, Carry, HostReadings, Key, ObservedReward, Readings, TaskKeys
 from maesn.envs.base import AnyEnv, Reward
 from maesn.episodes import Episodes, TrialMemory
+from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 from maesn.policies import PolicyInput
 from maesn.worlds import (
     AbstractWorld,
@@ -22,6 +24,12 @@ from maesn.worlds import (
     SimulationFailure,
     Trajectory,
 )
+
+# What policies of each kind of actions make of a state.
+_DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
+    "continuous": DiagonalGaussian,
+    "discrete": Categorical,
+}
 
 
 class Collector:
@@ -61,17 +69,18 @@ class Collector:
         """
         self._check_actions(agents)
         tasks = self.world.tasks[np.asarray(task_index)]
-        actors, start, fresh_carry = self._begin(keys, agents, tasks)
-        carry = fresh_carry if carry is None else carry
+        actors, start = self._begin(keys, agents, tasks)
+        if carry is not None:
+            actors = replace(actors, memory=carry)
         try:
-            trajectory = self.world.play(self._act, actors, start, carry)
+            trajectory = self.world.play(self._act, actors, start)
         except SimulationFailure as failure:
             task_slot, episode = divmod(failure.simulation, self.episodes_per_task)
             task = int(task_index[task_slot])
             raise EpisodeError(
                 self.world.env.name, task, episode, failure.step, failure.reason
             ) from failure
-        episodes, finite = self._finish(actors, trajectory, carry)
+        episodes, finite = self._finish(actors, trajectory)
         if not bool(finite.all()):
             self._refuse(np.asarray(finite), np.asarray(task_index))
         return episodes, trajectory.readings
@@ -94,28 +103,30 @@ class Collector:
             "observation, action or reward is not finite",
         )
 
-    def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any, Carry]:
-        """Draw contexts and initial states of all episodes."""
+    def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
+        """Draw contexts, initial states, and the noise of the actions of all episodes."""
         env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
+        distribution = _DISTRIBUTIONS[env.action_kind]
 
         def begin_episode(agent: Agent, key: Key, task: Any, episode: Array) -> Any:
             context_key, start_key, action_key = jax.random.split(
                 jax.random.fold_in(key, episode), 3
             )
             noise = agent.context.noise(context_key, env.describe(task))
+            action_noise = distribution.noise(action_key, (env.horizon, env.action_size))
             hidden = agent.policy.initial_carry()
-            carry = TrialMemory(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
+            memory = TrialMemory(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
             context = agent.context.draw(noise)
-            return noise, context, action_key, env.start(start_key, task), carry
+            return noise, context, action_noise, memory, env.start(start_key, task)
 
         def begin_task(agent: Agent, key: Key, task: Any) -> Any:
             return jax.vmap(begin_episode, in_axes=(None, None, None, 0))(
                 agent, key, task, episodes
             )
 
-        noise, context, action_keys, start, carry = agents.vmap(begin_task)(keys, tasks)
-        actors = Actors(agents, tasks, noise, context, action_keys)
-        return actors, jax.tree.map(_join_batch_axes, start), carry
+        noise, context, action_noise, memory, start = agents.vmap(begin_task)(keys, tasks)
+        actors = Actors(agents, tasks, noise, context, jnp.moveaxis(action_noise, 2, 0), memory)
+        return actors, jax.tree.map(_join_batch_axes, start)
 
     def _decide(self, actors: Actors, moment: Moment) -> Decision:
         """Ask the policies for the step of every episode."""
@@ -127,35 +138,34 @@ class Collector:
         start = moment.step == 0
 
         def decide(
-            agent: Agent, task: Any, context: Array, key: Key, now: Readings, before: Readings,
-            previous_action: Array, carry: TrialMemory, ended: Array,
+            agent: Agent, task: Any, context: Array, noise: Array, memory: TrialMemory,
+            now: Readings, before: Readings, previous_action: Array, hidden: Carry, ended: Array,
         ) -> Any:  # fmt: skip
             reward = env.observed_reward(
                 agent.policy.observed_reward, before, previous_action, now, task
             )
             policy_input = PolicyInput(
                 observation=_observe(env, now, task),
-                previous_action=jnp.where(start, carry.action, previous_action),
-                previous_reward=jnp.where(start, carry.reward, reward),
+                previous_action=jnp.where(start, memory.action, previous_action),
+                previous_reward=jnp.where(start, memory.reward, reward),
                 episode_start=start,
             )
-            distribution, hidden = agent.policy(agent.perceive(policy_input), context, carry.hidden)
-            action = distribution.sample(jax.random.fold_in(key, moment.step))
+            distribution, after = agent.policy(agent.perceive(policy_input), context, hidden)
+            action = distribution.sample_from_noise(noise)
             # What is seen from here on may be NaN: it must not stay in the memory.
             ended = ended | _ends(env, now)
-            hidden = jax.tree.map(lambda old, new: jnp.where(ended, old, new), carry.hidden, hidden)
-            carry = TrialMemory(hidden, carry.action, carry.reward)
-            return env.control(action), action, distribution, carry, ended
+            hidden = jax.tree.map(lambda old, new: jnp.where(ended, old, new), hidden, after)
+            return env.control(action), action, distribution, hidden, ended
 
-        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0))
+        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
         control, *others = actors.agents.vmap(per_task)(
-            actors.tasks, actors.context, actors.action_keys, readings, previous,
-            moment.previous_action, moment.carry, moment.ended,
+            actors.tasks, actors.context, actors.action_noise[moment.step], actors.memory,
+            readings, previous, moment.previous_action, moment.hidden, moment.ended,
         )  # fmt: skip
         return Decision(_join_batch_axes(control), *others)
 
     def _assemble(
-        self, actors: Actors, trajectory: Trajectory, memory: TrialMemory
+        self, actors: Actors, trajectory: Trajectory
     ) -> tuple[Episodes, Bool[Array, "task episode time"]]:
         """Turn what was read and done into episodes; also say which steps are finite."""
         shape = actors.context.shape[:2]
@@ -184,8 +194,8 @@ class Collector:
             noise=actors.noise,
             context=actors.context,
             behaviour=behaviour,
-            carry=remember(memory, trajectory.carry.hidden, action, observed, valid),
-            start=memory,
+            carry=remember(actors.memory, trajectory.hidden, action, observed, valid),
+            start=actors.memory,
             observed_reward=observed,
         )
         finite = jnp.isfinite(reward.total) & jnp.isfinite(action).all(-1)

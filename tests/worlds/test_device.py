@@ -34,11 +34,11 @@ def loop(
     context = cast.context.mean[slot] + jnp.exp(cast.context.log_std[slot]) * noise
     qpos, qvel = env.initial(start_key, task)
     state, record = {"qpos": qpos, "qvel": qvel}, []
+    draws = jax.random.normal(action_key, (env.horizon, env.action_size))
     for step in range(env.horizon):
         observation = env.observe(state)
         mean = mean_action(cast, observation, context)
-        draw = jax.random.normal(jax.random.fold_in(action_key, step), mean.shape)
-        action = jnp.asarray(mean + draw)  # the standard deviation is 1
+        action = jnp.asarray(mean + draws[step])  # the standard deviation is 1
         following = env.advance(state, env.control(action))
         reward = env.reward(state, action, following, task)
         record.append(

@@ -31,7 +31,22 @@ class Categorical(AbstractDistribution):
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch choice"]:
         """Draw one choice for every entry of the batch, as a one-hot vector."""
-        choice = jax.random.categorical(key, self.logits)
+        return self.sample_from_noise(self.noise(key, self.logits.shape))
+
+    @staticmethod
+    def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*batch choice"]:
+        """Draw g_k ~ Gumbel(0, 1)."""
+        return jax.random.gumbel(key, shape)
+
+    def sample_from_noise(
+        self, noise: Float[Array, "*noise choice"]
+    ) -> Float[Array, "*batch choice"]:
+        """The choice argmax_k (l_k + g_k) that belongs to a recorded noise, as a one-hot vector.
+
+        Args:
+            noise: g, a standard Gumbel draw.
+        """
+        choice = jnp.argmax(self.logits + noise, axis=-1)
         return jax.nn.one_hot(choice, self.logits.shape[-1], dtype=self.logits.dtype)
 
     def log_prob(self, value: Float[Array, "*batch choice"]) -> Float[Array, "*batch"]:

@@ -19,7 +19,16 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def sample(self, key: PRNGKeyArray) -> Shaped[Array, "*sample"]:
-        """Draw one event x ~ p for every entry of the batch."""
+        """Draw one event x ~ p for every entry of the batch: what belongs to `noise(key, ...)`."""
+
+    @staticmethod
+    @abstractmethod
+    def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*sample"]:
+        """Draw all that is random in events of this shape, whatever the coordinates are."""
+
+    @abstractmethod
+    def sample_from_noise(self, noise: Float[Array, "*noise"]) -> Shaped[Array, "*sample"]:
+        """The event that belongs to a recorded noise."""
 
     @abstractmethod
     def log_prob(self, value: Shaped[Array, "*event"]) -> Float[Array, "*batch"]:

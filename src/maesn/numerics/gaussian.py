@@ -41,7 +41,12 @@ class DiagonalGaussian(AbstractDistribution):
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch dim"]:
         """Draw x = μ + σ ε with ε ~ N(0, I), one event for every entry of the batch."""
-        return self.sample_from_noise(jax.random.normal(key, self.mean.shape, self.mean.dtype))
+        return self.sample_from_noise(self.noise(key, self.mean.shape))
+
+    @staticmethod
+    def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*batch dim"]:
+        """Draw ε ~ N(0, I)."""
+        return jax.random.normal(key, shape)
 
     def sample_from_noise(self, noise: Float[Array, "*noise dim"]) -> Float[Array, "*batch dim"]:
         """The event x = μ + σ ε that belongs to a recorded noise.

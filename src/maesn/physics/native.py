@@ -143,7 +143,9 @@ class NativeSimulator(AbstractSimulator):
             self._check_physics(watched)
 
     def _check_physics(self, watched: _Mask) -> None:
-        if _is_sound(self._qpos) and _is_sound(self._qvel) and not self._batch.warning.any():
+        # Copies, since the engine's own arrays are strided, and slow to read twice.
+        states = np.array(self._qpos), np.array(self._qvel)
+        if all(map(_is_sound, states)) and not self._batch.warning.any():
             return
         # A reset clears the counters, so whatever they hold happened since then.
         count = self._batch.warning[:, :, 1]

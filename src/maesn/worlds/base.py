@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agents
-from maesn.axes import Carry, EpisodeKeys, HostReadings, Readings
+from maesn.axes import Carry, HostReadings, Readings
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
+from maesn.episodes import TrialMemory
 from maesn.numerics import AbstractDistribution
 
 
@@ -28,8 +29,10 @@ class Actors(eqx.Module):
     """Task pytree with a leading `task` axis."""
     noise: Float[Array, "task episode noise"]
     context: Float[Array, "task episode context"]
-    action_keys: EpisodeKeys
-    """One key per `[task, episode]`; step t uses `fold_in(key, t)`."""
+    action_noise: Float[Array, "time task episode action"]
+    """What makes the actions random; drawn beforehand, which takes half as long."""
+    memory: TrialMemory
+    """What the trials have left so far, `[task, episode, ...]` each."""
 
 
 class Decision(NamedTuple):
@@ -38,7 +41,7 @@ class Decision(NamedTuple):
     control: Float[Array | np.ndarray, "simulation control"]
     action: Float[Array, "task episode action"]
     behaviour: AbstractDistribution
-    carry: Carry
+    hidden: Carry
     ended: Bool[Array, "task episode"]
     """Whether the episode has terminated, in this state or in an earlier one."""
 
@@ -51,7 +54,8 @@ class Moment(NamedTuple):
     """`[simulation, ...]` each."""
     previous_readings: Readings | HostReadings
     previous_action: Float[Array | np.ndarray, "task episode action"]
-    carry: Carry
+    hidden: Carry
+    """The policies' own memory."""
     ended: Bool[Array | np.ndarray, "task episode"]
     """Of the decision before; False at the start."""
 
@@ -72,8 +76,8 @@ class Trajectory(NamedTuple):
     action: Float[Array | np.ndarray, "time task episode action"]
     behaviour: AbstractDistribution
     """`[time, task, episode, action]`."""
-    carry: Carry
-    """Memory after the last step, `[task, episode, ...]`."""
+    hidden: Carry
+    """The policies' own memory after the last step, `[task, episode, ...]`."""
 
 
 class EpisodeError(RuntimeError):
@@ -112,7 +116,7 @@ class AbstractWorld(ABC):
         return None
 
     @abstractmethod
-    def play(self, act: Act, actors: Actors, start: Any, carry: Carry) -> Trajectory:
+    def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
         """Play one episode of `env.horizon` steps in every simulation.
 
         Args:
@@ -120,7 +124,6 @@ class AbstractWorld(ABC):
                 second compilation.
             actors: who acts.
             start: how the episodes begin: what `env.start` returns, stacked over `simulation`.
-            carry: memory of the policies at the start, `[task, episode, ...]`.
 
         Raises:
             SimulationFailure: the physics of a simulation blew up while its episode lived, or a

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Carry, Readings
+from maesn.axes import Readings
 from maesn.envs.base import AbstractPureEnv, AnyEnv, Start
 from maesn.envs.tasks import TaskSet
 from maesn.worlds.base import AbstractWorld, Act, Actors, Decision, Moment, Trajectory
@@ -41,11 +41,11 @@ class DeviceWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+    def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`. Nothing in here can fail: JAX raises no numerical errors."""
         first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
         advance = _PureAdvance(self._env)
-        return scan_episodes(self._env, advance, act, actors, first, first, carry)[0]
+        return scan_episodes(self._env, advance, act, actors, first, first)[0]
 
     def close(self) -> None:
         """Do nothing: whatever plays here is JAX's own."""
@@ -74,7 +74,6 @@ def scan_episodes(
     actors: Actors,
     state: Any,
     first: Readings,
-    carry: Carry,
 ) -> tuple[Trajectory, Bool[Array, "time task episode"]]:
     """Play one episode of `env.horizon` steps in every simulation, in one compiled program.
 
@@ -85,7 +84,6 @@ def scan_episodes(
         actors: who acts.
         state: of all simulations at the start, as `advance` takes it.
         first: readings of that state.
-        carry: memory of the policies at the start, `[task, episode, ...]`.
 
     Returns:
         What was read and done, and which episodes had ended at each decision.
@@ -102,17 +100,18 @@ def scan_episodes(
             readings=readings,
             previous_readings=moment.readings,
             previous_action=decision.action,
-            carry=decision.carry,
+            hidden=decision.hidden,
             ended=decision.ended,
         )
-        return (state, following), (readings, decision._replace(carry=None))
+        return (state, following), (readings, decision._replace(hidden=None))
 
-    moment = Moment(jnp.zeros((), int), first, first, no_action, carry, no_end)
+    hidden = actors.memory.hidden
+    moment = Moment(jnp.zeros((), int), first, first, no_action, hidden, no_end)
     (_, last), (readings, decisions) = jax.lax.scan(step, (state, moment), length=env.horizon)
     trajectory = Trajectory(
         readings=jax.tree.map(lambda x, xs: jnp.concatenate([x[None], xs]), first, readings),
         action=decisions.action,
         behaviour=decisions.behaviour,
-        carry=last.carry,
+        hidden=last.hidden,
     )
     return trajectory, decisions.ended

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, UInt32
 
-from maesn.axes import Carry, HostReadings
+from maesn.axes import HostReadings
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.envs.tasks import TaskSet
 from maesn.foreign import WorkerError, WorkerPool
@@ -52,13 +52,11 @@ class GymnasiumWorld(AbstractWorld):
     def max_simulations(self) -> int:
         return self._env.recipe.max_environments
 
-    def play(
-        self, act: Act, actors: Actors, start: UInt32[Array, " simulation"], carry: Carry
-    ) -> Trajectory:
+    def play(self, act: Act, actors: Actors, start: UInt32[Array, " simulation"]) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         try:
             first = self._begin(actors, np.asarray(start))
-            return play_on_host(self._env, act, actors, carry, first, self._advance)
+            return play_on_host(self._env, act, actors, first, self._advance)
         except BaseException:
             self.close()
             raise

@@ -20,7 +20,6 @@ def play_on_host(
     env: AnyEnv,
     act: Act,
     actors: Actors,
-    carry: Carry,
     first: HostReadings,
     advance: Callable[[Decision, int], HostReadings],
 ) -> Trajectory:
@@ -30,7 +29,6 @@ def play_on_host(
         env: what is played.
         act: decides each step; compiled by the caller.
         actors: who acts.
-        carry: memory of the policies at the start, `[task, episode, ...]`.
         first: readings of the state that the simulations are in.
         advance: moves all simulations by what was decided at a step, and returns their readings.
     """
@@ -38,6 +36,7 @@ def play_on_host(
     batch = actors.context.shape[:2]
     previous_action: Array | np.ndarray = np.zeros((*batch, env.action_size), np.float32)
     ended: Array | np.ndarray = np.zeros(batch, bool)
+    hidden = actors.memory.hidden
     for step in range(env.horizon):
         decision = act(
             actors,
@@ -46,13 +45,13 @@ def play_on_host(
                 readings=record.at(step),
                 previous_readings=record.at(max(step - 1, 0)),
                 previous_action=previous_action,
-                carry=carry,
+                hidden=hidden,
                 ended=ended,
             ),
         )
         record.add(step, advance(_calmed(decision), step), decision)
-        previous_action, carry, ended = decision.action, decision.carry, decision.ended
-    return record.trajectory(carry)
+        previous_action, hidden, ended = decision.action, decision.hidden, decision.ended
+    return record.trajectory(hidden)
 
 
 def _calmed(decision: Decision) -> Decision:
@@ -87,8 +86,8 @@ class _Record:
         self._write(step + 1, readings)
         self._decisions.append((decision.action, decision.behaviour))
 
-    def trajectory(self, carry: Carry) -> Trajectory:
+    def trajectory(self, hidden: Carry) -> Trajectory:
         action, behaviour = jax.tree.map(
             lambda *steps: np.stack([np.asarray(step) for step in steps]), *self._decisions
         )
-        return Trajectory(self._readings, action, behaviour, carry)
+        return Trajectory(self._readings, action, behaviour, hidden)

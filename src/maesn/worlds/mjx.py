@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Carry, Readings
+from maesn.axes import Readings
 from maesn.envs.base import AbstractMujocoEnv, Start
 from maesn.envs.tasks import TaskSet
 from maesn.physics import PhysicsError
@@ -56,11 +56,11 @@ class MjxWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+    def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`."""
         state, first = self._reset(start)
         advance = _MjxAdvance(self._engine)
-        trajectory, ended = scan_episodes(self._env, advance, act, actors, state, first, carry)
+        trajectory, ended = scan_episodes(self._env, advance, act, actors, state, first)
         if self._env.nonfinite == "raise":
             _refuse(*jax.device_get(_first_failure(trajectory.readings, ended)))
         return trajectory

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from maesn.axes import Carry, HostReadings
+from maesn.axes import HostReadings
 from maesn.envs.base import AbstractMujocoEnv, Start
 from maesn.envs.tasks import TaskSet
 from maesn.physics import AbstractSimulator, PhysicsError
@@ -42,14 +42,13 @@ class NativeWorld(AbstractWorld):
     def tasks(self) -> TaskSet:
         return self._tasks
 
-    def play(self, act: Act, actors: Actors, start: Start, carry: Carry) -> Trajectory:
+    def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         simulator = self._simulator(start.qpos.shape[0])
         return play_on_host(
             self.env,
             act,
             actors,
-            carry,
             first=_reset(simulator, start),
             advance=partial(_advance, simulator),
         )
