@@ -72,7 +72,8 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
 
     It plays as many episodes per meta-iteration as MAESN and learns from all of them. (The
     reference collects the same number and throws half of them away.) In a new task the latents
-    are adapted with the reference's steps 1, 1, 1, 1/2, 1/4, ...; KL weight 0.01.
+    are adapted with the reference's steps 1, 1, 1, 1/2, 1/4, ...; KL weight 0.01. Of twice the
+    episodes, the curvature takes as many steps as MAESN's.
     """
     return _fill(
         settings,
@@ -81,6 +82,7 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
         schedule=StepSchedule(full_steps=3),
         inner_updates=0,
         outer_batches=2,
+        curvature_stride=40,
     )
 
 
@@ -96,6 +98,7 @@ def oracle(**settings: Any) -> GradientMetaLearner:
         adaptation=Adaptation(),
         inner_updates=0,
         outer_batches=2,
+        curvature_stride=40,
     )
 
 
