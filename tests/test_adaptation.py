@@ -198,6 +198,7 @@ def test_a_stage_before_the_beginning_is_refused_by_name() -> None:
         (StepSchedule(full_steps=3), [1, 1, 1, 1 / 2, 1 / 4, 1 / 8]),
         (StepSchedule(full_steps=1, factor=0.1), [1, 0.1, 0.01, 1e-3, 1e-4, 1e-5]),
         (StepSchedule(factor=1.0), [1, 1, 1, 1, 1, 1]),
+        (StepSchedule(scale=4.0), [4, 4, 2, 1, 1 / 2, 1 / 4]),
     ],
 )
 def test_step_schedule(schedule: StepSchedule, expected: list[float]) -> None:

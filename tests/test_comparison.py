@@ -108,7 +108,7 @@ def test_an_interrupted_comparison_goes_on_with_the_chunk_that_was_interrupted(
         return evaluate.adapt(*arguments, tasks=tasks, **options)
 
     with closing(ground_of(RunSettings(family="point"), FEW)) as ground:
-        (contestant,) = entries.entry_of_scratch("reinforce", None, (0,), ground).contestants
+        (contestant,) = entries.entry_of_scratch("reinforce", None, Scratch(), ground).contestants
         with monkeypatch.context() as patch:
             patch.setattr(contest, "adapt", interrupted)
             with pytest.raises(KeyboardInterrupt):
@@ -152,7 +152,9 @@ def test_what_decides_the_curves_of_a_method_from_scratch_is_written_out_in_full
     with closing(ground_of(RunSettings(family="point"), FEW)) as ground:
         asked = [("trpo", 0), ("vime", 0), ("reinforce", 0), ("trpo", 1)]
         records = [
-            entries.entry_of_scratch(name, None, (seed,), ground).contestants[0].record
+            entries.entry_of_scratch(name, None, Scratch(seeds=(seed,)), ground)
+            .contestants[0]
+            .record
             for name, seed in asked
         ]
     assert "max_kl=0.01" in records[0]["learner"]
@@ -160,6 +162,32 @@ def test_what_decides_the_curves_of_a_method_from_scratch_is_written_out_in_full
     assert "Curiosity(" in records[1]["learner"]
     assert "GradientRule(step_size=0.1" in records[2]["learner"]
     assert records[3] == records[0] | {"seed": 1}
+
+
+def test_settings_of_methods_from_scratch_reach_them() -> None:
+    scratch = Scratch(step_size=0.3, max_kl=0.07, curiosity_weight=0.01)
+    with closing(ground_of(RunSettings(family="point"), FEW)) as ground:
+        learners = {
+            name: entries.entry_of_scratch(name, None, scratch, ground).contestants[0].learner
+            for name in ("reinforce", "trpo", "vime")
+        }
+    assert learners["reinforce"].improvement.rule.step_size == 0.3
+    assert learners["trpo"].improvement.rule.trust_region.max_kl == 0.07
+    assert learners["vime"].learner.improvement.rule.trust_region.max_kl == 0.07
+    assert learners["vime"].curiosity.weight == 0.01
+
+
+def test_runs_whose_steps_stand_still_may_end_earlier(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    options = "--num-tasks 2 --updates 3 --run-updates 1 --episodes-per-task 3 --fine-tune trpo"
+    command = ["compare", str(runs["maesn"]), *options.split(), "--after", "1"]
+    only = ["--scratch", "reinforce", "--fine-tune-only", "maesn", "--out", str(tmp_path)]
+    assert cli.run([*command, *only]) == 0
+    last = {row["method"]: int(row["update"]) for row in table(tmp_path)}
+    assert last["maesn"] == 1
+    assert last["maesn-1-then-trpo"] == last["reinforce"] == 3
+    assert "| MAESN |" in (tmp_path / "summary.md").read_text()
 
 
 def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -185,6 +213,9 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
         ("--family point --scratch trpo:x --out {0}", "must be a positive integer"),
         ("{1} --family wheeled --out {0}", "must be a run on wheeled"),
         ("{1} --updates -1 --out {0}", "`updates` must be at least 0"),
+        ("{1} --run-updates -1 --out {0}", "`run_updates` must be at least 0"),
+        ("{1} --fine-tune trpo --fine-tune-only maml --out {0}", "the runs are of maesn"),
+        ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
     ],
 )

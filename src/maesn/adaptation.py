@@ -12,6 +12,7 @@ from maesn.advantage import Advantages
 from maesn.agent import Agent, Agents
 from maesn.context import AbstractContext
 from maesn.episodes import Episodes
+from maesn.settings import added_later
 from maesn.surrogate import inner_loss
 
 
@@ -166,14 +167,18 @@ class StepSchedule(eqx.Module):
     """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
     factor: float = 0.5
     """What the step size is multiplied by in every later update; 1 keeps it."""
+    scale: float = added_later(1.0)
+    """What every step size is multiplied by."""
 
     def __check_init__(self) -> None:
         if self.full_steps < 1:
             raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
         if not 0 < self.factor <= 1:
             raise ValueError(f"`factor` must lie in (0, 1], got {self.factor}.")
+        if not (math.isfinite(self.scale) and self.scale > 0):
+            raise ValueError(f"`scale` must be positive, got {self.scale}.")
 
     def __call__(self, update: Array) -> Float[Array, ""]:
         """Return the scale of the step sizes in update number 0, 1, ..."""
         decays = jnp.maximum(update - (self.full_steps - 1), 0)
-        return self.factor ** decays.astype(float)
+        return self.scale * self.factor ** decays.astype(float)

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -92,6 +93,7 @@ def compare(
     conditions: Conditions = USUAL,
     oracle: str | Path | None = None,
     test_time: AtTestTime = NOTHING_ADDED,
+    tuned_methods: Sequence[str] = (),
     say: Say = silent,
 ) -> Comparison:
     """Adapt methods to the same tasks; write curves, a figure and tables.
@@ -108,7 +110,8 @@ def compare(
         place: the world.
         conditions: tasks, reward, updates, episodes.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
-        test_time: if it asks for fine-tuning, every run takes part a second time, fine-tuned.
+        test_time: if it asks for fine-tuning, runs take part a second time, fine-tuned.
+        tuned_methods: runs of which methods do; empty for all of which the policy can be tuned.
         say: is told what goes on.
 
     Raises:
@@ -118,9 +121,11 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else Run.open(oracle, family=own)
     settings = place.settings(runs)
+    _check_methods(tuned_methods, runs)
     with closing(ground_of(settings, conditions)) as ground:
         check_family([*runs, *([told] if told else [])], ground)
-        entries = _entries(runs, ground, scratch, place.engine, test_time, say)
+        entries = _entries(runs, ground, place.engine, test_time, tuned_methods, say)
+        entries += scratch_entries(scratch, ground)
         if not entries:
             raise RunError("name at least one run directory, or a method with --scratch.")
         return compare_entries(entries, ground, Path(out), oracle=told, say=say)
@@ -188,31 +193,33 @@ def compare_entries(
 def _entries(
     runs: Sequence[Run],
     ground: Ground,
-    scratch: Scratch,
     engine: EngineName | None,
     test_time: AtTestTime,
+    tuned_methods: Sequence[str],
     say: Say,
 ) -> list[Entry]:
     by_path = {run.directory: run for run in runs}
     entries: list[Entry] = []
     for series in group_series([read_run(run.directory) for run in runs]):
         members = [by_path[one.path] for one in series.runs]
-        entries.append(entry_of_runs(series.name, series.style, members, ground, engine=engine))
-        if test_time != NOTHING_ADDED:
+        entry = partial(entry_of_runs, series.name, series.style, members, ground, engine=engine)
+        entries.append(entry())
+        tuned = not tuned_methods or members[0].settings.method in tuned_methods
+        if test_time != NOTHING_ADDED and tuned:
             try:
-                entries.append(
-                    entry_of_runs(
-                        series.name,
-                        series.style,
-                        members,
-                        ground,
-                        engine=engine,
-                        test_time=test_time,
-                    )
-                )
+                entries.append(entry(test_time=test_time))
             except RunError as error:
                 say(f"{series.label} takes part as it is: {error}")
-    return entries + scratch_entries(scratch, ground)
+    return entries
+
+
+def _check_methods(names: Sequence[str], runs: Sequence[Run]) -> None:
+    known = sorted({run.settings.method for run in runs})
+    for name in names:
+        if name not in known:
+            raise RunError(
+                f"`{name}` cannot be fine-tuned here: the runs are of {', '.join(known) or 'none'}."
+            )
 
 
 def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:

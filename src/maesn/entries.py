@@ -4,7 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from maesn.learners import SCRATCH, AbstractFastLearner, floors
+from maesn.curiosity import Curiosity
+from maesn.envs import AnyEnv
+from maesn.learners import SCRATCH, AbstractFastLearner, GradientRule, floors
 from maesn.policies import AbstractPolicySettings, CategoricalMLP, GaussianMLP
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.adaptation_files import adaptation_file, engine_suffix
@@ -13,6 +15,7 @@ from maesn.runs.contest import Contestant, Ground
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
+from maesn.trust_region import TrustRegion
 from maesn.worlds import EngineName
 
 # A policy of the usual size for each kind of action, for methods from scratch.
@@ -42,6 +45,30 @@ class Scratch:
     """trpo, reinforce, vime; NAME:COUNT adapts to the first COUNT tasks alone, as in `vime:30`."""
     seeds: tuple[int, ...] = (0,)
     """Each method begins anew in every task with each of these seeds."""
+    step_size: float = GradientRule().step_size
+    """Of reinforce. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    max_kl: float = TrustRegion().max_kl
+    """Of trpo and vime: bound on the mean KL divergence of an update. Published: 0.01."""
+    curiosity_weight: float = Curiosity().weight
+    """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
+
+    def learner(self, name: str, env: AnyEnv) -> AbstractFastLearner[Any]:
+        """Return one of the methods, for an environment.
+
+        Raises:
+            RunError: a setting is out of range.
+        """
+        region = {"max_kl": self.max_kl}
+        settings: dict[str, dict[str, Any]] = {
+            "reinforce": {"step_size": self.step_size},
+            "trpo": region,
+            "vime": {**region, "weight": self.curiosity_weight},
+        }
+        sizes, policy = (env.observation_size, env.action_size), POLICIES[env.action_kind]
+        try:
+            return SCRATCH[name](*sizes, policy=policy, **settings[name])
+        except ValueError as error:
+            raise RunError(str(error)) from error
 
 
 def entry_of_runs(
@@ -61,7 +88,7 @@ def entry_of_runs(
         style: of the line.
         runs: each with its latest checkpoint, never the best one.
         ground: where they are adapted.
-        updates: number of updates; None for that of the conditions.
+        updates: number of updates; None for what the conditions say.
         engine: the engine, if it was asked for by name.
         test_time: what is added to the learners in new tasks.
 
@@ -69,7 +96,11 @@ def entry_of_runs(
         RunError: the learner cannot be given that.
     """
     conditions = ground.conditions
-    number = conditions.updates if updates is None else updates
+    number = updates
+    if number is None and test_time.fine_tune is None:
+        number = conditions.run_updates
+    if number is None:
+        number = conditions.updates
     suffix = test_time.suffix + engine_suffix(engine)
     contestants, trial_episodes = [], None
     for run in runs:
@@ -94,22 +125,20 @@ def entry_of_runs(
     return Entry(name + test_time.suffix, drawn, tuple(contestants), trial_episodes)
 
 
-def entry_of_scratch(
-    name: str, num_tasks: int | None, seeds: Sequence[int], ground: Ground
-) -> Entry:
+def entry_of_scratch(name: str, num_tasks: int | None, scratch: Scratch, ground: Ground) -> Entry:
     """Return a method that begins anew in every task, with several seeds.
 
     Args:
         name: one of `SCRATCH`.
         num_tasks: the first so many tasks alone; None for all of the comparison.
-        seeds: each is the seed of fresh policies and of the episodes.
+        scratch: its settings; each seed is that of fresh policies and of the episodes.
         ground: where it learns.
     """
-    env = ground.env
-    learner = SCRATCH[name](env.observation_size, env.action_size, policy=POLICIES[env.action_kind])
+    learner = scratch.learner(name, ground.env)
     count = ground.num_tasks if num_tasks is None else min(num_tasks, ground.num_tasks)
     contestants = [
-        _unlearned(name, learner, seed, ground, ground.conditions.updates, count) for seed in seeds
+        _unlearned(name, learner, seed, ground, ground.conditions.updates, count)
+        for seed in scratch.seeds
     ]
     return Entry(name, METHOD_STYLES[name], tuple(contestants))
 
@@ -121,7 +150,7 @@ def scratch_entries(scratch: Scratch, ground: Ground) -> list[Entry]:
         RunError: there is no such method.
     """
     chosen = [_method_and_count(text) for text in scratch.methods]
-    return [entry_of_scratch(*one, scratch.seeds, ground) for one in chosen]
+    return [entry_of_scratch(*one, scratch, ground) for one in chosen]
 
 
 def _method_and_count(text: str) -> tuple[str, int | None]:

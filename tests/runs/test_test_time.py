@@ -7,7 +7,7 @@ import pytest
 from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
-from maesn.learners import METHODS, CuriousMetaLearner
+from maesn.learners import METHODS, CuriousMetaLearner, rl2
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -38,6 +38,40 @@ def test_fine_tuning_has_a_table_of_its_own(trained: Path, few: str) -> None:
     # The same until the policy is tuned: after 0 and 1 updates.
     assert plain[:3] == tuned[:3]
     assert plain[4] != tuned[4]
+
+
+def test_other_step_sizes_at_test_time(trained: Path, few: str) -> None:
+    options = ["--tasks", few, "--updates", "3", "--episodes-per-task", "3"]
+    paces = {
+        "": [],
+        "-steps-x2": ["--step-scale", "2"],
+        "-3-full-steps": ["--full-steps", "3"],
+    }
+    latents = {}
+    for suffix, asked in paces.items():
+        assert cli.run(["adapt", str(trained), *options, *asked]) == 0
+        table = trained / "adaptation" / f"file-few-sparse{suffix}.csv"
+        assert table.exists()
+        with np.load(table.with_suffix(".latents.npz")) as kept:
+            latents[suffix] = kept["mean"]
+    plain, doubled, paced = latents.values()  # [update, task, latent]
+    # Up to the first update, in which the same episodes are learned from with steps of two sizes.
+    np.testing.assert_allclose(doubled[1], 2 * plain[1], rtol=1e-5)
+    # Steps 1, 1, 1/2 and steps 1, 1, 1: what differs is the third.
+    np.testing.assert_array_equal(paced[:3], plain[:3])
+    third, whole = (kept[3] - kept[2] for kept in (plain, paced))
+    np.testing.assert_allclose(whole, 2 * third, rtol=1e-4, atol=1e-6)
+
+
+def test_a_method_without_steps_has_no_other_step_sizes(tmp_path: Path, few: str) -> None:
+    run = Run.create(tmp_path / "run", rl2(meta_batch_size=2), tiny_settings(method="rl2"))
+    with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* no schedule"):
+        api.adapt(run.directory, tasks=few, test_time=AtTestTime(step_scale=2.0))
+
+
+def test_a_step_scale_must_be_positive(trained: Path, few: str) -> None:
+    with pytest.raises(RunError, match="`scale` must be positive, got -1"):
+        api.adapt(trained, tasks=few, test_time=AtTestTime(step_scale=-1.0))
 
 
 def test_curiosity_in_adaptation_is_a_flag(trained: Path, few: str) -> None:

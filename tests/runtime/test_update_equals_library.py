@@ -112,7 +112,7 @@ def test_on_episodes_of_the_point_robot() -> None:
     assert (differences(learner, 4, collect) < TOLERANCE).all()
 
 
-@pytest.mark.parametrize("schedule", [StepSchedule(), StepSchedule(3, 0.8)])
+@pytest.mark.parametrize("schedule", [StepSchedule(), StepSchedule(3, 0.8, 0.7)])
 def test_on_random_episodes_of_different_lengths(schedule: StepSchedule) -> None:
     learner = fast_learner(schedule=schedule)
     found = differences(

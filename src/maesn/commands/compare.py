@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from maesn.commands.options import parse
-from maesn.comparison import ANYWHERE, USUAL, Place, compare
+from maesn.comparison import ANYWHERE, NOBODY, USUAL, Place, compare
 from maesn.entries import Scratch
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
@@ -28,12 +28,21 @@ class Options:
     scratch: tuple[str, ...] = ()
     """Methods that begin anew in every task: trpo, reinforce, vime. NAME:COUNT adapts to the first
     COUNT tasks alone, as in vime:30."""
-    scratch_seeds: tuple[int, ...] = (0,)
+    scratch_seeds: tuple[int, ...] = NOBODY.seeds
     """Each method from scratch begins anew in every task with each of these seeds."""
+    step_size: float = NOBODY.step_size
+    """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    max_kl: float = NOBODY.max_kl
+    """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
+    0.01."""
+    curiosity_weight: float = NOBODY.curiosity_weight
+    """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
     oracle: Path | None = None
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
     fine_tune: FineTuneRule | None = None
     """Every run takes part a second time, its policy fine-tuned like this; None: it does not."""
+    fine_tune_only: tuple[str, ...] = ()
+    """Methods of which the runs are fine-tuned, as in `maesn maml`; none: all that can be."""
     after: int = 10
     """Updates of a run's own learner before its policy is fine-tuned."""
 
@@ -46,11 +55,18 @@ def main(arguments: list[str]) -> None:
         compare(
             options.runs,
             out=options.out,
-            scratch=Scratch(options.scratch, options.scratch_seeds),
+            scratch=Scratch(
+                methods=options.scratch,
+                seeds=options.scratch_seeds,
+                step_size=options.step_size,
+                max_kl=options.max_kl,
+                curiosity_weight=options.curiosity_weight,
+            ),
             place=options.place,
             conditions=options.conditions,
             oracle=options.oracle,
-            test_time=AtTestTime(options.fine_tune, options.after),
+            test_time=AtTestTime(fine_tune=options.fine_tune, after=options.after),
+            tuned_methods=options.fine_tune_only,
             say=print,
         )
     )

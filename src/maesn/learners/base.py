@@ -61,6 +61,19 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """
         return None
 
+    def paced(self, step_scale: float, full_steps: int | None) -> "AbstractFastLearner[FastState]":
+        """Return the same learner with other sizes of its steps.
+
+        Args:
+            step_scale: multiplies all of them.
+            full_steps: updates with the whole step size, before the sizes begin to halve; None for
+                as many as now.
+
+        Raises:
+            ValueError: this learner takes no steps of that kind, or a number is out of range.
+        """
+        raise ValueError(f"`{type(self).__name__}` follows no schedule of step sizes.")
+
     def resume(self, context: AbstractContextValue, update: int = 0) -> FastState:
         """Return the state of an earlier adaptation of which the contexts were kept.
 

@@ -1,5 +1,6 @@
 """The fast learner of every gradient-based method: policy gradient on a new task."""
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -53,6 +54,12 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
                 "this run's method adapts the policy as well, and the file holds latents alone."
             )
         return self._start(context, update)
+
+    def paced(self, step_scale: float, full_steps: int | None) -> "GradientFastLearner":
+        """See `AbstractFastLearner.paced`."""
+        scale = self.schedule.scale * step_scale
+        number = self.schedule.full_steps if full_steps is None else full_steps
+        return replace(self, schedule=replace(self.schedule, scale=scale, full_steps=number))
 
     def _start(self, context: AbstractContextValue, update: int = 0) -> GradientFastState:
         agents = Agents(self.policy, context, shares_policy=True, statistics=self.statistics)

@@ -109,20 +109,33 @@ IMPROVEMENTS = {
 """How a policy's weights can follow the gradient of one task, by name."""
 
 
-def reinforce(observation_size: int, action_size: int, **settings: Any) -> PolicyGradient:
+def reinforce(
+    observation_size: int, action_size: int, *, step_size: float | None = None, **settings: Any
+) -> PolicyGradient:
     """REINFORCE with a fixed step size (Williams 1992): the paper's "VPG"."""
-    defaults = {"improvement": IMPROVEMENTS["reinforce"]}
+    rule = GradientRule() if step_size is None else GradientRule(step_size)
+    defaults = {"improvement": PolicyImprovement(rule)}
     return PolicyGradient(observation_size, action_size, **defaults | settings)
 
 
-def trpo(observation_size: int, action_size: int, **settings: Any) -> PolicyGradient:
+def trpo(
+    observation_size: int, action_size: int, *, max_kl: float | None = None, **settings: Any
+) -> PolicyGradient:
     """TRPO (Schulman et al. 2015). KL bound 0.01, as in the paper's runs."""
-    return PolicyGradient(observation_size, action_size, **settings)
+    rule = TrustRegionRule()
+    if max_kl is not None:
+        rule = TrustRegionRule(replace(rule.trust_region, max_kl=max_kl))
+    defaults = {"improvement": PolicyImprovement(rule)}
+    return PolicyGradient(observation_size, action_size, **defaults | settings)
 
 
-def vime(observation_size: int, action_size: int, **settings: Any) -> CuriousFastLearner:
+def vime(
+    observation_size: int, action_size: int, *, weight: float | None = None, **settings: Any
+) -> CuriousFastLearner:
     """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out."""
     curiosity = settings.pop("curiosity", Curiosity())
+    if weight is not None:
+        curiosity = replace(curiosity, weight=weight)
     learner = trpo(observation_size, action_size, **settings)
     return CuriousFastLearner(learner, curiosity, observation_size, action_size)
 

@@ -78,7 +78,17 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
 
 
 def _ends(comparison: Comparison) -> TextTable:
-    headings = ("method", "seeds", "tasks", "steps", "return", "IQM", "reaches goal (%)", "score")
+    headings = (
+        "method",
+        "seeds",
+        "tasks",
+        "updates",
+        "steps",
+        "return",
+        "IQM",
+        "reaches goal (%)",
+        "score",
+    )
     labels: list[str] = []
     rows = [_end(comparison, line, labels) for line in comparison.everyone]
     notes = [
@@ -89,9 +99,7 @@ def _ends(comparison: Comparison) -> TextTable:
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
         comparison.why_no_score or _scoreless(comparison),
     ]
-    tables = comparison.lines[0].tables
-    updates = int(tables[0].updates[-1])
-    title = f"After {updates} update{'s' * (updates != 1)} in {tables[0].tasks} tasks"
+    title = f"Last updates in {comparison.lines[0].tables[0].tasks} tasks"
     return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
 
 
@@ -105,6 +113,7 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
         line.label,
         str(len(line.seeds)),
         str(line.num_tasks),
+        str(int(line.tables[0].updates[-1])),
         f"{int(comparison.steps(line)[-1]):,}",
         _text(returns, UNITS["mean_return"]),
         _text(middle, UNITS["mean_return"]),

@@ -39,6 +39,9 @@ class Conditions:
     """Reward in the new tasks."""
     updates: int = 10
     """Updates per task."""
+    run_updates: int | None = None
+    """Updates per task of trained runs, whose steps halve until they stand still; None: as many as
+    the others. Runs whose policy is fine-tuned do not stand still: they take as many."""
     episodes_per_task: int = 50
     """Episodes per task and update."""
     seed: int = 0
@@ -53,8 +56,10 @@ class Conditions:
                 raise ValueError(
                     f"`{name}` must be at least {smallest}, got {getattr(self, name)}."
                 )
-        if self.num_tasks is not None and self.num_tasks < 1:
-            raise ValueError(f"`num_tasks` must be at least 1, got {self.num_tasks}.")
+        for name, smallest in {"num_tasks": 1, "run_updates": 0}.items():
+            value = getattr(self, name)
+            if value is not None and value < smallest:
+                raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

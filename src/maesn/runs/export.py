@@ -183,9 +183,10 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     else:
         fixed = np.full(learner.learned_context.size, float(step.initial_size))
         sizes = RuntimeLatent(fixed, fixed)
+    scale = float(learner.schedule.scale)
     return LearningRule(
-        mean_step=sizes.mean,
-        log_std_step=sizes.log_std,
+        mean_step=scale * sizes.mean,
+        log_std_step=scale * sizes.log_std,
         full_steps=learner.schedule.full_steps,
         factor=float(learner.schedule.factor),
         discount=float(learner.advantage.discount),

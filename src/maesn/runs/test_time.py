@@ -24,6 +24,11 @@ FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
 class AtTestTime:
     """What is added to a learner in new tasks. By default nothing."""
 
+    step_scale: float = 1.0
+    """Multiplies the sizes of all steps of the learner's own updates."""
+    full_steps: int | None = None
+    """Updates with the whole step size, after which each is half of the one before; None: as the
+    run's settings say."""
     fine_tune: FineTuneRule | None = None
     """How the policy's weights go on after the learner's own updates; None: they do not."""
     after: int = 10
@@ -37,7 +42,9 @@ class AtTestTime:
     def suffix(self) -> str:
         """What is appended to the name of a table of adaptation curves."""
         tuned = "" if self.fine_tune is None else f"-{self.after}-then-{self.fine_tune}"
-        return ("-curious" if self.curious else "") + tuned
+        scaled = "" if self.step_scale == 1 else f"-steps-x{self.step_scale:g}"
+        paced = "" if self.full_steps is None else f"-{self.full_steps}-full-steps"
+        return scaled + paced + ("-curious" if self.curious else "") + tuned
 
     def add_to(
         self, learner: AbstractFastLearner[Any], run: Run, env: AnyEnv
@@ -52,6 +59,8 @@ class AtTestTime:
                 f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
                 "already: leave it out."
             )
+        if self.step_scale != 1 or self.full_steps is not None:
+            learner = self._paced(learner, run)
         if self.curious:
             sizes = env.observation_size, env.action_size
             learner = CuriousFastLearner(learner, self.curiosity, *sizes)
@@ -64,6 +73,14 @@ class AtTestTime:
                 f"`{run.settings.method}` cannot be adapted like this: {error}"
             ) from error
         return learner
+
+    def _paced(self, learner: AbstractFastLearner[Any], run: Run) -> AbstractFastLearner[Any]:
+        try:
+            return learner.paced(self.step_scale, self.full_steps)
+        except ValueError as error:
+            raise RunError(
+                f"`{run.settings.method}` cannot be adapted like this: {error}"
+            ) from error
 
 
 NOTHING_ADDED = AtTestTime()
