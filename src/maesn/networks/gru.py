@@ -20,8 +20,8 @@ class GRU(eqx.Module):
 
     Source: Cho et al., "Learning phrase representations using RNN encoder-decoder for statistical
     machine translation" (2014), https://arxiv.org/abs/1406.1078, with the reset gate applied after
-    the product, as in cuDNN and `equinox.nn.GRUCell`. That cell would do for single steps. Along
-    an episode x W is one matrix product here, because only h U has to wait for the step before.
+    the product, as in cuDNN and `equinox.nn.GRUCell`. Unrolled, x W is computed step by step: as
+    one product over an episode it takes longer, because the result no longer fits in the cache.
     """
 
     inputs: Linear
@@ -40,7 +40,12 @@ class GRU(eqx.Module):
         self, x: Float[Array, " inputs"], hidden: Float[Array, " hidden"]
     ) -> Float[Array, " hidden"]:
         """Return h'."""
-        return self._advance(self.inputs(x), hidden)
+        reset_in, update_in, candidate_in = jnp.split(self.inputs(x), 3)
+        reset_by, update_by, candidate_by = jnp.split(multiply(hidden, self.recurrent), 3)
+        reset = jax.nn.sigmoid(reset_in + reset_by)
+        update = jax.nn.sigmoid(update_in + update_by)
+        candidate = jnp.tanh(candidate_in + reset * (candidate_by + self.candidate_bias))
+        return (1.0 - update) * candidate + update * hidden
 
     def unroll(
         self,
@@ -55,26 +60,18 @@ class GRU(eqx.Module):
             valid: where it is false, h is kept as it is.
             hidden: h before the first step.
         """
+        # Gates are computed again for the gradient: quicker than to keep those of all steps.
+        advance = jax.checkpoint(GRU.__call__, prevent_cse=False)
 
         def step(
             before: Float[Array, " hidden"], now: tuple[Array, Array]
         ) -> tuple[Float[Array, " hidden"], Float[Array, " hidden"]]:
-            driven, is_valid = now
-            after = jnp.where(is_valid, self._advance(driven, before), before)
+            arriving, is_valid = now
+            after = jnp.where(is_valid, advance(self, arriving, before), before)
             return after, after
 
-        last, outputs = jax.lax.scan(step, hidden, (jax.vmap(self.inputs)(x), valid))
+        last, outputs = jax.lax.scan(step, hidden, (x, valid))
         return outputs, last
-
-    def _advance(
-        self, driven: Float[Array, " gates"], hidden: Float[Array, " hidden"]
-    ) -> Float[Array, " hidden"]:
-        reset_in, update_in, candidate_in = jnp.split(driven, 3)
-        reset_by, update_by, candidate_by = jnp.split(multiply(hidden, self.recurrent), 3)
-        reset = jax.nn.sigmoid(reset_in + reset_by)
-        update = jax.nn.sigmoid(update_in + update_by)
-        candidate = jnp.tanh(candidate_in + reset * (candidate_by + self.candidate_bias))
-        return (1.0 - update) * candidate + update * hidden
 
 
 def init_gru(key: Key, inputs: int, hidden: int) -> GRU:
