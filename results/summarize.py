@@ -38,7 +38,7 @@ def last_metrics(run: Path) -> dict[str, float]:
 def training_row(name: str, run: Path) -> str:
     """Return one line of the table of training."""
     config, last = json.loads((run / "config.json").read_text()), last_metrics(run)
-    weight = config["learner"]["context"].get("kl_weight")
+    weight = config["learner"].get("context", {}).get("kl_weight")
     kl = f"{last['penalty'] / weight:.2f}" if weight else "-"
     sizes = [last.get(f"step_sizes/context/{part}") for part in ("mean", "log_std", "value")]
     learned = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
