@@ -22,6 +22,7 @@ from maesn.runs.config import RunSettings
 from maesn.runs.contest import Conditions
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
+from maesn.runs.test_time import AtTestTime
 
 FEW = Conditions(num_tasks=4, updates=1, episodes_per_task=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
@@ -202,6 +203,13 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
     assert len(plain) == len(tuned) == 2 * 3
     # After 0 and 1 updates the same, after 2 not.
     assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
+
+
+def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
+    once = Conditions(num_tasks=1, updates=0, episodes_per_task=1)
+    added = AtTestTime(after=3)
+    done = compare([runs["maesn"]], out=tmp_path, conditions=once, test_time=added)
+    assert [line.name for line in done.lines] == ["maesn"]
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,8 @@ def adapt(
             written beside it as `.latents.npz`.
         start: an earlier `.latents.npz` of the same tasks to go on from.
         family: the run's family, if it is your own: itself, or `module:name`.
-        test_time: what is added to the learner in new tasks: fine-tuning, curiosity.
+        test_time: what is changed about the learner in new tasks: step sizes, curiosity,
+            fine-tuning.
         engine: what moves the world; None for the run's own engine.
     """
     if updates < 0 or episodes_per_task < 1 or not 0 <= seed < 2**32:

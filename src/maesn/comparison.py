@@ -205,7 +205,7 @@ def _entries(
         entry = partial(entry_of_runs, series.name, series.style, members, ground, engine=engine)
         entries.append(entry())
         tuned = not tuned_methods or members[0].settings.method in tuned_methods
-        if test_time != NOTHING_ADDED and tuned:
+        if test_time.suffix and tuned:
             try:
                 entries.append(entry(test_time=test_time))
             except RunError as error:

@@ -121,7 +121,7 @@ def entry_of_runs(
                 ),
             )
         )
-    drawn = style if test_time == NOTHING_ADDED else _tuned(style, test_time)
+    drawn = _tuned(style, test_time) if test_time.suffix else style
     return Entry(name + test_time.suffix, drawn, tuple(contestants), trial_episodes)
 
 

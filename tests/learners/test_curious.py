@@ -136,6 +136,16 @@ def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector
     assert np.all(outcome.contexts.mean[:, 1] != 0)
 
 
+def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:
+    learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5))
+    schedule = fast.paced(0.5, 4).learner.schedule
+    assert (schedule.scale, schedule.full_steps) == (0.5, 4)
+    assert fast.paced(0.5, None).learner.schedule.full_steps == fast.learner.schedule.full_steps
+    with pytest.raises(ValueError, match="`Listener` follows no schedule"):
+        CuriousFastLearner(Listener(), SMALL, observation_size=2, action_size=1).paced(0.5, None)
+
+
 def test_curious_methods_have_names() -> None:
     assert set(METHODS) == set(PRESETS) | {f"{name}+curiosity" for name in PRESETS}
     for name, preset in METHODS.items():

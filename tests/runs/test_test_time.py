@@ -63,6 +63,13 @@ def test_other_step_sizes_at_test_time(trained: Path, few: str) -> None:
     np.testing.assert_allclose(whole, 2 * third, rtol=1e-4, atol=1e-6)
 
 
+def test_step_scales_that_differ_have_tables_that_differ() -> None:
+    scales = (1.0, 2.0, 0.5, 0.12345678, 0.12345679)
+    suffixes = [AtTestTime(step_scale=scale).suffix for scale in scales]
+    assert suffixes[:3] == ["", "-steps-x2", "-steps-x0.5"]
+    assert suffixes[3] != suffixes[4]
+
+
 def test_a_method_without_steps_has_no_other_step_sizes(tmp_path: Path, few: str) -> None:
     run = Run.create(tmp_path / "run", rl2(meta_batch_size=2), tiny_settings(method="rl2"))
     with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* no schedule"):

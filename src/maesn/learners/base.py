@@ -66,7 +66,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
 
         Args:
             step_scale: multiplies all of them.
-            full_steps: updates with the whole step size, before the sizes begin to halve; None for
+            full_steps: updates with the whole step size, before the sizes begin to shrink; None for
                 as many as now.
 
         Raises:

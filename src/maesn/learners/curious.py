@@ -63,6 +63,10 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     def trial_episodes(self) -> int | None:
         return self.learner.trial_episodes
 
+    def paced(self, step_scale: float, full_steps: int | None) -> "CuriousFastLearner":
+        """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
+        return dataclasses.replace(self, learner=self.learner.paced(step_scale, full_steps))
+
     def update(self, state: CuriousFastState, episodes: Episodes) -> CuriousFastState:
         """Learn from reward and bonus, then let the models learn from what was seen."""
         keys = _split_each(state.keys, state.update)

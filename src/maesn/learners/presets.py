@@ -90,7 +90,8 @@ def oracle(**settings: Any) -> GradientMetaLearner:
     """The oracle: a policy that is told the task, the ceiling of all others.
 
     Updates change nothing: its curve in a new task is flat. In training it plays as
-    many episodes per meta-iteration as MAESN and learns from all of them, by the same outer step.
+    many episodes per meta-iteration as MAESN and learns from all of them, by the same outer step,
+    whose curvature takes as many steps as MAESN's.
     """
     return _fill(
         settings,

@@ -1,4 +1,4 @@
-"""What a learner can be given in new tasks beside what it has learned: curiosity, fine-tuning."""
+"""What can be changed about a learner in new tasks: step sizes, curiosity, fine-tuning."""
 
 import dataclasses
 from typing import Any, Literal, TypeAlias
@@ -27,8 +27,8 @@ class AtTestTime:
     step_scale: float = 1.0
     """Multiplies the sizes of all steps of the learner's own updates."""
     full_steps: int | None = None
-    """Updates with the whole step size, after which each is half of the one before; None: as the
-    run's settings say."""
+    """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
+    usually 1/2); None: as the run's settings say."""
     fine_tune: FineTuneRule | None = None
     """How the policy's weights go on after the learner's own updates; None: they do not."""
     after: int = 10
@@ -42,7 +42,9 @@ class AtTestTime:
     def suffix(self) -> str:
         """What is appended to the name of a table of adaptation curves."""
         tuned = "" if self.fine_tune is None else f"-{self.after}-then-{self.fine_tune}"
-        scaled = "" if self.step_scale == 1 else f"-steps-x{self.step_scale:g}"
+        # All digits, since earlier curves are recognised by this name.
+        scale = str(self.step_scale).removesuffix(".0")
+        scaled = "" if self.step_scale == 1 else f"-steps-x{scale}"
         paced = "" if self.full_steps is None else f"-{self.full_steps}-full-steps"
         return scaled + paced + ("-curious" if self.curious else "") + tuned
 
