@@ -188,7 +188,9 @@ def test_runs_whose_steps_stand_still_may_end_earlier(
     last = {row["method"]: int(row["update"]) for row in table(tmp_path)}
     assert last["maesn"] == 1
     assert last["maesn-1-then-trpo"] == last["reinforce"] == 3
-    assert "| MAESN |" in (tmp_path / "summary.md").read_text()
+    cells = (tmp_path / "summary.md").read_text().replace(" ", "")
+    assert "|MAESN|1|2|1|" in cells  # one seed, two tasks, one update
+    assert "|REINFORCE|1|2|3|" in cells
 
 
 def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -222,8 +224,14 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --family wheeled --out {0}", "must be a run on wheeled"),
         ("{1} --updates -1 --out {0}", "`updates` must be at least 0"),
         ("{1} --run-updates -1 --out {0}", "`run_updates` must be at least 0"),
-        ("{1} --fine-tune trpo --fine-tune-only maml --out {0}", "the runs are of maesn"),
-        ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive"),
+        (
+            "{1} --fine-tune trpo --fine-tune-only maml --out {0}",
+            "(--fine-tune-only) must be methods of the runs, maesn; got maml",
+        ),
+        ("{1} --fine-tune-only maesn --out {0}", "say how with --fine-tune"),
+        ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive, got 0"),
+        ("{1} --curiosity-weight -1 --out {0}", "`curiosity_weight` must be at least 0, got -1"),
+        ("{1} --step-size inf --out {0}", "`step_size` must be positive, got inf"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
     ],
 )

@@ -110,8 +110,8 @@ def compare(
         place: the world.
         conditions: tasks, reward, updates, episodes.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
-        test_time: if it asks for fine-tuning, runs take part a second time, fine-tuned.
-        tuned_methods: runs of which methods do; empty for all of which the policy can be tuned.
+        test_time: if it changes anything, runs take part a second time, changed like this.
+        tuned_methods: runs of which methods do; empty for all that can be changed.
         say: is told what goes on.
 
     Raises:
@@ -121,7 +121,7 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else Run.open(oracle, family=own)
     settings = place.settings(runs)
-    _check_methods(tuned_methods, runs)
+    _check_tuned(tuned_methods, runs, test_time)
     with closing(ground_of(settings, conditions)) as ground:
         check_family([*runs, *([told] if told else [])], ground)
         entries = _entries(runs, ground, place.engine, test_time, tuned_methods, say)
@@ -213,13 +213,19 @@ def _entries(
     return entries
 
 
-def _check_methods(names: Sequence[str], runs: Sequence[Run]) -> None:
+def _check_tuned(methods: Sequence[str], runs: Sequence[Run], test_time: AtTestTime) -> None:
     known = sorted({run.settings.method for run in runs})
-    for name in names:
-        if name not in known:
-            raise RunError(
-                f"`{name}` cannot be fine-tuned here: the runs are of {', '.join(known) or 'none'}."
-            )
+    strangers = [name for name in methods if name not in known]
+    if strangers:
+        raise RunError(
+            "`tuned_methods` (--fine-tune-only) must be methods of the runs, "
+            f"{', '.join(known) or 'of which there are none'}; got {', '.join(strangers)}."
+        )
+    if methods and not test_time.suffix:
+        raise RunError(
+            "`tuned_methods` (--fine-tune-only) says whose policy is fine-tuned, but nothing is: "
+            "say how with --fine-tune."
+        )
 
 
 def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:

@@ -1,12 +1,22 @@
 """Who takes part in a comparison: trained runs, methods from scratch, and the floor."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from maesn.curiosity import Curiosity
 from maesn.envs import AnyEnv
-from maesn.learners import SCRATCH, AbstractFastLearner, GradientRule, floors
+from maesn.learners import (
+    SCRATCH,
+    AbstractFastLearner,
+    GradientRule,
+    TrustRegionRule,
+    floors,
+    reinforce,
+    trpo,
+    vime,
+)
 from maesn.policies import AbstractPolicySettings, CategoricalMLP, GaussianMLP
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.adaptation_files import adaptation_file, engine_suffix
@@ -15,7 +25,6 @@ from maesn.runs.contest import Contestant, Ground
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
-from maesn.trust_region import TrustRegion
 from maesn.worlds import EngineName
 
 # A policy of the usual size for each kind of action, for methods from scratch.
@@ -42,33 +51,35 @@ class Scratch:
     """Methods that begin anew in every task."""
 
     methods: tuple[str, ...] = ()
-    """trpo, reinforce, vime; NAME:COUNT adapts to the first COUNT tasks alone, as in `vime:30`."""
+    """trpo, reinforce (alias vpg), vime; NAME:COUNT adapts to the first COUNT tasks alone, as in
+    `vime:30`."""
     seeds: tuple[int, ...] = (0,)
     """Each method begins anew in every task with each of these seeds."""
     step_size: float = GradientRule().step_size
     """Of reinforce. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    max_kl: float = TrustRegion().max_kl
+    max_kl: float = TrustRegionRule().trust_region.max_kl
     """Of trpo and vime: bound on the mean KL divergence of an update. Published: 0.01."""
     curiosity_weight: float = Curiosity().weight
     """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
 
-    def learner(self, name: str, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return one of the methods, for an environment.
+    def __post_init__(self) -> None:
+        for name in ("step_size", "max_kl"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise RunError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        if not 0 <= self.curiosity_weight < math.inf:
+            raise RunError(f"`curiosity_weight` must be at least 0, got {self.curiosity_weight}.")
 
-        Raises:
-            RunError: a setting is out of range.
-        """
+    def learner(self, name: str, env: AnyEnv) -> AbstractFastLearner[Any]:
+        """Return one of the methods, by its key in `SCRATCH`, for an environment."""
+        make = SCRATCH[name]
         region = {"max_kl": self.max_kl}
-        settings: dict[str, dict[str, Any]] = {
-            "reinforce": {"step_size": self.step_size},
-            "trpo": region,
-            "vime": {**region, "weight": self.curiosity_weight},
+        settings: dict[Any, dict[str, Any]] = {
+            reinforce: {"step_size": self.step_size},
+            trpo: region,
+            vime: {**region, "curiosity": Curiosity(self.curiosity_weight)},
         }
-        sizes, policy = (env.observation_size, env.action_size), POLICIES[env.action_kind]
-        try:
-            return SCRATCH[name](*sizes, policy=policy, **settings[name])
-        except ValueError as error:
-            raise RunError(str(error)) from error
+        policy = POLICIES[env.action_kind]
+        return make(env.observation_size, env.action_size, policy=policy, **settings[make])
 
 
 def entry_of_runs(
@@ -96,11 +107,8 @@ def entry_of_runs(
         RunError: the learner cannot be given that.
     """
     conditions = ground.conditions
-    number = updates
-    if number is None and test_time.fine_tune is None:
-        number = conditions.run_updates
-    if number is None:
-        number = conditions.updates
+    tuned = test_time.fine_tune is not None
+    number = conditions.updates_of_runs(tuned=tuned) if updates is None else updates
     suffix = test_time.suffix + engine_suffix(engine)
     contestants, trial_episodes = [], None
     for run in runs:

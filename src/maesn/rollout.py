@@ -25,11 +25,15 @@ from maesn.worlds import (
     Trajectory,
 )
 
-# What policies of each kind of actions make of a state.
+# What policies of each kind of actions make of a state: their noise is drawn before they are asked.
 _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
     "continuous": DiagonalGaussian,
     "discrete": Categorical,
 }
+
+
+DRAWS = 2
+"""Which episodes a seed stands for: raised by every change after which it stands for others."""
 
 
 class Collector:

@@ -238,3 +238,9 @@ def test_agents_of_new_tasks_are_one_per_task() -> None:
     assert isinstance(state.agents, Agents)
     np.testing.assert_array_equal(state.agents.context.mean, np.zeros((TASKS, 2)))
     np.testing.assert_array_equal(state.agents.context.log_std, np.zeros((TASKS, 2)))
+
+
+@pytest.mark.parametrize("name", ["latent_space", "oracle"])
+def test_the_curvature_of_twice_the_episodes_takes_as_many_steps(name: str) -> None:
+    learner, usual = PRESETS[name](), PRESETS["maesn"]()
+    assert learner.outer_batches / learner.curvature_stride == 1 / usual.curvature_stride

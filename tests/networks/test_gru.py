@@ -1,9 +1,12 @@
 """Gated recurrent units against a NumPy loop and against Equinox's cell."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from maesn.networks import GRU, init_gru, init_recurrent_network
 
@@ -79,3 +82,27 @@ def test_a_network_unrolls_as_it_steps() -> None:
         np.testing.assert_allclose(outputs[t], output, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(last, carry, rtol=1e-5, atol=1e-6)
     assert np.abs(outputs).max() < 0.1  # nothing is preferred at the start
+
+
+@pytest.mark.usefixtures("x64")
+def test_derivatives_are_those_of_a_plain_loop() -> None:
+    gru = jax.tree.map(lambda leaf: leaf.astype(float), random_gru())
+    x, hidden = (jnp.asarray(given, float) for given in random_inputs())
+    valid = jnp.array([True, True, False, True, True, False])
+
+    def looped(gru: GRU, x: jax.Array, hidden: jax.Array) -> jax.Array:
+        states = []
+        for t in range(STEPS):
+            hidden = jnp.where(valid[t], gru(x[t], hidden), hidden)
+            states.append(hidden)
+        return jnp.sin(jnp.stack(states)).sum()
+
+    def unrolled(gru: GRU, x: jax.Array, hidden: jax.Array) -> jax.Array:
+        return jnp.sin(gru.unroll(x, valid, hidden)[0]).sum()
+
+    given = (gru, x, hidden)
+    mine, plain = (jax.grad(f, argnums=(0, 1, 2))(*given) for f in (unrolled, looped))
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-10, atol=1e-12), mine, plain)
+    # Forward mode, which the curvature of a trust region takes.
+    mine, plain = (jax.jvp(f, given, plain)[1] for f in (unrolled, looped))
+    np.testing.assert_allclose(mine, plain, rtol=1e-10)

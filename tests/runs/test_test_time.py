@@ -7,7 +7,8 @@ import pytest
 from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
-from maesn.learners import METHODS, CuriousMetaLearner, rl2
+from maesn.curiosity import Curiosity
+from maesn.learners import METHODS, CuriousMetaLearner
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -70,15 +71,36 @@ def test_step_scales_that_differ_have_tables_that_differ() -> None:
     assert suffixes[3] != suffixes[4]
 
 
-def test_a_method_without_steps_has_no_other_step_sizes(tmp_path: Path, few: str) -> None:
-    run = Run.create(tmp_path / "run", rl2(meta_batch_size=2), tiny_settings(method="rl2"))
-    with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* no schedule"):
+@pytest.mark.parametrize(
+    ("name", "reason"), [("rl2", "no schedule of step sizes"), ("oracle", "it takes no steps")]
+)
+def test_a_method_without_steps_has_no_other_step_sizes(
+    tmp_path: Path, few: str, name: str, reason: str
+) -> None:
+    run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=2), tiny_settings(method=name))
+    with pytest.raises(RunError, match=f"`{name}` cannot be adapted like this: .*{reason}"):
         api.adapt(run.directory, tasks=few, test_time=AtTestTime(step_scale=2.0))
 
 
-def test_a_step_scale_must_be_positive(trained: Path, few: str) -> None:
-    with pytest.raises(RunError, match="`scale` must be positive, got -1"):
-        api.adapt(trained, tasks=few, test_time=AtTestTime(step_scale=-1.0))
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--step-scale -1", "`step_scale` must be positive, got -1"),
+        ("--step-scale inf", "`step_scale` must be positive, got inf"),
+        ("--full-steps 0", "`full_steps` must be at least 1, got 0"),
+    ],
+)
+def test_step_sizes_that_mean_nothing_are_refused(
+    trained: Path, capsys: pytest.CaptureFixture[str], option: str, message: str
+) -> None:
+    assert cli.run(["adapt", str(trained), *option.split()]) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+
+
+def test_other_curiosity_has_a_table_of_its_own(trained: Path, few: str) -> None:
+    usual, other = AtTestTime(curious=True), AtTestTime(curious=True, curiosity=Curiosity(1e-3))
+    assert usual.suffix == "-curious"
+    assert other.suffix.startswith("-curious-")
 
 
 def test_curiosity_in_adaptation_is_a_flag(trained: Path, few: str) -> None:

@@ -38,3 +38,6 @@ from maesn.learners.scratch import IMPROVEMENTS as IMPROVEMENTS
 from maesn.learners.scratch import SCRATCH as SCRATCH
 from maesn.learners.scratch import PolicyGradient as PolicyGradient
 from maesn.learners.scratch import PolicyImprovement as PolicyImprovement
+from maesn.learners.scratch import reinforce as reinforce
+from maesn.learners.scratch import trpo as trpo
+from maesn.learners.scratch import vime as vime

@@ -57,6 +57,8 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
 
     def paced(self, step_scale: float, full_steps: int | None) -> "GradientFastLearner":
         """See `AbstractFastLearner.paced`."""
+        if self.adaptation.policy is None and self.adaptation.context is None:
+            raise ValueError("it changes nothing in a task, so it takes no steps.")
         scale = self.schedule.scale * step_scale
         number = self.schedule.full_steps if full_steps is None else full_steps
         return replace(self, schedule=replace(self.schedule, scale=scale, full_steps=number))

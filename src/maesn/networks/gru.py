@@ -20,8 +20,7 @@ class GRU(eqx.Module):
 
     Source: Cho et al., "Learning phrase representations using RNN encoder-decoder for statistical
     machine translation" (2014), https://arxiv.org/abs/1406.1078, with the reset gate applied after
-    the product, as in cuDNN and `equinox.nn.GRUCell`. Unrolled, x W is computed step by step: as
-    one product over an episode it takes longer, because the result no longer fits in the cache.
+    the product, as in cuDNN and `equinox.nn.GRUCell`.
     """
 
     inputs: Linear
@@ -60,7 +59,8 @@ class GRU(eqx.Module):
             valid: where it is false, h is kept as it is.
             hidden: h before the first step.
         """
-        # Gates are computed again for the gradient: quicker than to keep those of all steps.
+        # x W belongs into the loop, and gates are computed again for the gradient: to write and
+        # read those of all steps takes longer on a CPU (`benchmarks/methods.py --methods rl2`).
         advance = jax.checkpoint(GRU.__call__, prevent_cse=False)
 
         def step(

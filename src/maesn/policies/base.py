@@ -41,7 +41,10 @@ class AbstractPolicy(eqx.Module):
 
     @property
     def action_kind(self) -> ActionKind:
-        """Whether actions are vectors of real numbers, or choices (one-hot vectors)."""
+        """Whether actions are vectors of real numbers, or choices (one-hot vectors).
+
+        This decides the distribution that a policy returns: `DiagonalGaussian`, or `Categorical`.
+        """
         return "continuous"
 
     @property

@@ -99,7 +99,7 @@ def _ends(comparison: Comparison) -> TextTable:
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
         comparison.why_no_score or _scoreless(comparison),
     ]
-    title = f"Last updates in {comparison.lines[0].tables[0].tasks} tasks"
+    title = f"After each method's last update, in {comparison.lines[0].tables[0].tasks} tasks"
     return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
 
 
@@ -155,7 +155,7 @@ def _improvements(comparison: Comparison) -> TextTable:
         labels.append(interval.label)
         rows.append((first.label, second.label, _text(interval, _PROBABILITY)))
     return TextTable(
-        "Probability that the first method ends above the second in a task",
+        "Probability that the first method's last point is above the second's in a task",
         ("first", "second", "probability"),
         tuple(rows),
         (f"In brackets: {'; or '.join(dict.fromkeys(labels))}. A tie counts as half a win.",),

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+from maesn.rollout import DRAWS
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
@@ -49,6 +50,7 @@ def adaptation_record(
         "task_digest": world.tasks.digest(),
         "episodes_per_task": episodes_per_task,
         "seed": seed,
+        "draws": DRAWS,
         "updates": updates,
         "first_update": first_update,
     }

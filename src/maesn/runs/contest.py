@@ -40,8 +40,8 @@ class Conditions:
     updates: int = 10
     """Updates per task."""
     run_updates: int | None = None
-    """Updates per task of trained runs, whose steps halve until they stand still; None: as many as
-    the others. Runs whose policy is fine-tuned do not stand still: they take as many."""
+    """Updates per task of trained runs whose policy is not fine-tuned; None: as many as the others.
+    Their steps halve, so there is little to see after twenty. Of `rl2` an update is an episode."""
     episodes_per_task: int = 50
     """Episodes per task and update."""
     seed: int = 0
@@ -60,6 +60,10 @@ class Conditions:
             value = getattr(self, name)
             if value is not None and value < smallest:
                 raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
+
+    def updates_of_runs(self, *, tuned: bool) -> int:
+        """Return the number of updates of trained runs, with fine-tuning or without."""
+        return self.updates if tuned or self.run_updates is None else self.run_updates
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

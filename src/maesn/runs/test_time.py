@@ -1,6 +1,7 @@
 """What can be changed about a learner in new tasks: step sizes, curiosity, fine-tuning."""
 
 import dataclasses
+import math
 from typing import Any, Literal, TypeAlias
 
 import jax
@@ -15,6 +16,7 @@ from maesn.learners import (
     FineTuning,
 )
 from maesn.runs.run import Run
+from maesn.runs.serialization import digest
 from maesn.runs.storage import RunError
 
 FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
@@ -24,11 +26,6 @@ FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
 class AtTestTime:
     """What is added to a learner in new tasks. By default nothing."""
 
-    step_scale: float = 1.0
-    """Multiplies the sizes of all steps of the learner's own updates."""
-    full_steps: int | None = None
-    """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
-    usually 1/2); None: as the run's settings say."""
     fine_tune: FineTuneRule | None = None
     """How the policy's weights go on after the learner's own updates; None: they do not."""
     after: int = 10
@@ -37,6 +34,17 @@ class AtTestTime:
     """Whether the learner is paid for what it finds out as well."""
     curiosity: Curiosity = dataclasses.field(default_factory=Curiosity)
     """What a curious learner is paid."""
+    step_scale: float = 1.0
+    """Multiplies the sizes of all steps of the learner's own updates."""
+    full_steps: int | None = None
+    """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
+    usually 1/2); None: as the run's settings say."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step_scale < math.inf:
+            raise ValueError(f"`step_scale` must be positive, got {self.step_scale}.")
+        if self.full_steps is not None and self.full_steps < 1:
+            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
 
     @property
     def suffix(self) -> str:
@@ -46,7 +54,13 @@ class AtTestTime:
         scale = str(self.step_scale).removesuffix(".0")
         scaled = "" if self.step_scale == 1 else f"-steps-x{scale}"
         paced = "" if self.full_steps is None else f"-{self.full_steps}-full-steps"
-        return scaled + paced + ("-curious" if self.curious else "") + tuned
+        return scaled + paced + self._curious_suffix + tuned
+
+    @property
+    def _curious_suffix(self) -> str:
+        if not self.curious:
+            return ""
+        return "-curious" if self.curiosity == Curiosity() else f"-curious-{digest(self.curiosity)}"
 
     def add_to(
         self, learner: AbstractFastLearner[Any], run: Run, env: AnyEnv

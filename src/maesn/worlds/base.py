@@ -30,7 +30,7 @@ class Actors(eqx.Module):
     noise: Float[Array, "task episode noise"]
     context: Float[Array, "task episode context"]
     action_noise: Float[Array, "time task episode action"]
-    """What makes the actions random; drawn beforehand, which takes half as long."""
+    """What makes the actions random, drawn for all steps at once."""
     memory: TrialMemory
     """What the trials have left so far, `[task, episode, ...]` each."""
 
