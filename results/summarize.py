@@ -63,8 +63,8 @@ def main() -> None:
     for name, all_seeds in tables.items():
         for summary in summary_tables(all_seeds, f"{name}, seeds: {len(all_seeds)}"):
             print(summary.to_markdown())
-    reference = tables.pop(REFERENCE)
-    if tables:
+    reference = tables.pop(REFERENCE, None)
+    if tables and reference is not None:
         print("# Differences after the last update\n")
         title = f"method minus {REFERENCE}, paired over tasks"
         print(difference_table(reference, tables, title).to_markdown())

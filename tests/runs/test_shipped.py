@@ -52,7 +52,7 @@ def config_of(learner: AbstractMetaLearner[Any, Any], **settings: Any) -> RunCon
 
 
 def test_there_are_some() -> None:
-    assert {"wheeled", "blockpush"} <= set(POLICIES)
+    assert {"wheeled", "ant", "blockpush"} <= set(POLICIES)
 
 
 @pytest.mark.parametrize("name", POLICIES)
