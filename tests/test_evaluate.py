@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from maesn.axes import Readings
-from maesn.envs import HiddenEnd, hidden_end, point
+from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
 from maesn.episodes import Episodes
 from maesn.evaluate import adapt, as_rows, measure
 from maesn.explore import FIXED_STD, explore
-from maesn.learners import GradientFastLearner, GradientFastState, maesn, maml
+from maesn.learners import GradientFastLearner, GradientFastState, maesn, maml, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.rollout import Collector
-from maesn.worlds import make_world
+from maesn.worlds import EpisodeError, make_world
 
 EPISODES = 6
 NUM_TASKS = 5
@@ -164,3 +164,11 @@ def test_exploration_without_a_latent_has_nothing_to_hold(collect: Collector) ->
     meta = maml(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
     learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 10))
     assert explore(learner, collect).fixed_paths is None
+
+
+def test_an_agent_that_its_updates_have_led_astray() -> None:
+    env = Wheeled(horizon=4)
+    collect = Collector(make_world(env, wheeled.task_set("test", size=2)), episodes_per_task=3)
+    learner = reinforce(env.observation_size, env.action_size, step_size=1e30)
+    with pytest.raises(EpisodeError, match="wheeled, task 0, .* \\(after update 1 in this task"):
+        adapt(learner, collect, updates=2, episodes_per_task=3)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from maesn.axes import TaskKeys
 from maesn.episodes import Collect, Episodes
 from maesn.learners import AbstractFastLearner
+from maesn.worlds import EpisodeError
 
 # An "update" that no adaptation reaches: its keys are those of the learners themselves.
 _START = 0xFFFFFFFF
@@ -95,6 +96,9 @@ def adapt(
             parts plays the same episodes as one in a single part.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
             do not depend on which others there are.
+
+    Raises:
+        EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
     """
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
     parts = [
@@ -126,7 +130,10 @@ def _adapt_chunk(
     for update in updates:
         agents = learner.agents(state)
         keys, memory = _task_keys(seed, update, slots), learner.memory(state)
-        episodes = collect(keys, agents, jnp.asarray(slots), memory)
+        try:
+            episodes = collect(keys, agents, jnp.asarray(slots), memory)
+        except EpisodeError as error:
+            raise error.after(update) from error
         curves.append(jax.tree.map(np.asarray, measure(episodes)))
         contexts.append(jax.tree.map(np.asarray, agents.context))
         if update < updates[-1]:

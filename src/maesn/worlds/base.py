@@ -83,8 +83,16 @@ class Trajectory(NamedTuple):
 class EpisodeError(RuntimeError):
     """An episode went wrong; the message names environment, task, episode and step."""
 
-    def __init__(self, env: str, task: int, episode: int, step: int, reason: str) -> None:
-        super().__init__(f"{env}, task {task}, episode {episode}, step {step}: {reason}")
+    def __init__(
+        self, env: str, task: int, episode: int, step: int, reason: str, updates: int = 0
+    ) -> None:
+        hint = f" (after update {updates} in this task: are its steps too long?)" if updates else ""
+        super().__init__(f"{env}, task {task}, episode {episode}, step {step}: {reason}{hint}")
+        self.origin = (env, task, episode, step, reason)
+
+    def after(self, updates: int) -> "EpisodeError":
+        """Return the same error, of an agent that has been updated so many times in its task."""
+        return EpisodeError(*self.origin, updates)
 
 
 class SimulationFailure(RuntimeError):
