@@ -170,5 +170,5 @@ def test_an_agent_that_its_updates_have_led_astray() -> None:
     env = Wheeled(horizon=4)
     collect = Collector(make_world(env, wheeled.task_set("test", size=2)), episodes_per_task=3)
     learner = reinforce(env.observation_size, env.action_size, step_size=1e30)
-    with pytest.raises(EpisodeError, match="wheeled, task 0, .* \\(after update 1 in this task"):
+    with pytest.raises(EpisodeError, match=r"wheeled, task 0, .* \(after update 1 in this task"):
         adapt(learner, collect, updates=2, episodes_per_task=3)
