@@ -1,15 +1,20 @@
 """What an outer step gains on episodes that it has not seen, for several ways to find it.
 
     python benchmarks/curvature.py --iterations 60
+    python benchmarks/curvature.py --method maml
 
 A learner is trained for a while. Then, again and again, an outer step is computed from one batch of
 episodes and judged on a second, independent batch of the same agents: by how much does it lower
 the surrogate loss there? All steps are scaled to the same bound of the KL divergence, so a better
-direction gains more. The table has one row per number of conjugate gradient steps and per stride
-of the curvature's samples.
+direction gains more. The table has one row per number of conjugate gradient steps, per stride of
+the curvature's samples, and per stride of those of the inner loss's Hessian (which `maesn` has
+none of). Backtracks tell how far the curvature errs: with the right one there are few. Seconds are
+those of the step and of the judgement, without compilation.
 """
 
+import time
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,21 +24,54 @@ from jaxtyping import Array, Float
 
 from maesn.axes import Key
 from maesn.envs import find_family
-from maesn.episodes import Episodes
 from maesn.learners import PRESETS, GradientMetaLearner
+from maesn.learners.curvature import Thinning, sampled_distributions
 from maesn.learners.gradient import step_weights
 from maesn.learners.objective import MetaObjective, MetaParameters, start_agents
 from maesn.rollout import Collector
-from maesn.trust_region import TrustRegion
+from maesn.trust_region import TrustRegion, TrustRegionInfo
 from maesn.worlds import make_world
 
-CHOICES = ((10, 1), (10, 10), (20, 5), (20, 10), (20, 20), (40, 10))  # (cg_steps, stride)
+HEADING = (
+    "cg steps  stride  of Hessian  gain (x 1000, +- standard error)  "
+    "KL (x 1000)  backtracks  seconds"
+)
+
+
+class Choice(NamedTuple):
+    """A way to find a step."""
+
+    cg_steps: int
+    stride: int
+    hessian_stride: int
+
+
+IN_CLOSED_FORM = [Choice(*c, 1) for c in ((10, 1), (10, 10), (20, 5), (20, 10), (20, 20), (40, 10))]
+THROUGH_POLICY = [
+    Choice(*c)
+    for c in (
+        (20, 20, 20), (10, 20, 20), (20, 20, 4), (10, 20, 4), (5, 20, 4),
+        (10, 20, 2), (5, 20, 2), (10, 20, 1), (5, 20, 1), (10, 4, 4), (20, 1, 1),
+    )
+]  # fmt: skip
+
+
+class Outcome(NamedTuple):
+    """Of one step."""
+
+    gain: float
+    """By how much it lowers the surrogate on unseen episodes."""
+    kl: float
+    backtracks: int
+    seconds: float
 
 
 @dataclass(frozen=True)
 class Settings:
     """What is measured."""
 
+    method: str = "maesn"
+    """Preset of a method that adapts by gradients."""
     family: str = "wheeled"
     """Family of tasks."""
     iterations: int = 60
@@ -52,19 +90,38 @@ def gain(
     parameters: MetaParameters,
     seen: MetaObjective,
     unseen: MetaObjective,
-    thinned: Episodes,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return how much a step lowers the surrogate on unseen episodes, and its KL on seen ones."""
+    outer: int,
+    inner: int,
+) -> tuple[Float[Array, ""], TrustRegionInfo]:
+    """Return how much a step lowers the surrogate on unseen episodes, and what it was."""
     improved, info = trust_region.step(
         parameters,
         seen.evaluate,
-        lambda varied: seen.distributions(varied, thinned),
-        step_weights(thinned),
+        lambda varied: sampled_distributions(seen, varied, Thinning(outer, 0), Thinning(inner, 0)),
+        step_weights(seen.post.every(outer, 0)),
     )
     before, after = (
         unseen.evaluate(p).loss - unseen.penalties(p).mean() for p in (parameters, improved)
     )
-    return before - after, info.kl
+    return before - after, info
+
+
+def outcome(
+    choice: Choice, parameters: MetaParameters, seen: MetaObjective, unseen: MetaObjective
+) -> Outcome:
+    """Find a step in one way, and judge it."""
+    begun = time.perf_counter()
+    gained, info = gain(
+        TrustRegion(cg_steps=choice.cg_steps),
+        parameters,
+        seen,
+        unseen,
+        choice.stride,
+        choice.hessian_stride,
+    )
+    found = float(gained)
+    seconds = time.perf_counter() - begun
+    return Outcome(found, float(info.kl), int(info.backtracks), seconds)
 
 
 def objective(
@@ -91,7 +148,8 @@ def objective(
 def main(settings: Settings) -> None:
     """Train, measure, print."""
     family = find_family(settings.family)
-    env, learner = family.make_env(), PRESETS["maesn"]()
+    env, learner = family.make_env(), PRESETS[settings.method]()
+    assert isinstance(learner, GradientMetaLearner)
     world = make_world(env, family.task_set("training"))
     collect = Collector(world, settings.episodes_per_task)
     judge = Collector(world, settings.judged_episodes)
@@ -100,25 +158,31 @@ def main(settings: Settings) -> None:
     )
     for iteration in range(settings.iterations):
         state, _ = learner.step(jax.random.fold_in(jax.random.key(1), iteration), state, collect)
-    gains: dict[tuple[int, int], list[float]] = {choice: [] for choice in CHOICES}
-    divergences: dict[tuple[int, int], list[float]] = {choice: [] for choice in CHOICES}
+    choices = IN_CLOSED_FORM if settings.method == "maesn" else THROUGH_POLICY
+    outcomes: dict[Choice, list[Outcome]] = {choice: [] for choice in choices}
     for repetition in range(settings.repetitions):
         first, second = jax.random.split(jax.random.fold_in(jax.random.key(2), repetition))
         seen = objective(learner, state.parameters, collect, first)
         unseen = objective(learner, state.parameters, judge, second)
-        for steps, stride in CHOICES:
-            thinned = seen.post.every(stride, 0)
-            gained, kl = gain(TrustRegion(cg_steps=steps), state.parameters, seen, unseen, thinned)
-            gains[steps, stride].append(float(gained))
-            divergences[steps, stride].append(float(kl))
-    print(f"{settings.family}, after {settings.iterations} meta-iterations")
-    print("cg steps  stride  gain on unseen episodes (x 1000, +- standard error)  KL (x 1000)")
-    for choice, values in gains.items():
-        error = np.std(values, ddof=1) / len(values) ** 0.5
-        print(
-            f"{choice[0]:8d}  {choice[1]:6d}  {1000 * np.mean(values):20.2f} +- "
-            f"{1000 * error:.2f} {1000 * np.mean(divergences[choice]):29.1f}"
-        )
+        for choice in choices:
+            outcomes[choice].append(outcome(choice, state.parameters, seen, unseen))
+    print(f"{settings.method} on {settings.family}, after {settings.iterations} meta-iterations")
+    print(HEADING)
+    for choice, found in outcomes.items():
+        print(row(choice, found))
+
+
+def row(choice: Choice, found: list[Outcome]) -> str:
+    """Return one line of the table."""
+    gains = 1000 * np.array([one.gain for one in found])
+    error = gains.std(ddof=1) / len(gains) ** 0.5
+    return (
+        f"{choice.cg_steps:8d}  {choice.stride:6d}  {choice.hessian_stride:10d}  "
+        f"{f'{gains.mean():.2f} +- {error:.2f}':>32s}  "
+        f"{1000 * np.mean([one.kl for one in found]):11.1f}  "
+        f"{np.mean([one.backtracks for one in found]):10.1f}  "
+        f"{min(one.seconds for one in found):7.2f}"
+    )
 
 
 if __name__ == "__main__":

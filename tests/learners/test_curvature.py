@@ -14,7 +14,7 @@ from learning_problems.translation import experience_for
 
 from maesn.context import BiasContext, LatentContext
 from maesn.learners import PRESETS
-from maesn.learners.curvature import sampled_distributions
+from maesn.learners.curvature import Thinning, sampled_distributions
 from maesn.learners.gradient import GradientMetaLearner, step_weights
 from maesn.learners.objective import MetaObjective, MetaParameters
 from maesn.policies import GaussianMLP
@@ -25,6 +25,7 @@ ROWS = (3, 0, 4)
 METHODS = ("maesn", "maesn_theta", "maml", "maml_bias", "maml_bias_only", "latent_space")
 THROUGH_POLICY = ("maesn_theta", "maml", "maml_bias", "maml_bias_only")
 REGION = TrustRegion(damping=1e-3)
+ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(2, 0)
 pytestmark = pytest.mark.usefixtures("x64", "quick_compilation")
 
 
@@ -51,14 +52,14 @@ def problem_of(learner: GradientMetaLearner) -> tuple[MetaObjective, MetaParamet
 
 
 def products(
-    objective: MetaObjective, parameters: MetaParameters, stride: int, offset: int
+    objective: MetaObjective, parameters: MetaParameters, outer: Thinning, inner: Thinning
 ) -> jax.Array:
     """Return the curvature's matrix, column by column."""
     flat, unravel = ravel_pytree(parameters)
     product = REGION._curvature(
-        lambda x: sampled_distributions(objective, unravel(x), stride, offset),
+        lambda x: sampled_distributions(objective, unravel(x), outer, inner),
         flat,
-        step_weights(objective.post.every(stride, offset)),
+        step_weights(objective.post.every(*outer)),
     )
     return jax.jit(jax.vmap(product))(jnp.eye(flat.size))
 
@@ -85,7 +86,7 @@ def assert_product_is_exact(objective: MetaObjective, parameters: MetaParameters
 
     at, jacobian = jax.jit(lambda x: (distribution(x), jax.jacfwd(distribution)(x)))(flat)
     expected = dense(jacobian, at, step_weights(objective.post))
-    actual = products(objective, parameters, 1, 0)
+    actual = products(objective, parameters, ALL, ALL)
     np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
 
 
@@ -101,8 +102,8 @@ def test_two_inner_updates_are_linearised_one_after_the_other() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_sampling_changes_derivatives_alone(method: str) -> None:
     objective, parameters = problem_of(learner_of(method))
-    sampled = jax.jit(lambda p: sampled_distributions(objective, p, 2, 1))(parameters)
-    exact = jax.jit(lambda p: objective.distributions(p, objective.post.every(2, 1)))(parameters)
+    sampled = jax.jit(lambda p: sampled_distributions(objective, p, SOME, OTHERS))(parameters)
+    exact = jax.jit(lambda p: objective.distributions(p, objective.post.every(*SOME)))(parameters)
     np.testing.assert_allclose(sampled.mean, exact.mean, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(sampled.log_std, exact.log_std, rtol=1e-12, atol=1e-13)
 
@@ -111,10 +112,11 @@ def test_sampling_changes_derivatives_alone(method: str) -> None:
 def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(method: str) -> None:
     """By the chain rule: the exact policy's Jacobian times that of the update on a sample."""
     objective, parameters = problem_of(learner_of(method))
-    sample = replace(objective, pre=tuple((e.every(2, 1), a.every(2, 1)) for e, a in objective.pre))
+    pre = tuple((e.every(*OTHERS), a.every(*OTHERS)) for e, a in objective.pre)
+    sample = replace(objective, pre=pre)
     flat, unravel = ravel_pytree(parameters)
     moved, unravel_agents = ravel_pytree(objective.adapted(parameters))
-    post = objective.post.every(2, 1)
+    post = objective.post.every(*SOME)
 
     def distribution(agents: jax.Array) -> Any:
         return unravel_agents(agents).vmap(post_distributions)(post)
@@ -123,9 +125,9 @@ def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(method: str) -> 
     outer = jax.jit(jax.jacfwd(distribution))(moved)
     jacobian = jax.tree.map(lambda x: x @ update, outer)
     expected = dense(jacobian, distribution(moved), step_weights(post))
-    actual = products(objective, parameters, 2, 1)
+    actual = products(objective, parameters, SOME, OTHERS)
     np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
-    exact = products(objective, parameters, 1, 0)
+    exact = products(objective, parameters, ALL, ALL)
     assert np.abs(exact - expected).max() > 1e-3 * np.abs(exact).max()
 
 

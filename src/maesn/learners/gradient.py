@@ -19,7 +19,7 @@ from maesn.axes import Key
 from maesn.context import AbstractContext
 from maesn.episodes import Collect, Episodes, concatenate
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.curvature import sampled_distributions
+from maesn.learners.curvature import Thinning, sampled_distributions
 from maesn.learners.fast import GradientFastLearner
 from maesn.learners.info import GradientInfo, describe_step
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
@@ -28,6 +28,8 @@ from maesn.normalization import ObservationStatistics, no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import added_later
 from maesn.trust_region import TrustRegion
+
+_STRIDES = ("curvature_stride", "hessian_stride")
 
 
 class GradientState(eqx.Module):
@@ -63,23 +65,29 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Batches of episodes that the outer step learns from."""
     curvature_stride: int = 20
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
-    steps resemble each other); 1 for all. The reference uses all. Where an inner step runs through
-    the policy, its derivative inside the curvature is sampled likewise (`learners.curvature`)."""
+    steps resemble each other); 1 for all. The reference uses all."""
+    hessian_stride: int | None = added_later(None)
+    """The same of the Hessian of an inner loss inside the curvature, where an inner step runs
+    through the policy (`learners.curvature`); None for that of the curvature. Its terms are of
+    both signs, so it needs many more steps."""
     normalize_observations: bool = added_later(False)
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
 
     def __check_init__(self) -> None:
-        for name in ("meta_batch_size", "outer_batches", "curvature_stride"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+        for name in ("meta_batch_size", "outer_batches", *_STRIDES):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {value}.")
         if self.inner_updates < 0:
             raise ValueError(f"`inner_updates` must be at least 0, got {self.inner_updates}.")
-        if self.curvature_stride > 1 and self.policy.has_memory:
-            raise ValueError(
-                f"`curvature_stride` is {self.curvature_stride}, but a policy with memory needs "
-                "all steps of an episode: set it to 1."
-            )
+        for name in _STRIDES:
+            stride = getattr(self, name)
+            if stride is not None and stride > 1 and self.policy.has_memory:
+                raise ValueError(
+                    f"`{name}` is {stride}, but a policy with memory needs all steps of an "
+                    "episode: set it to 1."
+                )
 
     def init(
         self,
@@ -213,15 +221,16 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         objective = MetaObjective(
             self.context, adaptation, index, tuple(pre), post, advantages, state.statistics
         )
-        # Every step can be drawn, also where the stride does not divide the horizon.
         time = post.action.shape[-2]
-        stride = min(self.curvature_stride, time)
-        offset = jax.random.randint(key, (), 0, stride + time % stride)
+        outer = Thinning.draw(key, self.curvature_stride, time)
+        inner = outer
+        if self.hessian_stride is not None:
+            inner = Thinning.draw(jax.random.fold_in(key, 1), self.hessian_stride, time)
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
-            lambda varied: sampled_distributions(objective, varied, stride, offset),
-            step_weights(post.every(stride, offset)),
+            lambda varied: sampled_distributions(objective, varied, outer, inner),
+            step_weights(post.every(*outer)),
         )
         after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, played))
         return after, describe_step(objective, parameters, improved, step)

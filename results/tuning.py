@@ -1,0 +1,110 @@
+"""Choose every method's configuration on the validation tasks of `wheeled`.
+
+    python results/tuning.py runs --out tuning > results/wheeled/tuning.md
+
+Every method has three configurations, each with one seed. Of those that were meta-trained with an
+inner update, the run `runs/METHOD` takes part with its own test-time steps, with more full steps
+before they halve, and with longer ones; `rl2`, which takes no steps, with three runs; methods from
+scratch with three sizes of their step, or of the curiosity. What is finished is not repeated.
+"""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import tyro
+
+from maesn.comparison import Place, compare
+from maesn.entries import Scratch
+from maesn.report.comparison import Line
+from maesn.runs.contest import Conditions
+from maesn.runs.test_time import AtTestTime
+
+STEPPING = ("maesn", "latent_space", "maml", "maml_bias", "maml_bias_only")
+PACES = {
+    "as trained": AtTestTime(),
+    "10 full steps": AtTestTime(full_steps=10),
+    "steps x 2": AtTestTime(step_scale=2),
+}
+RECURRENT = {
+    "learning rate 1e-3": "rl2",
+    "learning rate 3e-3": "rl2-3e-3",
+    "learning rate 3e-4": "rl2-3e-4",
+}
+SCRATCH = {
+    "reinforce": {f"step {x}": Scratch(("reinforce",), step_size=x) for x in (0.03, 0.1, 0.3)},
+    "trpo": {f"max KL {x}": Scratch(("trpo",), max_kl=x) for x in (0.01, 0.02, 0.05)},
+    "vime": {f"weight {x:g}": Scratch(("vime",), curiosity_weight=x) for x in (1e-4, 1e-3, 1e-2)},
+}
+TRAINED_CONDITIONS = Conditions(tasks="validation", num_tasks=30, updates=10)
+SCRATCH_CONDITIONS = Conditions(tasks="validation", num_tasks=10, updates=100)
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Where runs are, and where curves go."""
+
+    runs: tyro.conf.Positional[Path]
+    """Directory of the runs, each by the name of its method."""
+    out: Path
+    """Directory of the curves."""
+    only: tuple[str, ...] = ()
+    """Methods; empty for all."""
+
+
+def tell(sentence: str) -> None:
+    """Say what goes on, aside from the table."""
+    print(sentence, file=sys.stderr, flush=True)
+
+
+def configurations(method: str, settings: Settings) -> dict[str, Line]:
+    """Adapt a method with each of its configurations."""
+    adapted = partial(compare, out=settings.out / method, say=tell)
+    trained = partial(adapted, conditions=TRAINED_CONDITIONS)
+    if method in SCRATCH:
+        fresh = partial(adapted, place=Place(family="wheeled"), conditions=SCRATCH_CONDITIONS)
+        found = {name: fresh(scratch=scratch) for name, scratch in SCRATCH[method].items()}
+    elif method == "rl2":
+        found = {name: trained([settings.runs / run]) for name, run in RECURRENT.items()}
+    else:
+        run = settings.runs / method
+        found = {name: trained([run], test_time=pace) for name, pace in PACES.items()}
+    # A run whose pace is changed is the second line, behind the run as it is.
+    return {name: compared.lines[-1] for name, compared in found.items()}
+
+
+def rows(lines: dict[str, Line]) -> Iterator[str]:
+    """Yield rows of Markdown, the best configuration bold."""
+    ends = {name: line.measure("mean_return")[0, :, -1] for name, line in lines.items()}
+    best = max(ends, key=lambda name: ends[name].mean())
+    for name, end in ends.items():
+        line, error = lines[name], end.std(ddof=1) / math.sqrt(len(end))
+        success = 100 * line.measure("success_rate")[0, :, -1].mean()
+        cells = (
+            line.label,
+            f"**{name}**" if name == best else name,
+            len(end),
+            line.tables[0].updates[-1],
+            f"{end.mean():.1f} ± {error:.1f}",
+            f"{success:.1f}",
+        )
+        yield f"| {' | '.join(map(str, cells))} |"
+
+
+def main() -> None:
+    """Print the table as Markdown."""
+    settings = tyro.cli(Settings)
+    print("# The configuration of every method, chosen on validation tasks\n")
+    print("| method | configuration | tasks | updates | sparse return | reaches goal (%) |")
+    print("|---|---|---:|---:|---:|---:|")
+    for method in settings.only or (*STEPPING, "rl2", *SCRATCH):
+        for row in rows(configurations(method, settings)):
+            print(row, flush=True)
+    print("\nAfter the last update; ± one standard error over tasks, of one seed.")
+
+
+if __name__ == "__main__":
+    main()
