@@ -48,6 +48,11 @@ class AbstractContext(eqx.Module, Generic[Value]):
             drawn: what the policy was fed while the episode was played.
         """
 
+    @property
+    def is_pathwise(self) -> bool:
+        """Whether the inner gradient of the context runs through the policy."""
+        return False
+
     @abstractmethod
     def draw_loss(
         self,
@@ -136,6 +141,10 @@ class BiasContext(AbstractContext[Bias]):
         if self.size < 0:
             raise ValueError(f"`size` of BiasContext must be at least 0, got {self.size}.")
 
+    @property
+    def is_pathwise(self) -> bool:
+        return True
+
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Bias:
         return Bias(jnp.zeros(self.size))
 
@@ -187,6 +196,10 @@ class LatentContext(AbstractContext[Latent]):
             raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
         if self.initial_spread < 0:
             raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
+
+    @property
+    def is_pathwise(self) -> bool:
+        return self.gradient == "reparameterized"
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Latent:
         shape = (num_tasks, self.size)
