@@ -135,7 +135,7 @@ def adapt(
             first_update=done,
         )
         record = adaptation_record(
-            identity_of_run(run, test_time.suffix),
+            identity_of_run(run, test_time.written),
             world,
             run.settings.engine if engine is None else engine,
             episodes_per_task,

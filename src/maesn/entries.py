@@ -20,7 +20,7 @@ from maesn.learners import (
 from maesn.policies import AbstractPolicySettings, CategoricalMLP, GaussianMLP
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.adaptation_files import adaptation_file, engine_suffix
-from maesn.runs.adaptation_record import Identity, identity_of_run
+from maesn.runs.adaptation_record import Identity, identity_of_run, written_out
 from maesn.runs.contest import Contestant, Ground
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -121,7 +121,7 @@ def entry_of_runs(
                 seed=run.settings.seed,
                 learner=learner,
                 record=ground.record(
-                    identity_of_run(run, test_time.suffix), conditions.seed, number
+                    identity_of_run(run, test_time.written), conditions.seed, number
                 ),
                 num_tasks=ground.num_tasks,
                 earlier=adaptation_file(
@@ -195,18 +195,9 @@ def _unlearned(
     num_tasks: int,
 ) -> Contestant:
     """Return a contestant that has learned nothing before."""
-    written = " ".join(f"{name} {_written(learner)}".split())
+    written = " ".join(f"{name} {written_out(learner)}".split())
     record = ground.record(Identity(written), seed, updates)
     return Contestant(name, seed, learner, record, num_tasks)
-
-
-def _written(settings: Any) -> str:
-    """Write settings out in full: defaults as well, which may be others in a later version."""
-    if not dataclasses.is_dataclass(settings):
-        return repr(settings)
-    fields = dataclasses.fields(settings)
-    values = (f"{field.name}={_written(getattr(settings, field.name))}" for field in fields)
-    return f"{type(settings).__name__}({', '.join(values)})"
 
 
 def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:

@@ -1,6 +1,6 @@
 """A batch of episodes, and the function that plays one: all that learning sees of the world."""
 
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agents
-from maesn.axes import Carry, TaskKeys
+from maesn.axes import Carry, Key, TaskKeys
 from maesn.numerics import AbstractDistribution
 from maesn.policies import PolicyInput
 
@@ -44,6 +44,20 @@ class TrialMemory(eqx.Module):
             jnp.where(valid.any(), action[last], self.action),
             jnp.where(valid.any(), observed_reward[last], self.reward),
         )
+
+
+class Thinning(NamedTuple):
+    """Every `stride`-th time step of an episode, from the one at `offset` on: `Episodes.every`."""
+
+    stride: int
+    offset: int | Int[Array, ""]
+
+    @staticmethod
+    def draw(key: Key, stride: int, time: int) -> "Thinning":
+        """Return a thinning of `time` steps, with which every step can be drawn."""
+        stride = min(stride, time)
+        # Also where the stride does not divide the horizon.
+        return Thinning(stride, jax.random.randint(key, (), 0, stride + time % stride))
 
 
 class Episodes(eqx.Module):

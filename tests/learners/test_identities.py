@@ -88,7 +88,8 @@ def test_maesn_theta_before_its_stage_is_maesn() -> None:
     staged, other = maesn_theta(), maesn()
     assert staged.adaptation.at(149) == other.adaptation
     assert staged.adaptation.at(150) != other.adaptation
-    assert replace(staged, adaptation=other.adaptation) == other
+    same = {"adaptation": other.adaptation, "hessian_stride": other.hessian_stride}
+    assert replace(staged, **same) == other
 
 
 def maml_problem() -> Problem:

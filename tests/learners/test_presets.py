@@ -226,7 +226,13 @@ def test_a_whole_training_set_is_a_permutation() -> None:
 
 @pytest.mark.parametrize(
     ("setting", "value"),
-    [("meta_batch_size", 0), ("outer_batches", 0), ("curvature_stride", 0), ("inner_updates", -1)],
+    [
+        ("meta_batch_size", 0),
+        ("outer_batches", 0),
+        ("curvature_stride", 0),
+        ("hessian_stride", 0),
+        ("inner_updates", -1),
+    ],
 )
 def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> None:
     with pytest.raises(ValueError, match=f"`{setting}` must be at least .*, got {value}"):

@@ -211,3 +211,6 @@ def test_thinned_curvature_is_refused_where_there_is_memory() -> None:
     slots = maesn()
     with pytest.raises(ValueError, match="`curvature_stride` is 20, but a policy with memory"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent())
+    strides = {"curvature_stride": 1, "hessian_stride": 4}
+    with pytest.raises(ValueError, match="`hessian_stride` is 4, but a policy with memory"):
+        GradientMetaLearner(slots.context, slots.adaptation, Recurrent(), **strides)

@@ -2,32 +2,19 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from maesn.adaptation import StepSizes
 from maesn.agent import Agents
-from maesn.axes import Key
+from maesn.episodes import Thinning
 from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import AbstractDistribution, multiply
 from maesn.surrogate import post_distributions
-
-
-class Thinning(NamedTuple):
-    """Every `stride`-th time step of an episode, from the one at `offset` on."""
-
-    stride: int
-    offset: int | Int[Array, ""]
-
-    @staticmethod
-    def draw(key: Key, stride: int, time: int) -> "Thinning":
-        """Return a thinning of `time` steps, with which every step can be drawn."""
-        stride = min(stride, time)
-        # Also where the stride does not divide the horizon.
-        return Thinning(stride, jax.random.randint(key, (), 0, stride + time % stride))
 
 
 def sampled_distributions(
@@ -35,13 +22,14 @@ def sampled_distributions(
 ) -> AbstractDistribution:
     """Return the adapted agents' action distributions at some of their steps, for J'FJ.
 
-    Their values are exact. Their derivative with respect to `parameters` takes the inner steps'
-    own derivative, the Hessian of the inner loss, from some of the steps before the update alone:
+    Their values are exact. In their derivative with respect to `parameters`, the Hessian of the
+    inner loss is that of some of the steps before the update:
 
         J = dpi/d(adapted) (I - step size * H),  H ~ mean over sampled steps of the Hessian
 
     With strides of 1 all is exact. Inner steps that depend on whole episodes alone, such as that
-    of a latent by likelihood ratio, are exact with any stride.
+    of a latent by likelihood ratio, are exact with any stride, and so are derivatives with respect
+    to the step sizes.
 
     Args:
         objective: the problem; all its steps are used for the values of the inner updates.
@@ -53,71 +41,75 @@ def sampled_distributions(
         Distributions `[task, episode, time, action]`, of the steps of `post.every(*outer)`.
     """
     agents = start_agents(objective.context, parameters, objective.index, objective.statistics)
-    moves_context_alone = objective.adaptation.policy is None and objective.context.is_pathwise
-    take_step = _step_of_few if moves_context_alone else _step
+    is_small = objective.adaptation.policy is None and objective.context.is_pathwise
+    move = _moved_contexts if is_small else _moved
     for experience in objective.pre:
-        agents = take_step(objective, agents, parameters.step_sizes, experience, inner)
+        agents = move(objective, agents, parameters.step_sizes, experience, inner)
     return agents.vmap(post_distributions)(objective.post.every(*outer))
 
 
-def _step(
+def _moved(
     objective: MetaObjective,
     agents: Agents,
     sizes: StepSizes,
     experience: Experience,
     inner: Thinning,
 ) -> Agents:
-    """Return the agents after an inner step, whose derivative is one on the thinned episodes."""
-    episodes, advantages = experience
+    """Return the agents after an inner step, whose Hessian is that of the thinned episodes."""
     step = partial(objective.adaptation, context=objective.context)
-    thinned, judged = episodes.every(*inner), advantages.every(*inner)
-    derivative = step(agents, sizes, episodes=thinned, advantages=judged)
-    fixed_agents, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    value = step(fixed_agents, fixed_sizes, episodes=episodes, advantages=advantages)
-    return jax.tree.map(
-        # Exactly the value: x + 0.
-        lambda x, y: x + (y - jax.lax.stop_gradient(y)),
-        value,
-        derivative,
-    )
+    thinned = step(agents, jax.lax.stop_gradient(sizes), **_played(experience, inner))
+    exact = step(jax.lax.stop_gradient(agents), sizes, **_played(experience))
+    return _with_derivative(exact, thinned)
 
 
-def _step_of_few(
+def _moved_contexts(
     objective: MetaObjective,
     agents: Agents,
     sizes: StepSizes,
     experience: Experience,
     inner: Thinning,
 ) -> Agents:
-    """Return the same where a context moves alone: its Jacobian is written down, once.
+    """Return what `_moved` does, for contexts that move alone, along a gradient through the policy.
 
-    It has as many rows as a context has components. Otherwise every product that the conjugate
-    gradients ask for would run through the Hessian, forwards and backwards.
+    A context has few components, so the few rows of its Jacobian are written down. Otherwise every
+    product that the conjugate gradients ask for would run through the Hessian, there and back.
     """
-    episodes, advantages = experience
     step = partial(objective.adaptation, context=objective.context)
     fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    value = step(fixed, fixed_sizes, episodes=episodes, advantages=advantages).context
+    exact = step(fixed, sizes, **_played(experience)).context
 
-    def jacobian(task: Any) -> Float[Array, "context parameter"]:
-        context, played, judged = jax.tree.map(lambda x: x[None], task)
-        flat, unravel = ravel_pytree((fixed.policy, context, fixed_sizes))
+    def jacobian_of(task: tuple[Any, Experience]) -> Float[Array, "context parameter"]:
+        context, alone = jax.tree.map(lambda x: x[None], task)
+        flat, unravel = ravel_pytree((fixed.policy, context))
 
         def moved(varied: Float[Array, " parameter"]) -> Float[Array, " context"]:
-            policy, start, step_sizes = unravel(varied)
+            policy, start = unravel(varied)
             agent = replace(fixed, policy=policy, context=start)
-            after = step(agent, step_sizes, episodes=played, advantages=judged)
-            return ravel_pytree(after.context)[0]
+            return ravel_pytree(step(agent, fixed_sizes, **_played(alone)).context)[0]
 
         return jax.jacrev(moved)(flat)
 
-    def vary(jacobian: Float[Array, "context parameter"], start: Any, value: Any) -> Any:
-        varied, _ = ravel_pytree((agents.policy, start, sizes))
-        flat, unravel = ravel_pytree(value)
-        return unravel(flat + jacobian @ (varied - jax.lax.stop_gradient(varied)))
+    def linear(jacobian: Float[Array, "context parameter"], start: Any) -> Any:
+        varied, _ = ravel_pytree((agents.policy, start))
+        _, unravel = ravel_pytree(start)
+        return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
-    # Task by task: a row of the Jacobian takes as much memory as a gradient.
-    jacobians = jax.lax.map(
-        jacobian, (fixed.context, episodes.every(*inner), advantages.every(*inner))
-    )
-    return replace(agents, context=jax.vmap(vary)(jacobians, agents.context, value))
+    # Task by task: every row of a Jacobian takes as much memory as a gradient.
+    thinned = tuple(part.every(*inner) for part in experience)
+    jacobians = jax.lax.map(jacobian_of, (fixed.context, thinned))
+    differences = jax.vmap(linear)(jacobians, agents.context)
+    return replace(agents, context=jax.tree.map(jnp.add, exact, differences))
+
+
+def _played(experience: Experience, thinning: Thinning | None = None) -> dict[str, Any]:
+    """Return the arguments of an inner step that say what was played."""
+    episodes, advantages = experience
+    if thinning is None:
+        return {"episodes": episodes, "advantages": advantages}
+    return {"episodes": episodes.every(*thinning), "advantages": advantages.every(*thinning)}
+
+
+def _with_derivative(value: Agents, other: Agents) -> Agents:
+    """Return the first agents, which vary as the second ones do besides."""
+    # Exactly the value: x + 0.
+    return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), value, other)

@@ -17,9 +17,9 @@ from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.agent import Agent, Agents
 from maesn.axes import Key
 from maesn.context import AbstractContext
-from maesn.episodes import Collect, Episodes, concatenate
+from maesn.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.curvature import Thinning, sampled_distributions
+from maesn.learners.curvature import sampled_distributions
 from maesn.learners.fast import GradientFastLearner
 from maesn.learners.info import GradientInfo, describe_step
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
@@ -67,9 +67,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
     steps resemble each other); 1 for all. The reference uses all."""
     hessian_stride: int | None = added_later(None)
-    """The same of the Hessian of an inner loss inside the curvature, where an inner step runs
-    through the policy (`learners.curvature`); None for that of the curvature. Its terms are of
-    both signs, so it needs many more steps."""
+    """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
+    step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
+    of both signs and nearly cancel, so it needs more steps."""
     normalize_observations: bool = added_later(False)
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
@@ -222,10 +222,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             self.context, adaptation, index, tuple(pre), post, advantages, state.statistics
         )
         time = post.action.shape[-2]
-        outer = Thinning.draw(key, self.curvature_stride, time)
-        inner = outer
-        if self.hessian_stride is not None:
-            inner = Thinning.draw(jax.random.fold_in(key, 1), self.hessian_stride, time)
+        outer, inner = self._thinnings(key, time)
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
@@ -234,6 +231,15 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         )
         after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, played))
         return after, describe_step(objective, parameters, improved, step)
+
+    def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
+        """Draw which steps the curvature takes: after the update, and before it."""
+        if self.hessian_stride is None:
+            both = Thinning.draw(key, self.curvature_stride, time)
+            return both, both
+        outer_key, inner_key = jax.random.split(key)
+        outer = Thinning.draw(outer_key, self.curvature_stride, time)
+        return outer, Thinning.draw(inner_key, self.hessian_stride, time)
 
 
 def _take_in(

@@ -13,17 +13,13 @@ from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.curious import CuriousMetaLearner
 from maesn.learners.gradient import GradientMetaLearner
 from maesn.learners.recurrent import RecurrentMetaLearner
-from maesn.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
 # Of MAML + bias; from the reference's run on the ant.
 BIAS_STEP = 0.5
-# Where an inner step runs through the policy, the curvature needs many more of the steps before the
-# update; and where it moves the policy, conjugate gradients find what the sample has wrong, unless
-# they are stopped early. docs/design.md has what both numbers were chosen by.
+# Where an inner step runs through the policy; docs/design.md has what it was chosen by.
 HESSIAN_STRIDE = 4
-EARLY_STOPPED = TrustRegion(cg_steps=10)
 
 
 def maesn(**settings: Any) -> GradientMetaLearner:
@@ -48,7 +44,6 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
         settings,
         context=LatentContext(),
         adaptation=adaptation,
-        trust_region=EARLY_STOPPED,
         hessian_stride=HESSIAN_STRIDE,
     )
 
@@ -60,7 +55,6 @@ def maml(**settings: Any) -> GradientMetaLearner:
         settings,
         context=NoContext(),
         adaptation=adaptation,
-        trust_region=EARLY_STOPPED,
         hessian_stride=HESSIAN_STRIDE,
     )
 
@@ -76,7 +70,6 @@ def maml_bias(**settings: Any) -> GradientMetaLearner:
         settings,
         context=BiasContext(),
         adaptation=adaptation,
-        trust_region=EARLY_STOPPED,
         hessian_stride=HESSIAN_STRIDE,
     )
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from maesn.advantage import Advantages
 from maesn.agent import Agent
 from maesn.axes import Key
-from maesn.episodes import Episodes
+from maesn.episodes import Episodes, Thinning
 from maesn.numerics import AbstractDistribution, first_order_step, masked_mean
 from maesn.policies import AbstractPolicy
 from maesn.surrogate import action_distributions, outer_loss
@@ -81,10 +81,10 @@ class TrustRegionRule(AbstractWeightRule):
     """Damping as in Stable-Baselines3 and Spinning Up. With the reference's 1e-5, the step follows
     directions that one task's small batch says nothing of, and is cut back to nearly nothing:
     CartPole, learned in 20 updates with 0.1, is then not learned in 40. Steps of conjugate
-    gradients: TRPO paper, appendix C, and Spinning Up."""
+    gradients: Schulman et al. 2015, appendix C, and Spinning Up."""
     curvature_stride: int = 10
-    """The curvature is averaged over one of so many time steps; 1 for all. TRPO paper, appendix
-    C.1: a tenth of the data."""
+    """The curvature is averaged over one of so many time steps; 1 for all. Schulman et
+    al. 2015, appendix C.1: a tenth of the data."""
 
     def __check_init__(self) -> None:
         if self.curvature_stride < 1:
@@ -106,7 +106,8 @@ class TrustRegionRule(AbstractWeightRule):
                 kl=masked_mean(episodes.behaviour.kl(new), episodes.valid),
             )
 
-        thinned = self._thin(key, episodes)
+        time = episodes.action.shape[-2]
+        thinned = episodes.every(*Thinning.draw(key, self.curvature_stride, time))
         valid = thinned.valid.astype(float)
         moved, _ = self.trust_region.step(
             agent.policy,
@@ -115,9 +116,3 @@ class TrustRegionRule(AbstractWeightRule):
             valid / jnp.maximum(valid.sum(), 1.0),
         )
         return moved, None
-
-    def _thin(self, key: Key, episodes: Episodes) -> Episodes:
-        """Return every `curvature_stride`-th step, from an offset with which any can be drawn."""
-        time = episodes.action.shape[-2]
-        stride = min(self.curvature_stride, time)
-        return episodes.every(stride, jax.random.randint(key, (), 0, stride + time % stride))

@@ -1,5 +1,6 @@
 """What decides the curves of an adaptation: two that agree in it are the same curves."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 from maesn.rollout import DRAWS
@@ -65,3 +66,12 @@ def identity_of_run(run: Run, added: str = "") -> Identity:
     """
     learner = f"{run.settings.method} {digest(run.learner)}{added}"
     return Identity(learner, digest_of_arrays(run.latest_state()))
+
+
+def written_out(settings: Any) -> str:
+    """Write settings out in full: defaults as well, which may be others in a later version."""
+    if not dataclasses.is_dataclass(settings):
+        return repr(settings)
+    fields = dataclasses.fields(settings)
+    values = (f"{field.name}={written_out(getattr(settings, field.name))}" for field in fields)
+    return f"{type(settings).__name__}({', '.join(values)})"

@@ -15,6 +15,7 @@ from maesn.learners import (
     CuriousFastLearner,
     FineTuning,
 )
+from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.storage import RunError
@@ -55,6 +56,13 @@ class AtTestTime:
         scaled = "" if self.step_scale == 1 else f"-steps-x{scale}"
         paced = "" if self.full_steps is None else f"-{self.full_steps}-full-steps"
         return scaled + paced + self._curious_suffix + tuned
+
+    @property
+    def written(self) -> str:
+        """What is added to a learner, written out in full for the record of its curves."""
+        tuned = "" if self.fine_tune is None else f" {written_out(IMPROVEMENTS[self.fine_tune])}"
+        curious = f" {written_out(self.curiosity)}" if self.curious else ""
+        return self.suffix + curious + tuned
 
     @property
     def _curious_suffix(self) -> str:

@@ -86,13 +86,13 @@ class EpisodeError(RuntimeError):
     def __init__(
         self, env: str, task: int, episode: int, step: int, reason: str, updates: int = 0
     ) -> None:
-        hint = f" (after update {updates} in this task: are its steps too long?)" if updates else ""
-        super().__init__(f"{env}, task {task}, episode {episode}, step {step}: {reason}{hint}")
-        self.origin = (env, task, episode, step, reason)
+        when = f" (after update {updates} in this task)" if updates else ""
+        super().__init__(f"{env}, task {task}, episode {episode}, step {step}: {reason}{when}")
+        self._origin = (env, task, episode, step, reason)
 
     def after(self, updates: int) -> "EpisodeError":
         """Return the same error, of an agent that has been updated so many times in its task."""
-        return EpisodeError(*self.origin, updates)
+        return EpisodeError(*self._origin, updates)
 
 
 class SimulationFailure(RuntimeError):
