@@ -9,12 +9,12 @@ the surrogate loss there? All steps are scaled to the same bound of the KL diver
 direction gains more. The table has one row per number of conjugate gradient steps, per stride of
 the curvature's samples, and per stride of those of the inner loss's Hessian (which `maesn` has
 none of). Backtracks tell how far the curvature errs: with the right one there are few. Seconds are
-those of the step and of the judgement, without compilation.
+the least that step and judgement took, so without compilation; the others are means.
 """
 
 import time
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -33,7 +33,7 @@ from maesn.trust_region import TrustRegion, TrustRegionInfo
 from maesn.worlds import make_world
 
 HEADING = (
-    "cg steps  stride  of Hessian  gain (x 1000, +- standard error)  "
+    "cg steps  stride  Hessian's  gain (x 1000, +- standard error)  "
     "KL (x 1000)  backtracks  seconds"
 )
 
@@ -70,8 +70,8 @@ class Outcome(NamedTuple):
 class Settings:
     """What is measured."""
 
-    method: str = "maesn"
-    """Preset of a method that adapts by gradients."""
+    method: Literal["maesn", "maml", "maml_bias", "maml_bias_only"] = "maesn"
+    """Preset of a method with an inner update."""
     family: str = "wheeled"
     """Family of tasks."""
     iterations: int = 60

@@ -2,10 +2,11 @@
 
     python results/tuning.py runs --out tuning > results/wheeled/tuning.md
 
-Every method has three configurations, each with one seed. Of those that were meta-trained with an
-inner update, the run `runs/METHOD` takes part with its own test-time steps, with more full steps
-before they halve, and with longer ones; `rl2`, which takes no steps, with three runs; methods from
-scratch with three sizes of their step, or of the curiosity. What is finished is not repeated.
+Every method of the comparison has three configurations, each with one seed. Of those that take
+steps in a new task, the run `runs/METHOD` takes part with its own steps, with more full steps
+before they halve, and with longer ones; `rl2`, which takes none, with three runs that differ in
+`--policy-step.descent.learning-rate`; methods from scratch with three sizes of their step, or of
+the curiosity. What is finished is not repeated.
 """
 
 import dataclasses
@@ -73,10 +74,12 @@ def configurations(method: str, settings: Settings) -> dict[str, Line]:
         run = settings.runs / method
         found = {name: trained([run], test_time=pace) for name, pace in PACES.items()}
     # A run whose pace is changed is the second line, behind the run as it is.
+    expected = {name: 2 if PACES.get(name, AtTestTime()).suffix else 1 for name in found}
+    assert {name: len(compared.lines) for name, compared in found.items()} == expected
     return {name: compared.lines[-1] for name, compared in found.items()}
 
 
-def rows(lines: dict[str, Line]) -> Iterator[str]:
+def rows(method: str, lines: dict[str, Line]) -> Iterator[str]:
     """Yield rows of Markdown, the best configuration bold."""
     ends = {name: line.measure("mean_return")[0, :, -1] for name, line in lines.items()}
     best = max(ends, key=lambda name: ends[name].mean())
@@ -84,7 +87,7 @@ def rows(lines: dict[str, Line]) -> Iterator[str]:
         line, error = lines[name], end.std(ddof=1) / math.sqrt(len(end))
         success = 100 * line.measure("success_rate")[0, :, -1].mean()
         cells = (
-            line.label,
+            f"`{method}`",
             f"**{name}**" if name == best else name,
             len(end),
             line.tables[0].updates[-1],
@@ -101,9 +104,11 @@ def main() -> None:
     print("| method | configuration | tasks | updates | sparse return | reaches goal (%) |")
     print("|---|---|---:|---:|---:|---:|")
     for method in settings.only or (*STEPPING, "rl2", *SCRATCH):
-        for row in rows(configurations(method, settings)):
+        for row in rows(method, configurations(method, settings)):
             print(row, flush=True)
-    print("\nAfter the last update; ± one standard error over tasks, of one seed.")
+    print(
+        "\nAfter the last update; ± one standard error over tasks, of one seed; share of episodes."
+    )
 
 
 if __name__ == "__main__":

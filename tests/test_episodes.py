@@ -8,7 +8,7 @@ import pytest
 from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 
-from maesn.episodes import Episodes, concatenate
+from maesn.episodes import Episodes, Thinning, concatenate
 from maesn.learners.gradient import step_weights
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -44,6 +44,15 @@ def test_every_so_manieth_step(stride: int) -> None:
             np.testing.assert_array_equal(getattr(thinned, name), expected, err_msg=name)
         expected = whole.behaviour.mean[:, :, offset::stride][:, :, :kept]
         np.testing.assert_array_equal(thinned.behaviour.mean, expected)
+
+
+def test_a_thinning_is_drawn_such_that_every_step_can_be() -> None:
+    drawn = [Thinning.draw(key, 3, 7) for key in jax.random.split(jax.random.key(0), 50)]
+    steps = [int(one.offset) + one.stride * np.arange(7 // 3) for one in drawn]
+    assert set(np.concatenate(steps).tolist()) == set(range(7))
+    beyond = Thinning.draw(jax.random.key(0), 12, 7)
+    assert beyond.stride == 7
+    assert 0 <= int(beyond.offset) < 7
 
 
 def test_weights_of_the_steps_make_a_mean_over_tasks_of_means_over_valid_steps() -> None:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON
@@ -20,7 +21,12 @@ from maesn.policies import GaussianMLP
 
 TASKS, META_BATCH, STEPS = 7, 3, 4
 # A linear policy, because it compiles faster.
-SMALL = {"policy": GaussianMLP(()), "meta_batch_size": META_BATCH, "curvature_stride": 2}
+SMALL = {
+    "policy": GaussianMLP(()),
+    "meta_batch_size": META_BATCH,
+    "curvature_stride": 2,
+    "hessian_stride": 2,
+}
 # The one with memory has tests of its own (`test_recurrent`).
 every_preset = pytest.mark.parametrize("preset", [name for name in PRESETS if name != "rl2"])
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -195,6 +201,19 @@ def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
     state = learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
     _, info = learner.step(jax.random.key(0), state, AnalyticCollect(TASKS))
     assert info.trust_region.accepted
+
+
+@pytest.mark.parametrize(("name", "decides"), [("maml", True), ("maesn", False)])
+def test_the_hessian_has_a_stride_of_its_own(name: str, decides: bool) -> None:
+    def policy_after_a_step(stride: int) -> np.ndarray:
+        settings = SMALL | {"curvature_stride": 1, "hessian_stride": stride}
+        learner = PRESETS[name](**settings)
+        state = learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
+        after, _ = learner.step(jax.random.key(0), state, AnalyticCollect(TASKS))
+        return np.asarray(ravel_pytree(after.parameters.policy)[0])
+
+    exact, thinned = policy_after_a_step(1), policy_after_a_step(3)
+    assert np.allclose(exact, thinned, rtol=1e-4, atol=1e-5) != decides
 
 
 def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:

@@ -1,5 +1,6 @@
 """What is added to a learner in new tasks, from the command line to the table."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
 from maesn.curiosity import Curiosity
-from maesn.learners import METHODS, CuriousMetaLearner
+from maesn.learners import METHODS, CuriousMetaLearner, TrustRegionRule
 from maesn.policies import GaussianMLP
+from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import AtTestTime
@@ -95,6 +97,16 @@ def test_step_sizes_that_mean_nothing_are_refused(
 ) -> None:
     assert cli.run(["adapt", str(trained), *option.split()]) == cli.USAGE_ERROR
     assert message in capsys.readouterr().err
+
+
+def test_the_record_of_curves_says_by_which_rule(trained: Path, few: str) -> None:
+    tuning = AtTestTime(fine_tune="trpo", after=1, curious=True)
+    api.adapt(trained, tasks=few, updates=2, episodes_per_task=3, test_time=tuning)
+    (record,) = (trained / "adaptation").glob("*1-then-trpo.settings.json")
+    learner = json.loads(record.read_text())["learner"]
+    for settings in (TrustRegionRule(), Curiosity()):
+        for name, value in vars(settings).items():
+            assert f"{name}={written_out(value)}" in learner
 
 
 def test_other_curiosity_has_a_table_of_its_own(trained: Path, few: str) -> None:
