@@ -102,7 +102,7 @@ def test_step_sizes_that_mean_nothing_are_refused(
 def test_the_record_of_curves_says_by_which_rule(trained: Path, few: str) -> None:
     tuning = AtTestTime(fine_tune="trpo", after=1, curious=True)
     api.adapt(trained, tasks=few, updates=2, episodes_per_task=3, test_time=tuning)
-    (record,) = (trained / "adaptation").glob("*1-then-trpo.settings.json")
+    record = trained / "adaptation" / f"file-few-sparse{tuning.suffix}.settings.json"
     learner = json.loads(record.read_text())["learner"]
     for settings in (TrustRegionRule(), Curiosity()):
         for name, value in vars(settings).items():

@@ -22,14 +22,18 @@ def sampled_distributions(
 ) -> AbstractDistribution:
     """Return the adapted agents' action distributions at some of their steps, for J'FJ.
 
-    Their values are exact. In their derivative with respect to `parameters`, the Hessian of the
-    inner loss is that of some of the steps before the update:
+    Their values are exact. Their derivative with respect to `parameters` takes the inner steps'
+    own derivative, above all the Hessian of the inner loss, from some of the steps before them:
 
         J = dpi/d(adapted) (I - step size * H),  H ~ mean over sampled steps of the Hessian
 
     With strides of 1 all is exact. Inner steps that depend on whole episodes alone, such as that
-    of a latent by likelihood ratio, are exact with any stride, and so are derivatives with respect
-    to the step sizes.
+    of a latent by likelihood ratio, are exact with any stride.
+
+    The derivative by the step sizes, which is the gradient, is of the same sample as the Hessian,
+    although the exact one is at hand: weights and step sizes that undo each other, as those of a
+    bias do, then undo each other in J too. Mixing the two has made all steps fail on a small
+    problem (`tests/learners/test_presets.py`).
 
     Args:
         objective: the problem; all its steps are used for the values of the inner updates.
@@ -55,11 +59,12 @@ def _moved(
     experience: Experience,
     inner: Thinning,
 ) -> Agents:
-    """Return the agents after an inner step, whose Hessian is that of the thinned episodes."""
+    """Return the agents after an inner step, whose derivative is that on the thinned episodes."""
     step = partial(objective.adaptation, context=objective.context)
-    thinned = step(agents, jax.lax.stop_gradient(sizes), **_played(experience, inner))
-    exact = step(jax.lax.stop_gradient(agents), sizes, **_played(experience))
-    return _with_derivative(exact, thinned)
+    thinned = step(agents, sizes, **_played(experience, inner))
+    exact = step(*jax.lax.stop_gradient((agents, sizes)), **_played(experience))
+    # Exactly the value: x + 0.
+    return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, thinned)
 
 
 def _moved_contexts(
@@ -76,21 +81,21 @@ def _moved_contexts(
     """
     step = partial(objective.adaptation, context=objective.context)
     fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    exact = step(fixed, sizes, **_played(experience)).context
+    exact = step(fixed, fixed_sizes, **_played(experience)).context
 
     def jacobian_of(task: tuple[Any, Experience]) -> Float[Array, "context parameter"]:
         context, alone = jax.tree.map(lambda x: x[None], task)
-        flat, unravel = ravel_pytree((fixed.policy, context))
+        flat, unravel = ravel_pytree((fixed.policy, context, fixed_sizes))
 
         def moved(varied: Float[Array, " parameter"]) -> Float[Array, " context"]:
-            policy, start = unravel(varied)
+            policy, start, step_sizes = unravel(varied)
             agent = replace(fixed, policy=policy, context=start)
-            return ravel_pytree(step(agent, fixed_sizes, **_played(alone)).context)[0]
+            return ravel_pytree(step(agent, step_sizes, **_played(alone)).context)[0]
 
         return jax.jacrev(moved)(flat)
 
     def linear(jacobian: Float[Array, "context parameter"], start: Any) -> Any:
-        varied, _ = ravel_pytree((agents.policy, start))
+        varied, _ = ravel_pytree((agents.policy, start, sizes))
         _, unravel = ravel_pytree(start)
         return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
@@ -107,9 +112,3 @@ def _played(experience: Experience, thinning: Thinning | None = None) -> dict[st
     if thinning is None:
         return {"episodes": episodes, "advantages": advantages}
     return {"episodes": episodes.every(*thinning), "advantages": advantages.every(*thinning)}
-
-
-def _with_derivative(value: Agents, other: Agents) -> Agents:
-    """Return the first agents, which vary as the second ones do besides."""
-    # Exactly the value: x + 0.
-    return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), value, other)
