@@ -1,7 +1,6 @@
 """The distributions whose Fisher information is the curvature of the outer step."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -60,9 +59,9 @@ def _moved(
     inner: Thinning,
 ) -> Agents:
     """Return the agents after an inner step, whose derivative is that on the thinned episodes."""
-    step = partial(objective.adaptation, context=objective.context)
-    thinned = step(agents, sizes, **_played(experience, inner))
-    exact = step(*jax.lax.stop_gradient((agents, sizes)), **_played(experience))
+    fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
+    exact = _inner_step(objective, fixed, fixed_sizes, experience)
+    thinned = _inner_step(objective, agents, sizes, _thin(experience, inner))
     # Exactly the value: x + 0.
     return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, thinned)
 
@@ -79,9 +78,8 @@ def _moved_contexts(
     A context has few components, so the few rows of its Jacobian are written down. Otherwise every
     product that the conjugate gradients ask for would run through the Hessian, there and back.
     """
-    step = partial(objective.adaptation, context=objective.context)
     fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    exact = step(fixed, fixed_sizes, **_played(experience)).context
+    exact = _inner_step(objective, fixed, fixed_sizes, experience).context
 
     def jacobian_of(task: tuple[Any, Experience]) -> Float[Array, "context parameter"]:
         context, alone = jax.tree.map(lambda x: x[None], task)
@@ -90,7 +88,7 @@ def _moved_contexts(
         def moved(varied: Float[Array, " parameter"]) -> Float[Array, " context"]:
             policy, start, step_sizes = unravel(varied)
             agent = replace(fixed, policy=policy, context=start)
-            return ravel_pytree(step(agent, step_sizes, **_played(alone)).context)[0]
+            return ravel_pytree(_inner_step(objective, agent, step_sizes, alone).context)[0]
 
         return jax.jacrev(moved)(flat)
 
@@ -100,15 +98,17 @@ def _moved_contexts(
         return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
     # Task by task: every row of a Jacobian takes as much memory as a gradient.
-    thinned = tuple(part.every(*inner) for part in experience)
-    jacobians = jax.lax.map(jacobian_of, (fixed.context, thinned))
+    jacobians = jax.lax.map(jacobian_of, (fixed.context, _thin(experience, inner)))
     differences = jax.vmap(linear)(jacobians, agents.context)
     return replace(agents, context=jax.tree.map(jnp.add, exact, differences))
 
 
-def _played(experience: Experience, thinning: Thinning | None = None) -> dict[str, Any]:
-    """Return the arguments of an inner step that say what was played."""
+def _inner_step(
+    objective: MetaObjective, agents: Agents, sizes: StepSizes, experience: Experience
+) -> Agents:
+    return objective.adaptation(agents, sizes, objective.context, *experience)
+
+
+def _thin(experience: Experience, thinning: Thinning) -> Experience:
     episodes, advantages = experience
-    if thinning is None:
-        return {"episodes": episodes, "advantages": advantages}
-    return {"episodes": episodes.every(*thinning), "advantages": advantages.every(*thinning)}
+    return episodes.every(*thinning), advantages.every(*thinning)
