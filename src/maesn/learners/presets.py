@@ -18,7 +18,7 @@ from maesn.learners.recurrent import RecurrentMetaLearner
 POLICY_STEP = 0.1
 # Of MAML + bias; from the reference's run on the ant.
 BIAS_STEP = 0.5
-# Where an inner step runs through the policy; docs/design.md has what it was chosen by.
+# Where an inner step runs through the policy; results/curvature has what it was chosen by.
 HESSIAN_STRIDE = 4
 
 
