@@ -3,7 +3,9 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from maesn.curiosity import Curiosity
 from maesn.envs import AnyEnv
@@ -50,15 +52,16 @@ class Entry:
 class Scratch:
     """Methods that begin anew in every task."""
 
-    methods: tuple[str, ...] = ()
-    """trpo, reinforce (alias vpg), vime; NAME:COUNT adapts to the first COUNT tasks alone, as in
-    `vime:30`."""
-    seeds: tuple[int, ...] = (0,)
-    """Each method begins anew in every task with each of these seeds."""
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(name="scratch")] = ()
+    """Methods that begin anew in every task: trpo, reinforce (alias vpg), vime. NAME:COUNT adapts
+    to the first COUNT tasks alone, as in vime:30."""
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="scratch-seeds")] = (0,)
+    """Each method from scratch begins anew in every task with each of these seeds."""
     step_size: float = GradientRule().step_size
-    """Of reinforce. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
     max_kl: float = TrustRegionRule().trust_region.max_kl
-    """Of trpo and vime: bound on the mean KL divergence of an update. Published: 0.01."""
+    """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
+    0.01."""
     curiosity_weight: float = Curiosity().weight
     """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
 

@@ -25,18 +25,7 @@ class Options:
     """Directory of figure, tables and curves; a comparison that was interrupted goes on there."""
     place: Annotated[Place, tyro.conf.arg(name="")] = ANYWHERE
     conditions: Annotated[Conditions, tyro.conf.arg(name="")] = USUAL
-    scratch: tuple[str, ...] = ()
-    """Methods that begin anew in every task: trpo, reinforce, vime. NAME:COUNT adapts to the first
-    COUNT tasks alone, as in vime:30."""
-    scratch_seeds: tuple[int, ...] = NOBODY.seeds
-    """Each method from scratch begins anew in every task with each of these seeds."""
-    step_size: float = NOBODY.step_size
-    """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    max_kl: float = NOBODY.max_kl
-    """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
-    0.01."""
-    curiosity_weight: float = NOBODY.curiosity_weight
-    """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
+    scratch: Annotated[Scratch, tyro.conf.arg(name="")] = NOBODY
     oracle: Path | None = None
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
     fine_tune: FineTuneRule | None = None
@@ -55,13 +44,7 @@ def main(arguments: list[str]) -> None:
         compare(
             options.runs,
             out=options.out,
-            scratch=Scratch(
-                methods=options.scratch,
-                seeds=options.scratch_seeds,
-                step_size=options.step_size,
-                max_kl=options.max_kl,
-                curiosity_weight=options.curiosity_weight,
-            ),
+            scratch=options.scratch,
             place=options.place,
             conditions=options.conditions,
             oracle=options.oracle,
