@@ -2,19 +2,23 @@
 
     python benchmarks/curvature.py --iterations 60
     python benchmarks/curvature.py --method maml
+    python benchmarks/curvature.py --run runs/maml
 
-A learner is trained for a while. Then, again and again, an outer step is computed from one batch of
-episodes and judged on a second, independent batch of the same agents: by how much does it lower
-the surrogate loss there? All steps are scaled to the same bound of the KL divergence, so a better
-direction gains more. The table has one row per number of conjugate gradient steps, per stride of
-the curvature's samples, and per stride of those of the inner loss's Hessian (which `maesn` has
-none of). Backtracks tell how far the curvature errs: with the right one there are few. Seconds are
-the least that step and judgement took, so without compilation; the others are means.
+A learner is trained for a while, or taken from a run as it stands. Then, again and again, an outer
+step is computed from one batch of episodes and judged on a second, independent batch of the same
+agents: by how much does it lower the surrogate loss there? All steps are scaled to the same bound
+of the KL divergence, so a better direction gains more; what it gains on its own batch beyond that
+is chance that it took for a rule. The table has one row per number of conjugate gradient steps, per
+damping, per stride of the curvature's samples, and per stride of those of the inner loss's Hessian
+(which `maesn` has none of). Backtracks tell how far the curvature errs: with the right one there
+are few. Seconds are the least that step and judgement took, so without compilation; the others are
+means.
 """
 
 import time
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,17 +27,19 @@ import tyro
 from jaxtyping import Array, Float
 
 from maesn.axes import Key
-from maesn.envs import find_family
+from maesn.envs import TaskFamily, find_family
+from maesn.episodes import Thinning
 from maesn.learners import PRESETS, GradientMetaLearner
-from maesn.learners.curvature import Thinning, sampled_distributions
-from maesn.learners.gradient import step_weights
+from maesn.learners.curvature import sampled_distributions
+from maesn.learners.gradient import GradientState, step_weights
 from maesn.learners.objective import MetaObjective, MetaParameters, start_agents
 from maesn.rollout import Collector
+from maesn.runs.run import Run
 from maesn.trust_region import TrustRegion, TrustRegionInfo
 from maesn.worlds import make_world
 
 HEADING = (
-    "cg steps  stride  Hessian's  gain (x 1000, +- standard error)  "
+    "cg steps  damping  stride  Hessian's  gain (x 1000, +- standard error)  on its own batch  "
     "KL (x 1000)  backtracks  seconds"
 )
 
@@ -44,6 +50,7 @@ class Choice(NamedTuple):
     cg_steps: int
     stride: int
     hessian_stride: int
+    damping: float = TrustRegion().damping
 
 
 IN_CLOSED_FORM = [Choice(*c, 1) for c in ((10, 1), (10, 10), (20, 5), (20, 10), (20, 20), (40, 10))]
@@ -52,6 +59,7 @@ THROUGH_POLICY = [
     for c in (
         (20, 20, 20), (10, 20, 20), (20, 20, 4), (10, 20, 4), (5, 20, 4),
         (10, 20, 2), (5, 20, 2), (10, 20, 1), (5, 20, 1), (10, 4, 4), (20, 1, 1),
+        (20, 20, 4, 1e-2), (10, 20, 4, 1e-2), (10, 20, 4, 1.0), (10, 20, 20, 1.0),
     )
 ]  # fmt: skip
 
@@ -61,6 +69,8 @@ class Outcome(NamedTuple):
 
     gain: float
     """By how much it lowers the surrogate on unseen episodes."""
+    own_gain: float
+    """By how much it lowers the surrogate on the episodes that it was computed from."""
     kl: float
     backtracks: int
     seconds: float
@@ -74,8 +84,10 @@ class Settings:
     """Preset of a method with an inner update."""
     family: str = "wheeled"
     """Family of tasks."""
+    run: Path | None = None
+    """Directory of a run of such a method, whose latest checkpoint is judged; None: train one."""
     iterations: int = 60
-    """Meta-iterations before the steps are judged."""
+    """Meta-iterations of that training."""
     repetitions: int = 6
     """Batches that every choice computes a step from."""
     episodes_per_task: int = 20
@@ -92,18 +104,23 @@ def gain(
     unseen: MetaObjective,
     outer: int,
     inner: int,
-) -> tuple[Float[Array, ""], TrustRegionInfo]:
-    """Return how much a step lowers the surrogate on unseen episodes, and what it was."""
+) -> tuple[Float[Array, ""], Float[Array, ""], TrustRegionInfo]:
+    """Return how much a step lowers the loss on unseen and on seen episodes, and its record."""
     improved, info = trust_region.step(
         parameters,
         seen.evaluate,
         lambda varied: sampled_distributions(seen, varied, Thinning(outer, 0), Thinning(inner, 0)),
         step_weights(seen.post.every(outer, 0)),
     )
-    before, after = (
-        unseen.evaluate(p).loss - unseen.penalties(p).mean() for p in (parameters, improved)
-    )
-    return before - after, info
+
+    def gained(objective: MetaObjective) -> Float[Array, ""]:
+        before, after = (
+            objective.evaluate(p).loss - objective.penalties(p).mean()
+            for p in (parameters, improved)
+        )
+        return before - after
+
+    return gained(unseen), gained(seen), info
 
 
 def outcome(
@@ -111,17 +128,17 @@ def outcome(
 ) -> Outcome:
     """Find a step in one way, and judge it."""
     begun = time.perf_counter()
-    gained, info = gain(
-        TrustRegion(cg_steps=choice.cg_steps),
+    *gains, info = gain(
+        TrustRegion(cg_steps=choice.cg_steps, damping=choice.damping),
         parameters,
         seen,
         unseen,
         choice.stride,
         choice.hessian_stride,
     )
-    found = float(gained)
+    found, own = map(float, gains)
     seconds = time.perf_counter() - begun
-    return Outcome(found, float(info.kl), int(info.backtracks), seconds)
+    return Outcome(found, own, float(info.kl), int(info.backtracks), seconds)
 
 
 def objective(
@@ -145,20 +162,40 @@ def objective(
     )
 
 
-def main(settings: Settings) -> None:
-    """Train, measure, print."""
-    family = find_family(settings.family)
-    env, learner = family.make_env(), PRESETS[settings.method]()
+def subject(settings: Settings) -> tuple[GradientMetaLearner, GradientState, TaskFamily]:
+    """Return the learner whose steps are judged, its state, and the tasks that it learns from."""
+    if settings.run is not None:
+        run = Run.open(settings.run)
+        learner, state, family = run.learner, run.latest_state(), find_family(run.config.family)
+    else:
+        learner, family = PRESETS[settings.method](), find_family(settings.family)
+        state = trained(learner, family, settings)
     assert isinstance(learner, GradientMetaLearner)
+    return learner, state, family
+
+
+def trained(learner: Any, family: TaskFamily, settings: Settings) -> Any:
+    """Train a while, and return the state."""
+    env = family.make_env()
     world = make_world(env, family.task_set("training"))
     collect = Collector(world, settings.episodes_per_task)
-    judge = Collector(world, settings.judged_episodes)
     state = learner.init(
         jax.random.key(0), env.observation_size, env.action_size, collect.num_tasks
     )
     for iteration in range(settings.iterations):
         state, _ = learner.step(jax.random.fold_in(jax.random.key(1), iteration), state, collect)
-    choices = IN_CLOSED_FORM if settings.method == "maesn" else THROUGH_POLICY
+    world.close()
+    return state
+
+
+def main(settings: Settings) -> None:
+    """Train or load, measure, print."""
+    learner, state, family = subject(settings)
+    world = make_world(family.make_env(), family.task_set("training"))
+    collect = Collector(world, settings.episodes_per_task)
+    judge = Collector(world, settings.judged_episodes)
+    has_hessian = learner.adaptation.policy is not None or learner.context.is_pathwise
+    choices = THROUGH_POLICY if has_hessian else IN_CLOSED_FORM
     outcomes: dict[Choice, list[Outcome]] = {choice: [] for choice in choices}
     for repetition in range(settings.repetitions):
         first, second = jax.random.split(jax.random.fold_in(jax.random.key(2), repetition))
@@ -166,7 +203,8 @@ def main(settings: Settings) -> None:
         unseen = objective(learner, state.parameters, judge, second)
         for choice in choices:
             outcomes[choice].append(outcome(choice, state.parameters, seen, unseen))
-    print(f"{settings.method} on {settings.family}, after {settings.iterations} meta-iterations")
+    of = settings.method if settings.run is None else settings.run
+    print(f"{of} on {family.name}, after {int(state.iteration)} meta-iterations")
     print(HEADING)
     for choice, found in outcomes.items():
         print(row(choice, found))
@@ -177,8 +215,9 @@ def row(choice: Choice, found: list[Outcome]) -> str:
     gains = 1000 * np.array([one.gain for one in found])
     error = gains.std(ddof=1) / len(gains) ** 0.5
     return (
-        f"{choice.cg_steps:8d}  {choice.stride:6d}  {choice.hessian_stride:10d}  "
-        f"{f'{gains.mean():.2f} +- {error:.2f}':>32s}  "
+        f"{choice.cg_steps:8d}  {choice.damping:7.0e}  {choice.stride:6d}  "
+        f"{choice.hessian_stride:9d}  {f'{gains.mean():.2f} +- {error:.2f}':>32s}  "
+        f"{1000 * np.mean([one.own_gain for one in found]):16.2f}  "
         f"{1000 * np.mean([one.kl for one in found]):11.1f}  "
         f"{np.mean([one.backtracks for one in found]):10.1f}  "
         f"{min(one.seconds for one in found):7.2f}"
