@@ -6,7 +6,7 @@ import pytest
 from small_runs import tensors
 
 from maesn import cli
-from maesn.experiments import ABLATION
+from maesn.experiments import ABLATION, ablation_radii
 from maesn.learners import AbstractMetaLearner, maesn, maml, method_name
 from maesn.report.style import series_styles
 from maesn.runs.run import Run
@@ -55,6 +55,12 @@ def test_settings_reach_every_line() -> None:
         assert variation.make(10, meta_batch_size=5).meta_batch_size == 5
 
 
+def test_the_published_radii_are_those_of_wheeled_alone() -> None:
+    assert ablation_radii("wheeled") == (0.8, 1.0)
+    # Blocks begin within 0.6 m of their goals: at radius 0.8 there would be nothing to learn.
+    assert ablation_radii("blockpush") == ablation_radii("point") == (None,)
+
+
 def test_lines_can_be_told_apart() -> None:
     styles = series_styles(list(ABLATION))
     assert len({(style.colour, style.line, style.marker) for style in styles}) == len(ABLATION)
@@ -84,6 +90,16 @@ def test_the_whole_chain_and_how_it_goes_on(
     assert cli.run([*command, "--radii", "1.0", "--seed", "1"]) == 0
     table = (tmp_path / "radius-1" / "table.csv").read_text()
     assert len(table.splitlines()) == 1 + 2 * 2 * 3 * 2 + 2 * 3
+
+
+def test_families_without_a_published_figure_keep_their_own_radius(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begin = OPTIONS.index("--radii")
+    usual = [*OPTIONS[:begin], "--only", "maml_bias_only", "--out", str(tmp_path)]
+    assert cli.run(usual) == 0
+    assert "Sparse reward, the family's own radius" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.glob("*radius*")] == ["own-radius"]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import Any
 from maesn import api
 from maesn.comparison import Say, check_family, compare_entries, ground_of, silent
 from maesn.entries import Entry, entry_of_runs
-from maesn.experiments import ABLATION, RADII
+from maesn.experiments import ABLATION, ablation_radii
 from maesn.report.comparison import Comparison
 from maesn.report.style import MethodStyle, series_styles
 from maesn.runs.config import CONFIG, RunSettings
@@ -56,10 +56,10 @@ def ablate(
     out: str | Path,
     *,
     conditions: Conditions,
-    radii: Sequence[float] = RADII,
+    radii: Sequence[float] = (),
     oracle: str | Path | None = None,
     say: Say = silent,
-) -> dict[float, Comparison]:
+) -> dict[float | None, Comparison]:
     """Meta-train the runs that are missing, adapt all at every radius, draw and tabulate.
 
     Runs that are finished are used, and unfinished ones are resumed, so that calling it again goes
@@ -70,12 +70,13 @@ def ablate(
         ablation: which lines, trained how.
         out: directory of runs, curves, figures and tables.
         conditions: of the adaptation.
-        radii: sparse radii of the new tasks, in metres.
+        radii: sparse radii of the new tasks, in metres; none for those of the published figure, or
+            where there is none, as on most families, for the family's own.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
         say: is told what goes on.
 
     Returns:
-        One comparison per radius.
+        One comparison per radius; None stands for the family's own.
 
     Raises:
         RunError: a run in `out` is another one than is asked for.
@@ -85,16 +86,21 @@ def ablate(
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
     told = None if oracle is None else Run.open(oracle, ablation.own_family)
-    done: dict[float, Comparison] = {}
-    for radius in radii:
-        say(f"adaptation on sparse reward within {radius:g} m of the goal")
+    done: dict[float | None, Comparison] = {}
+    for radius in radii or ablation_radii(ablation.settings.family):
+        say(f"adaptation on sparse reward, {said_radius(radius)}")
         settings = dataclasses.replace(ablation.settings, sparse_radius=radius)
         with closing(ground_of(settings, conditions)) as ground:
             check_family([told] if told else [], ground)
             entries = _entries(ablation, out / RUNS, ground)
-            place = out / f"radius-{radius:g}"
+            place = out / ("own-radius" if radius is None else f"radius-{radius:g}")
             done[radius] = compare_entries(entries, ground, place, oracle=told, say=say)
     return done
+
+
+def said_radius(radius: float | None) -> str:
+    """Name a sparse radius."""
+    return "the family's own radius" if radius is None else f"radius {radius:g} m"
 
 
 def _train(ablation: Ablation, name: str, directory: Path) -> None:

@@ -15,9 +15,14 @@ from maesn.learners import (
 )
 from maesn.learners.presets import POLICY_STEP
 
-RADII = (0.8, 1.0)
-"""Sparse radii of the last figure on `wheeled`, in metres: that of the paper's text, and the one
-that the published figure appears to have been made with."""
+_RADII: dict[str, tuple[float, ...]] = {"wheeled": (0.8, 1.0)}
+"""Sparse radii of the last figure, in metres: that of the paper's text, and the one that the
+published figure appears to have been made with."""
+
+
+def ablation_radii(family: str) -> tuple[float | None, ...]:
+    """Return the sparse radii of an ablation, in metres; None stands for the family's own."""
+    return _RADII.get(family, (None,))
 
 
 class Variation(NamedTuple):

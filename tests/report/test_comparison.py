@@ -141,6 +141,43 @@ def test_the_summary_says_what_it_resamples(tmp_path: Path) -> None:
     assert f"{last:.1f} [" in shown
 
 
+def with_solved(solved: list[int], line: Line) -> Line:
+    """The same line, where all episodes of some tasks start in the goal region."""
+    tables = []
+    for table in line.tables:
+        at_reset = np.zeros(table.mean_return.shape)
+        at_reset[[task for task in solved if task < line.num_tasks]] = 1.0
+        tables.append(dataclasses.replace(table, solved_at_reset=at_reset))
+    return dataclasses.replace(line, tables=tuple(tables))
+
+
+def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_path: Path) -> None:
+    some = comparison(named("maesn", adaptation_table()), named("trpo", adaptation_table(5)))
+    compared = dataclasses.replace(
+        some,
+        lines=tuple(with_solved([1, 6], line) for line in some.lines),
+        floor=tuple(with_solved([1, 6], line) for line in some.floor),
+    )
+    write_tidy_table(compared, tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(newline="") as file:
+        marked = {row["task"] for row in csv.DictReader(file) if int(row["solved_at_reset"])}
+    assert marked == {"1", "6"}
+    everything, others, _ = summary_tables(compared)
+    assert "2 of the 8 tasks are solved at reset." in everything.notes
+    assert others.title == f"{everything.title}, without tasks solved at reset"
+    rest = np.delete(adaptation_table().mean_return[:, -1], [1, 6])
+    (maesn, trpo, *_) = others.rows
+    assert maesn[2] == "6"
+    assert maesn[5].startswith(f"{rest.mean():.1f} [")
+    assert trpo[2] == "4"
+    only_solved = dataclasses.replace(
+        compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
+    )
+    floor = tuple(with_solved([0], line) for line in some.floor)
+    _, others, _ = summary_tables(dataclasses.replace(only_solved, floor=floor))
+    assert others.rows[0][0] == "MAESN"
+
+
 def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> None:
     compared = comparison(named("maesn", adaptation_table()), named("trpo", adaptation_table(5)))
     figure = plot_comparison(compared)

@@ -3,10 +3,9 @@
 import dataclasses
 from pathlib import Path
 
-from maesn.ablation import Ablation, ablate
+from maesn.ablation import Ablation, ablate, said_radius
 from maesn.commands.options import parse
 from maesn.comparison import USUAL
-from maesn.experiments import RADII
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
@@ -32,8 +31,9 @@ class Options:
     """Of the training. Seeds that were trained before under the same `--out` join the figure."""
     only: tuple[str, ...] = ()
     """Names of some lines of the figure; none for all."""
-    radii: tuple[float, ...] = RADII
-    """Sparse radii of the new tasks, in metres; a figure for each."""
+    radii: tuple[float, ...] = ()
+    """Sparse radii of the new tasks, in metres; a figure for each. None: on `wheeled` 0.8 and 1, as
+    in the published figure; elsewhere the family's own."""
     tasks: str = USUAL.tasks
     """Tasks to adapt to: test, validation, training, ood, or an `.npz` file."""
     num_tasks: int | None = USUAL.num_tasks
@@ -62,7 +62,7 @@ def main(arguments: list[str]) -> None:
         say=print,
     )
     for radius, comparison in done.items():
-        print(f"sparse radius {radius:g} m")
+        print(f"Sparse reward, {said_radius(radius)}")
         print_summary(comparison)
 
 

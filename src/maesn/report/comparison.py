@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from maesn.report.adaptation_table import (
     MEASURES,
@@ -28,6 +28,7 @@ COLUMNS = (
     "goal_return",
     "success_rate",
     "score",
+    SOLVED_AT_RESET,
 )
 
 
@@ -56,6 +57,15 @@ class Line:
     def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:
         """Return one measure of all seeds."""
         return stack_seeds(self.tables, name)
+
+    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Line":
+        """Return the line over some of the tasks.
+
+        Args:
+            chosen: of all tasks of the comparison, those that stay.
+        """
+        tables = tuple(table.select(chosen[: self.num_tasks]) for table in self.tables)
+        return replace(self, tables=tables)
 
     @property
     def first_beyond(self) -> int | None:
@@ -127,6 +137,23 @@ class Comparison:
         return ""
 
     @property
+    def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
+        """Which tasks some episode starts in the goal region of."""
+        flags = [table.is_solved_at_reset for line in self.floor for table in line.tables]
+        return np.asarray(np.any(flags, axis=0))
+
+    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
+        """Return the comparison over some of the tasks; methods that have none of them drop out."""
+        return replace(
+            self,
+            lines=tuple(
+                line.of_tasks(chosen) for line in self.lines if chosen[: line.num_tasks].any()
+            ),
+            floor=tuple(line.of_tasks(chosen) for line in self.floor),
+            oracle=None if self.oracle is None else self.oracle.of_tasks(chosen),
+        )
+
+    @property
     def everyone(self) -> tuple[Line, ...]:
         """The methods, then floor and oracle."""
         return (*self.lines, *self.floor, *(() if self.oracle is None else (self.oracle,)))
@@ -156,6 +183,7 @@ def first_part(table: AdaptationTable, num_tasks: int, updates: int) -> Adaptati
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """Yield one row per method, seed, task and update; `score` is empty if there is none."""
+    solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
         steps = comparison.steps(line)
         for seed, table in zip(line.seeds, line.tables, strict=True):
@@ -167,6 +195,7 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                         table.goal_return[task, column],
                         table.success_rate[task, column],
                         "" if scores is None else scores[task, column],
+                        int(solved[task]),
                     )
                     row = (line.name, seed, task, int(update), int(steps[column]), *values)
                     yield dict(zip(COLUMNS, row, strict=True))

@@ -17,7 +17,7 @@ from maesn.report.statistics import (
     interquartile_mean_interval,
     mean_interval,
 )
-from maesn.report.tables import MAX_WIDTH, UNITS, Unit
+from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, note_on_solved
 
 _SCORE = Unit("score", digits=2)
 _PROBABILITY = Unit("probability", digits=2)
@@ -51,8 +51,14 @@ class TextTable:
 
 
 def summary_tables(comparison: Comparison) -> list[TextTable]:
-    """Return where each method ends and, if there are several, who beats whom."""
+    """Return where each method ends and, if there are several, who beats whom.
+
+    Where some tasks are solved at reset, it is said where the methods end in the others alone.
+    """
     tables = [_ends(comparison)]
+    unsolved = ~comparison.is_solved_at_reset
+    if unsolved.any() and not unsolved.all():
+        tables.append(_ends(comparison.of_tasks(unsolved), WITHOUT_SOLVED))
     if len(comparison.lines) > 1:
         tables.append(_improvements(comparison))
     return tables
@@ -77,7 +83,7 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
         console.print(table.to_rich(), width=max(console.width, MAX_WIDTH), crop=False)
 
 
-def _ends(comparison: Comparison) -> TextTable:
+def _ends(comparison: Comparison, addition: str = "") -> TextTable:
     headings = (
         "method",
         "seeds",
@@ -96,10 +102,12 @@ def _ends(comparison: Comparison) -> TextTable:
         if comparison.lines[0].tables[0].reward == "sparse"
         else "Mean and interquartile mean (IQM) of the dense-reward curves' last points.",
         f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
+        note_on_solved(comparison.is_solved_at_reset),
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
         comparison.why_no_score or _scoreless(comparison),
     ]
-    title = f"After each method's last update, in {comparison.lines[0].tables[0].tasks} tasks"
+    tasks = ", ".join(filter(None, (f"{comparison.lines[0].tables[0].tasks} tasks", addition)))
+    title = f"After each method's last update, in {tasks}"
     return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
 
 

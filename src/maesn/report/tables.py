@@ -30,6 +30,7 @@ class Unit(NamedTuple):
 
 _PERCENT = 100.0
 MAX_WIDTH = 120  # columns that a table may take where numbers need them
+WITHOUT_SOLVED = "without tasks solved at reset"
 UNITS: dict[str, Unit] = {
     "mean_return": Unit("return"),
     "goal_return": Unit("goal return"),
@@ -120,7 +121,7 @@ def summary_tables(tables: Sequence[AdaptationTable], title: str) -> list[Interv
     summaries = [summary_table(tables, title)]
     if unsolved.any() and not unsolved.all():
         others = [table.select(unsolved) for table in tables]
-        summaries.append(summary_table(others, f"{title}, without tasks solved at reset"))
+        summaries.append(summary_table(others, f"{title}, {WITHOUT_SOLVED}"))
     return summaries
 
 
@@ -129,11 +130,14 @@ def _solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " ta
     return np.any(flags, axis=0) if len({len(flag) for flag in flags}) == 1 else flags[0]
 
 
-def _note(tables: Sequence[AdaptationTable]) -> str:
+def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
     """Say how many tasks need not be solved, because their episodes start in the goal region."""
-    solved = _solved_at_reset(tables)
     count, verb = int(solved.sum()), "is" if solved.sum() == 1 else "are"
     return f"{count} of the {len(solved)} tasks {verb} solved at reset." if count else ""
+
+
+def _note(tables: Sequence[AdaptationTable]) -> str:
+    return note_on_solved(_solved_at_reset(tables))
 
 
 def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTable:
