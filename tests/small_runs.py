@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from maesn.axes import Key
+from maesn.axes import ActionKind, Key
 from maesn.episodes import Collect
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner, GradientMetaLearner, maesn
 from maesn.policies import GaussianMLP
@@ -63,6 +63,9 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
 
     def fast_learner(self, state: DriftState) -> AbstractFastLearner[Any]:
         raise NotImplementedError
+
+    def action_kind(self, state: DriftState) -> ActionKind:
+        return "continuous"
 
 
 # So that a run directory can hold it, in the processes of these tests.

@@ -19,7 +19,7 @@ from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES
 from maesn.learners import maml
-from maesn.policies import GaussianMLP
+from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.checkpoint import MismatchError
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -104,6 +104,17 @@ def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
     run = create_tiny(tmp_path / "a", tasks="validation")
     assert run.training_tasks.digest() == POINT.task_set("validation").digest()
     assert Run.open(run.directory).task_set("training").digest() == run.training_tasks.digest()
+
+
+def test_actions_of_another_kind_are_refused_before_there_is_a_directory(tmp_path: Path) -> None:
+    directory = tmp_path / "run"
+    with pytest.raises(RunError, match=r"`bandit` needs a policy of discrete actions.*Categorical"):
+        create_tiny(directory, family="bandit")
+    assert not directory.exists()
+    discrete = tiny_maesn(policy=CategoricalMLP((4,)))
+    with pytest.raises(RunError, match=r"`point` needs a policy of continuous .*GaussianMLP"):
+        Run.create(directory, discrete, tiny_settings())
+    assert Run.create(directory, discrete, tiny_settings(family="bandit")).learner == discrete
 
 
 CREATES = """

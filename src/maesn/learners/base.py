@@ -9,10 +9,11 @@ from abc import abstractmethod
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Int
 
 from maesn.agent import Agents
-from maesn.axes import Key, TaskKeys
+from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import AbstractContextValue
 from maesn.episodes import Collect, Episodes, TrialMemory
 
@@ -119,6 +120,12 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     @abstractmethod
     def fast_learner(self, state: MetaState) -> AbstractFastLearner[Any]:
         """Return what has been learned, as a learner for new tasks."""
+
+    def action_kind(self, state: MetaState) -> ActionKind:
+        """Return the kind of actions that the policies choose."""
+        learner = self.fast_learner(state)
+        kind: ActionKind = learner.agents(learner.init(jax.random.split(jax.random.key(0), 1))).policy.action_kind
+        return kind
 
     @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:
