@@ -123,8 +123,8 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
 
     def action_kind(self, state: MetaState) -> ActionKind:
         """Return the kind of actions that the policies choose."""
-        learner = self.fast_learner(state)
-        kind: ActionKind = learner.agents(learner.init(jax.random.split(jax.random.key(0), 1))).policy.action_kind
+        learner, one_task = self.fast_learner(state), jax.random.split(jax.random.key(0), 1)
+        kind: ActionKind = learner.agents(learner.init(one_task)).policy.action_kind
         return kind
 
     @abstractmethod
