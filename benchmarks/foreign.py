@@ -4,31 +4,42 @@
     PYTHONPATH=examples python benchmarks/foreign.py
 
 A collection is everything: policies, recording, rewards, and episodes as arrays. It is compared
-with the same tasks, seeds and controls on the same worker processes alone. Both are timed in turn,
-so that what else the machine does falls on both. Starting processes, making environments and
-compiling is excluded and reported apart.
+with the same tasks, seeds and controls, played by
+
+- workers alone: as many worker processes, of which nothing else is asked;
+- environments alone: environments in this process, one episode after the other, their time divided
+  by the number of workers. That is a bound: no process waits for another, or for memory.
+
+All are timed in turn, so that what else the machine does falls on all. Starting processes, making
+environments and compiling is excluded and reported apart.
 """
 
+import itertools
 import pickle
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from gymnasium import spaces
 
+from maesn.envs import TaskSet
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.episodes import Episodes
-from maesn.foreign import WorkerPool
+from maesn.foreign import Readings, WorkerPool
 from maesn.learners import maesn
 from maesn.rollout import Collector
 from maesn.runs.task_sources import resolve_family
-from maesn.worlds import make_world
-from maesn.worlds.foreign import default_num_workers
+from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
+from maesn.worlds.foreign import GymnasiumWorld, default_num_workers
 
 
 @dataclass(frozen=True)
@@ -47,71 +58,188 @@ class Settings:
     """Timed collections; the medians count."""
 
 
-class Alone:
+class Played(NamedTuple):
+    """What the environments need to play a collection again."""
+
+    tasks: list[bytes]
+    """Of each simulation, pickled."""
+    seeds: list[int]
+    """Of each simulation."""
+    controls: np.ndarray
+    """`[time, simulation, control]`; 0 for episodes that have ended, as in the collection."""
+    lengths: np.ndarray
+    """Steps until an episode ends, `[simulation]`."""
+
+
+class RecordingWorld(AbstractWorld):
+    """Passes calls on to a world, and keeps how the last episodes began."""
+
+    def __init__(self, world: GymnasiumWorld) -> None:
+        self._world = world
+        self._begun: tuple[Any, np.ndarray] | None = None
+
+    @property
+    def env(self) -> AbstractGymnasiumEnv:
+        """See `AbstractWorld.env`."""
+        return self._world.env
+
+    @property
+    def tasks(self) -> TaskSet:
+        """See `AbstractWorld.tasks`."""
+        return self._world.tasks
+
+    def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
+        """See `AbstractWorld.play`."""
+        self._begun = actors.tasks, np.asarray(start)
+        return self._world.play(act, actors, start)
+
+    def close(self) -> None:
+        """See `AbstractWorld.close`."""
+        self._world.close()
+
+    def played(self, episodes: Episodes) -> Played:
+        """Return what was played last; takes a while, which no time should include."""
+        assert self._begun is not None
+        tasks, seeds = self._begun
+        num_tasks, num_episodes = episodes.terminated.shape
+        rows = [pickle.dumps(task_row(tasks, task)) for task in range(num_tasks)]
+        controls = jax.vmap(jax.vmap(jax.vmap(self.env.control)))(episodes.action)
+        living = np.where(np.asarray(episodes.valid)[..., None], controls, 0.0)
+        return Played(
+            tasks=[row for row in rows for _ in range(num_episodes)],
+            seeds=seeds.tolist(),
+            controls=living.reshape(-1, *living.shape[2:]).swapaxes(0, 1).copy(),
+            lengths=np.asarray(episodes.valid).sum(-1).ravel(),
+        )
+
+
+class WorkersAlone:
     """Worker processes that play a collection's controls, and nothing else."""
 
-    def __init__(self, env: AbstractGymnasiumEnv, tasks: Any, num_workers: int) -> None:
+    def __init__(self, env: AbstractGymnasiumEnv, num_workers: int) -> None:
         recipe = (env.recipe.make_env, env.reward_kind, env.interface)
-        self._pool = WorkerPool(recipe, num_workers or default_num_workers(), 60.0)
-        self._env, self._tasks = env, tasks
+        self._pool = WorkerPool(recipe, num_workers, env.recipe.time_limit)
 
-    def play(self, episodes: Episodes) -> float:
-        """Play the controls of a collection, and return the seconds that it took."""
-        controls = jax.vmap(jax.vmap(jax.vmap(self._env.control)))(episodes.action)
-        num_tasks, num_episodes = controls.shape[:2]
-        steps = np.asarray(controls).reshape(-1, *controls.shape[2:]).swapaxes(0, 1).copy()
-        tasks = [
-            pickle.dumps(task_row(self._tasks.tasks, task))
-            for task in range(num_tasks)
-            for _ in range(num_episodes)
-        ]
-        begin = time.perf_counter()
-        self._pool.begin(tasks, range(len(tasks)))
-        for control in steps:
-            self._pool.step(control)
-        return time.perf_counter() - begin
+    def play(self, played: Played) -> Readings:
+        """Play all episodes side by side, and return the last readings."""
+        readings = self._pool.begin(played.tasks, played.seeds)
+        for control in played.controls:
+            readings = self._pool.step(control)
+        return readings
 
     def close(self) -> None:
         """Stop the processes."""
         self._pool.close()
 
 
-def timed(call: Callable[[], Episodes]) -> tuple[float, Episodes]:
-    """Return how long a collection takes, and what it has played."""
+class EnvironmentsAlone:
+    """Environments in this process, one for each task, made when it is first played."""
+
+    def __init__(self, env: AbstractGymnasiumEnv) -> None:
+        self._env = env
+        self._envs: dict[bytes, gymnasium.Env[Any, Any]] = {}
+
+    def play(self, played: Played) -> list[Any]:
+        """Play one episode after the other, and return the last observation of each."""
+        controls = played.controls.swapaxes(0, 1)
+        episodes = zip(played.tasks, played.seeds, controls, played.lengths, strict=True)
+        return [self._play_episode(*episode) for episode in episodes]
+
+    def _play_episode(self, task: bytes, seed: int, controls: np.ndarray, length: int) -> Any:
+        if task not in self._envs:
+            self._envs[task] = self._env.recipe.make_env(pickle.loads(task), self._env.reward_kind)
+        env = self._envs[task]
+        observation, _ = env.reset(seed=seed)
+        for control in controls[:length]:
+            observation, *_ = env.step(spaces.unflatten(env.action_space, control))
+        return observation
+
+    def close(self) -> None:
+        """Close the environments."""
+        for env in self._envs.values():
+            env.close()
+
+
+class Times(NamedTuple):
+    """Seconds in which the same episodes were played."""
+
+    collection: float
+    workers_alone: float
+    environments_alone: float
+    """Divided by the number of workers."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A family's times."""
+
+    first: Times
+    """With processes, environments and programs, which are made then."""
+    others: list[Times]
+    num_steps: int
+    """Of the last collection, over all simulations; others differ where episodes end early."""
+
+    def seconds(self, name: str) -> float:
+        """Return the median of a time."""
+        return statistics.median(getattr(times, name) for times in self.others)
+
+    def ratio(self, above: str, below: str) -> float:
+        """Return the median, over collections, of one time divided by another."""
+        return statistics.median(
+            getattr(times, above) / getattr(times, below) for times in self.others
+        )
+
+
+def timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    """Return how long a call takes, and what it returns."""
     begin = time.perf_counter()
-    episodes = jax.block_until_ready(call())
-    return time.perf_counter() - begin, episodes
+    result = jax.block_until_ready(call())
+    return time.perf_counter() - begin, result
+
+
+def measure(settings: Settings) -> Measurement:
+    """Time collections of untrained policies, and the same episodes again after each."""
+    family = resolve_family(settings.family)
+    env, tasks = family.make_env(), family.task_set("training", settings.num_tasks)
+    assert isinstance(env, AbstractGymnasiumEnv), f"{settings.family} is not a foreign family"
+    learner, num_workers = maesn(), settings.num_workers or default_num_workers()
+    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
+    fast = learner.fast_learner(state)
+    world = RecordingWorld(GymnasiumWorld(env, tasks, num_workers))
+    collect = Collector(world, settings.episodes_per_task)
+    workers, environments = WorkersAlone(env, num_workers), EnvironmentsAlone(env)
+    times = []
+    with closing(world), closing(workers), closing(environments):
+        for repetition in range(1 + settings.repetitions):
+            keys = jax.random.split(jax.random.key(repetition), len(tasks))
+            agents = fast.agents(fast.init(keys))
+            whole, episodes = timed(partial(collect, keys, agents, jnp.arange(len(tasks))))
+            played = world.played(episodes)
+            hosted, _ = timed(partial(workers.play, played))
+            bare, _ = timed(partial(environments.play, played))
+            times.append(Times(whole, hosted, bare / num_workers))
+    return Measurement(times[0], times[1:], int(played.lengths.sum()))
+
+
+def report(found: Measurement) -> None:
+    """Print times, rates and ratios."""
+    print(f"first collection, with processes and programs: {found.first.collection:.1f} s")
+    for name in Times._fields:
+        seconds = found.seconds(name)
+        rate = found.num_steps / seconds
+        print(f"  {name.replace('_', ' '):18s} {seconds:7.3f} s  {rate:9,.0f} steps/s")
+    for above, below in itertools.combinations(Times._fields, 2):
+        ratio = found.ratio(above, below)
+        print(f"{above} / {below}: {ratio:.2f}".replace("_", " "))
 
 
 def main(settings: Settings) -> None:
-    """Time collections and workers alone in turn, and print their ratio."""
-    family = resolve_family(settings.family)
-    env, tasks = family.make_env(), family.task_set("training", settings.num_tasks)
-    world = make_world(env, tasks, settings.num_workers)
-    collect, learner = Collector(world, settings.episodes_per_task), maesn()
-    index = jnp.arange(settings.num_tasks)
-    state = learner.init(
-        jax.random.key(0), env.observation_size, env.action_size, settings.num_tasks
+    """Time a family."""
+    print(
+        f"{settings.family}, {settings.num_tasks} tasks x {settings.episodes_per_task} episodes, "
+        f"median of {settings.repetitions}"
     )
-    keys = jax.random.split(jax.random.key(1), settings.num_tasks)
-    fast = learner.fast_learner(state)
-    agents = fast.agents(fast.init(keys))
-    start, episodes = timed(lambda: collect(keys, agents, index))
-    alone = Alone(env, tasks, settings.num_workers)
-    alone.play(episodes)
-    pairs = []
-    for _ in range(settings.repetitions):
-        whole, episodes = timed(lambda: collect(keys, agents, index))
-        pairs.append((whole, alone.play(episodes)))
-    world.close()
-    alone.close()
-    steps = int(episodes.valid.sum())
-    whole, bare = (statistics.median(column) for column in zip(*pairs, strict=True))
-    ratio = statistics.median(one / other for one, other in pairs)
-    print(f"first collection, with processes and programs: {start:.1f} s")
-    print(f"collection:    {whole:.3f} s, {steps / whole:,.0f} steps/s")
-    print(f"workers alone: {bare:.3f} s, {steps / bare:,.0f} steps/s")
-    print(f"{env.name} overhead: {ratio:.2f}")
+    report(measure(settings))
 
 
 if __name__ == "__main__":

@@ -73,6 +73,41 @@ def draw_walks(stream: np.random.Generator, size: int) -> np.ndarray:
     return np.concatenate([goals, ends], axis=1).astype(np.float32)
 
 
+class Plain(gymnasium.Env[Any, Any]):
+    """Has the spaces that it is given."""
+
+    def __init__(self, observation_space: Any, action_space: Any) -> None:
+        self.observation_space, self.action_space = observation_space, action_space
+
+
+class Diarist(Walker):
+    """Writes down what becomes of it; its end is not always peaceful."""
+
+    def __init__(self, diary: Path, task: np.ndarray, reward: str) -> None:
+        super().__init__(task)
+        self.diary = diary
+        self.write(f"made in {os.getpid()}, {reward}")
+
+    def write(self, line: str) -> None:
+        with self.diary.open("a") as file:
+            file.write(f"{line}\n")
+
+    def close(self) -> None:
+        self.write("closed")
+        raise OSError("the door is stuck")
+
+
+TWO = np.array([True, False])
+# What a broken environment returns for `terminated`, `truncated` and `info`.
+ODD_ENDS = {
+    22: (TWO, False, {}),
+    23: (False, "no", {}),
+    24: (False, False, {"success": TWO}),
+    25: (False, np.float64(np.nan), {}),
+    26: (False, False, None),
+}
+
+
 class Broken(Settable):
     """Does what its task's third number says, at the step that the fourth says.
 
@@ -92,10 +127,12 @@ class Broken(Settable):
         self.unlucky = False
         answer = super().reset(seed=seed)
         self.unlucky = bool(self.place[0] > 0)
-        return answer
+        return (answer[0], None) if int(self.task[2]) == 51 else answer  # type: ignore[return-value]
 
     @property
     def action_space(self) -> Any:  # type: ignore[override]
+        if int(self.task[2]) == 63:
+            raise RuntimeError("no actions today")
         high = 2.0 if int(self.task[2]) == 60 else 1.0
         high = np.inf if int(self.task[2]) == 61 else high
         return spaces.Box(-1.0, np.float32(high), (2,))
@@ -127,7 +164,8 @@ class Broken(Settable):
         place = self.place + action
         self.place, self.steps = place, self.steps + 1
         reward = np.nan if self.due and kind == 11 else 0.0
-        answer = self.see(), reward, False, False, {}
+        ends = ODD_ENDS[kind] if self.due and kind in ODD_ENDS else (False, False, {})
+        answer = self.see(), reward, *ends
         return answer[:4] if self.due and kind == 21 else answer
 
 
@@ -173,6 +211,17 @@ def make_settable(task: np.ndarray, reward: str) -> Settable:
 
 def make_broken(task: np.ndarray, reward: str) -> Broken:
     return Broken(task)
+
+
+def make_hopeless(how: str, diary: Path, task: np.ndarray, reward: str) -> Any:
+    diary.write_text(str(os.getpid()))
+    if how == "raises":
+        raise OSError("no licence")
+    if how == "hangs":
+        time.sleep(3600)
+    if how == "exits":
+        os._exit(3)
+    return gymnasium.Env() if how == "has no spaces" else None
 
 
 def make_fragile(health: Path, task: np.ndarray, reward: str) -> Fragile:

@@ -1,8 +1,13 @@
 """Families of foreign environments: what is read off them, what is mapped, what is refused."""
 
+import ast
 import re
 import subprocess
 import sys
+import threading
+import tomllib
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,18 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium import spaces
-from strange_families import walkers
-from strangers import Chooser, Walker, draw_walks, make_walker
+from gymnasium.wrappers import TransformAction
+from scripts import ROOT
+from strange_families import is_running, walkers
+from strangers import Chooser, Diarist, Plain, draw_walks, make_hopeless, make_walker
 
 from maesn.envs.foreign import gymnasium_family, task_row
+from maesn.foreign import InterfaceError
 from maesn.runs.export import probe_actuators
-
-
-class Plain(gymnasium.Env[Any, Any]):
-    """Has the spaces that it is given."""
-
-    def __init__(self, observation_space: Any, action_space: Any) -> None:
-        self.observation_space, self.action_space = observation_space, action_space
 
 
 def family_of(env: Any, **settings: Any) -> Any:
@@ -80,22 +81,26 @@ def test_figures_get_positions_where_the_family_has_them() -> None:
     np.testing.assert_array_equal(env.goal(jnp.arange(4.0)), [0, 1])
 
 
-def test_the_environment_is_looked_at_once_and_closed() -> None:
-    made = []
-
-    class Counted(Walker):
-        def close(self) -> None:
-            made.append("closed")
-
-    def make(task: np.ndarray, reward: str) -> Counted:
-        made.append(reward)
-        return Counted(task)
-
-    family = gymnasium_family("counted", make, draw_walks, horizon=2)
-    assert not made
+def test_the_environment_is_looked_at_once_and_closed(tmp_path: Path) -> None:
+    diary = tmp_path / "diary"
+    family = gymnasium_family("diarist", partial(Diarist, diary), draw_walks, horizon=2)
+    assert not diary.exists()
     assert family.make_env() == family.make_env()
     assert family.make_env(reward_kind="sparse") != family.make_env()
-    assert made == ["dense", "closed"]
+    # That closing it raises is of no concern any more.
+    made, closed = diary.read_text().splitlines()
+    assert re.fullmatch(r"made in \d+, dense", made)
+    assert closed == "closed"
+
+
+def test_the_first_look_is_at_the_first_task_of_training() -> None:
+    first = walkers.task_set("training")[0]
+
+    def make(task: np.ndarray, reward: str) -> Any:
+        assert task.tolist() == first.tolist()
+        return make_walker(task, reward)
+
+    gymnasium_family("walker", make, draw_walks, horizon=2).make_env()
 
 
 def test_tasks_are_handed_over_as_arrays_of_single_precision() -> None:
@@ -107,7 +112,9 @@ def test_tasks_are_handed_over_as_arrays_of_single_precision() -> None:
 
 
 REFUSED = {
-    "component 1 reaches from -1.0 to inf": Plain(BOX, spaces.Box(-1, np.float32([1, np.inf]))),
+    "component 1 reaches from -1.0 to inf: give it finite bounds": Plain(
+        BOX, spaces.Box(-1, np.float32([1, np.inf]))
+    ),
     "must be a bounded `Box` of floating-point numbers or `Discrete`, got MultiDiscrete": Plain(
         BOX, spaces.MultiDiscrete([2, 3])
     ),
@@ -121,6 +128,41 @@ def test_what_cannot_be_learned_in_is_refused_by_name(reason: str) -> None:
     with pytest.raises(ValueError, match=re.escape(reason)) as error:
         family_of(REFUSED[reason], control_period=0.1).make_env()
     assert "`plain`" in str(error.value)
+
+
+def test_an_action_space_without_bounds_can_be_given_some() -> None:
+    unbounded = Plain(BOX, spaces.Box(-np.inf, np.inf, (2,)))
+    bounded = TransformAction(unbounded, lambda action: action, BOX)
+    assert family_of(bounded, horizon=2, control_period=1.0).make_env().action_size == 2
+
+
+HOPELESS = {
+    "raises": "`make_env` raised OSError: no licence (",
+    "returns nothing": "`make_env` must return a `gymnasium.Env`, got None",
+    "has no spaces": "the environment raised AttributeError: ",
+    "hangs": "the environment has not returned within `time_limit`, 1 s",
+    "exits": "the environment has ended its process (exit code 3)",
+}
+
+
+@pytest.mark.parametrize("how", HOPELESS)
+def test_an_environment_that_cannot_be_looked_at_is_named_and_leaves_no_process_behind(
+    how: str, tmp_path: Path
+) -> None:
+    diary = tmp_path / "diary"
+    make_env = partial(make_hopeless, how, diary)
+    family = gymnasium_family("hopeless", make_env, draw_walks, horizon=2, time_limit=1.0)
+    with pytest.raises(InterfaceError) as error:
+        family.make_env()
+    assert str(error.value).startswith(f"`hopeless`, task 0: {HOPELESS[how]}")
+    assert not is_running(int(diary.read_text()))
+
+
+def test_an_environment_that_cannot_be_sent_to_a_process_is_refused() -> None:
+    lock = threading.Lock()
+    reason = r"`plain`, task 0: `make_env` cannot be sent to a process: TypeError: cannot pickle"
+    with pytest.raises(InterfaceError, match=reason):
+        family_of(lock).make_env()
 
 
 def test_settings_without_a_meaning_are_refused() -> None:
@@ -140,6 +182,25 @@ def modules_after(statement: str) -> set[str]:
 def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium() -> None:
     assert "mujoco.batch" not in modules_after("import maesn.envs.foreign, maesn.worlds.foreign")
     assert "gymnasium" not in modules_after("import maesn.envs, maesn.worlds, maesn.api")
+
+
+def imported_packages(file: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return {name.split(".")[0] for name in names}
+
+
+def test_the_installation_declares_what_hosting_imports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = project["dependencies"] + project["optional-dependencies"]["gym"]
+    files = (ROOT / "src/maesn/foreign").glob("*.py")
+    imported = set().union(*map(imported_packages, files)) - sys.stdlib_module_names - {"maesn"}
+    assert "gymnasium" in imported
+    assert imported <= {re.split(r"[\[<>=]", requirement)[0] for requirement in declared}
 
 
 def test_a_worker_starts_without_jax() -> None:

@@ -5,22 +5,27 @@ import re
 import signal
 import threading
 from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import agents, keys
+import strange_families
+from playing import agents, keys, play
 from strange_families import (
     EPISODES,
     SEED,
     broken,
+    family_of,
     impatient,
     is_running,
     seeds,
 )
-from strangers import Walker
+from strangers import Diarist, Walker, make_hopeless
 
+from maesn import cli
 from maesn.envs import TaskSet
 from maesn.rollout import Collector
 from maesn.worlds import EpisodeError, make_world
@@ -30,15 +35,22 @@ FAILURES = {
     11: "the reward is not finite: nan",
     20: "the observation must have 10 components, got 11",
     21: "`step` must return (observation, reward, terminated, truncated, info)",
+    22: "`terminated` must be a truth value, got array([ True, False])",
+    23: "`truncated` must be a truth value, got 'no'",
+    24: '`info["success"]` must be a truth value, got array([ True, False])',
+    25: "`truncated` must be a truth value, got np.float64(nan)",
+    26: "`info` must be a dictionary, got None",
     30: "`step` raised ValueError: the gears are stuck",
     40: "has not returned within `time_limit`, 2 s",
     41: "the environment has ended its process (exit code 3)",
 }
 AT_RESET = {
     50: "`set_task` raised KeyError: 'no such task'",
+    51: "`info` must be a dictionary, got None",
     60: "the action space must be that of the family's first task in every task, with `upper`",
     61: "the action space must be bounded, but component 0 reaches from -1.0 to inf",
     62: "the observation space must be that of the family's first task in every task",
+    63: "the environment raised RuntimeError: no actions today",
 }
 REASONS = FAILURES | AT_RESET
 STEP = 2
@@ -102,7 +114,7 @@ def test_what_goes_wrong_is_named_and_leaves_no_process_behind(
         assert len(unlucky) == 1
         assert int(named[1]) in unlucky
         # What is wrong in the state of step 2, the call of step 1 has returned.
-        assert int(named[2]) == STEP - (kind in (10, 11, 20, 21))
+        assert int(named[2]) == STEP - (kind < 30)
     assert not any(map(is_running, processes))
     assert not processes_of(collect)
 
@@ -124,3 +136,24 @@ def test_an_action_that_is_not_a_number_reaches_no_environment(collect: Collecto
     reason = r"stranger, task 1, episode \d, step 0: the policy's action must be finite"
     with pytest.raises(EpisodeError, match=reason):
         collect(keys(2, SEED), cast, jnp.array([0, 1]))
+
+
+def test_an_environment_that_cannot_be_closed_for_the_next_task_is_named(tmp_path: Path) -> None:
+    family = family_of(partial(Diarist, tmp_path / "diary"))
+    tasks = TaskSet(rows()[:2])
+    play(family.make_env(), tasks, [0], episodes=1, num_threads=1)
+    reason = "stranger, task 1, episode 0, step 0: `close` raised OSError: the door is stuck"
+    with pytest.raises(EpisodeError, match=reason):
+        play(family.make_env(), tasks, [1], episodes=1, num_threads=1)
+
+
+def test_a_command_says_in_one_sentence_why_an_environment_cannot_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    family = family_of(partial(make_hopeless, "raises", tmp_path / "diary"))
+    monkeypatch.setattr(strange_families, "hopeless", family, raising=False)
+    command = ["train", "maesn", "--family", "strange_families:hopeless"]
+    assert cli.run([*command, "--run", str(tmp_path / "run")]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert error.startswith("maesn train: `stranger`, task 0: `make_env` raised OSError: no lic")
+    assert error.count("\n") == 1

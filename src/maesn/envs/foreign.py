@@ -12,6 +12,8 @@ The reward is the environment's own, as is the end of an episode: `terminated` i
 `truncated` is a clock's. Success is `info["is_success"]` or else `info["success"]`.
 """
 
+import contextlib
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -25,8 +27,8 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from maesn.axes import ActionKind, Key, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
-from maesn.envs.tasks import TaskFamily
-from maesn.foreign import Interface, InterfaceError, describe
+from maesn.envs.tasks import SET_SIZE, TaskFamily
+from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool
 
 # Seconds. Making an environment can take long on a machine that does much else.
 TIME_LIMIT = 120.0
@@ -157,8 +159,8 @@ def gymnasium_family(
 
     @cache
     def family_class() -> type[AbstractGymnasiumEnv]:
-        tasks = draw_tasks(np.random.default_rng([seed, 0]), 1)
-        found = _look_at(name, make_env, tasks)
+        tasks = draw_tasks(np.random.default_rng([seed, 0]), SET_SIZE)
+        found = _look_at(name, recipe, task_row(tasks, 0))
         return _family_class(name, found, recipe, control_period)
 
     def make(
@@ -167,20 +169,29 @@ def gymnasium_family(
         sparse_radius: float = 0.0,
     ) -> AbstractGymnasiumEnv:
         """A Gymnasium environment."""
-        if variant != "reference" or sparse_radius:
-            raise ValueError(
-                f"`variant` and `sparse_radius` have no meaning in `{name}`, whose rewards are "
-                "its environment's own: leave them out."
-            )
-        kind = family_class()
-        return kind(
-            horizon=_known(name, "horizon", horizon, kind.interface.max_episode_steps),
-            observation_size=kind.interface.observation_size,
-            action_size=len(kind.interface.lower),
-            reward_kind=reward_kind,
-        )
+        _refuse_settings(name, variant, sparse_radius)
+        return _instance(family_class(), horizon, reward_kind)
 
     return TaskFamily(name, make, draw_tasks, task_names, seed)
+
+
+def _refuse_settings(name: str, variant: Variant, sparse_radius: float) -> None:
+    if variant != "reference" or sparse_radius:
+        raise ValueError(
+            f"`variant` and `sparse_radius` have no meaning in `{name}`, whose rewards are "
+            "its environment's own: leave them out."
+        )
+
+
+def _instance(
+    kind: type[AbstractGymnasiumEnv], horizon: int | None, reward_kind: RewardKind
+) -> AbstractGymnasiumEnv:
+    return kind(
+        horizon=_known(kind.name, "horizon", horizon, kind.interface.max_episode_steps),
+        observation_size=kind.interface.observation_size,
+        action_size=len(kind.interface.lower),
+        reward_kind=reward_kind,
+    )
 
 
 def _family_class(
@@ -206,14 +217,14 @@ def task_row(tasks: Any, row: int) -> Any:
     return jax.tree.map(lambda x: np.asarray(jnp.asarray(x)[row]), tasks)
 
 
-def _look_at(name: str, make_env: Callable[[Any, str], Any], tasks: Any) -> Interface:
-    env = make_env(task_row(tasks, 0), "dense")
+def _look_at(name: str, recipe: Recipe, task: Any) -> Interface:
+    # In a process of its own, where it may hang or crash.
     try:
-        return describe(env)
-    except InterfaceError as error:
-        raise InterfaceError(f"`{name}`: {error}") from error
-    finally:
-        env.close()
+        pool = WorkerPool((recipe.make_env, "dense", None), 1, recipe.time_limit)
+        with contextlib.closing(pool):
+            return pool.describe(pickle.dumps(task))
+    except WorkerError as error:
+        raise InterfaceError(f"`{name}`, task 0: {error.reason}") from error
 
 
 def _known(name: str, argument: str, given: Any, found: Any) -> Any:

@@ -10,7 +10,6 @@ if find_spec("gymnasium") is None:
 
 from maesn.foreign.interface import Interface as Interface
 from maesn.foreign.interface import InterfaceError as InterfaceError
-from maesn.foreign.interface import describe as describe
 from maesn.foreign.pool import Readings as Readings
 from maesn.foreign.pool import WorkerError as WorkerError
 from maesn.foreign.pool import WorkerPool as WorkerPool

@@ -39,11 +39,11 @@ class HostedEnvironment:
         make_env: the user's; called with a task and the kind of reward. It is called once if what
             it returns has a method `set_task`, and for every new task otherwise.
         reward: "dense" or "sparse".
-        interface: what every task must look like.
+        interface: what every task must look like; None for what the first one looks like.
     """
 
     def __init__(
-        self, make_env: Callable[[Any, str], Any], reward: str, interface: Interface
+        self, make_env: Callable[[Any, str], Any], reward: str, interface: Interface | None
     ) -> None:
         self._make_env = make_env
         self._reward = reward
@@ -51,6 +51,19 @@ class HostedEnvironment:
         self._env: gymnasium.Env[Any, Any] | None = None
         self._task: bytes | None = None
         self._last: Reading | None = None
+
+    def describe(self, task: bytes) -> Interface:
+        """Return what the environment of a task looks like from outside.
+
+        Args:
+            task: pickled.
+
+        Raises:
+            HostedError: the environment raised, or cannot be learned in.
+        """
+        self._with_task(task)
+        assert self._interface is not None
+        return self._interface
 
     def begin(self, task: bytes, seed: int) -> Reading:
         """Begin an episode.
@@ -98,8 +111,8 @@ class HostedEnvironment:
         self._last = Reading(
             self._flatten(observation),
             _finite_reward(reward),
-            bool(terminated),
-            bool(truncated),
+            _truth("terminated", terminated),
+            _truth("truncated", truncated),
             _solved(info),
         )
         return self._last
@@ -107,8 +120,8 @@ class HostedEnvironment:
     def close(self) -> None:
         """Release what the environment holds."""
         if self._env is not None:
-            self._env.close()
-            self._env = None
+            env, self._env = self._env, None
+            _ask("close", env.close)
 
     def _with_task(self, task: bytes) -> gymnasium.Env[Any, Any]:
         if self._env is not None and task == self._task:
@@ -119,16 +132,23 @@ class HostedEnvironment:
             _ask("set_task", lambda: set_task(value))
         else:
             self.close()
-            self._env = _ask("make_env", lambda: self._make_env(value, self._reward))
+            self._env = self._made(value)
         self._task = task
         self._check_interface(self._env)
         return self._env
+
+    def _made(self, task: Any) -> gymnasium.Env[Any, Any]:
+        env = _ask("make_env", lambda: self._make_env(task, self._reward))
+        if not isinstance(env, gymnasium.Env):
+            raise HostedError(f"`make_env` must return a `gymnasium.Env`, got {env!r}")
+        return env
 
     def _check_interface(self, env: gymnasium.Env[Any, Any]) -> None:
         try:
             found = describe(env)
         except InterfaceError as error:
             raise HostedError(str(error)) from error
+        self._interface = self._interface or found
         for name in ("observation", "discrete", "lower", "upper"):
             wanted, got = getattr(self._interface, name), getattr(found, name)
             if wanted != got:
@@ -140,6 +160,7 @@ class HostedEnvironment:
 
     def _flatten(self, observation: Any) -> np.ndarray:
         assert self._env is not None
+        assert self._interface is not None
         space = self._env.observation_space
         if isinstance(space, spaces.Box) and np.shape(observation) != space.shape:
             raise HostedError(
@@ -165,11 +186,14 @@ def _ask(what: str, question: Callable[[], Any]) -> Any:
     try:
         return question()
     except Exception as error:  # whatever it is, it belongs to the user
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        raise HostedError(
-            f"{what if ' ' in what else f'`{what}`'} raised {type(error).__name__}: {error} "
-            f"({frame.filename}, line {frame.lineno})"
-        ) from error
+        name = what if " " in what else f"`{what}`"
+        raise HostedError(f"{name} {raised(error)}") from error
+
+
+def raised(error: Exception) -> str:
+    """Return what was raised, and where, as the end of a sentence."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"raised {type(error).__name__}: {error} ({frame.filename}, line {frame.lineno})"
 
 
 def _action(space: spaces.Space[Any], control: np.ndarray) -> Any:
@@ -190,5 +214,17 @@ def _finite_reward(reward: Any) -> float:
     return value
 
 
-def _solved(info: Mapping[str, Any]) -> bool:
-    return next((bool(info[name]) for name in _SUCCESS if name in info), False)
+def _truth(name: str, value: Any) -> bool:
+    try:
+        known = value in (0, 1)  # as which Python's and NumPy's truth values count
+    except (TypeError, ValueError, RuntimeError):  # of arrays with several elements
+        known = False
+    if not known:
+        raise HostedError(f"`{name}` must be a truth value, got {value!r}")
+    return bool(value)
+
+
+def _solved(info: Any) -> bool:
+    if not isinstance(info, Mapping):
+        raise HostedError(f"`info` must be a dictionary, got {info!r}")
+    return next((_truth(f'info["{name}"]', info[name]) for name in _SUCCESS if name in info), False)

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 
 class InterfaceError(ValueError):
-    """An environment has spaces that cannot be learned in; the message says what is expected."""
+    """An environment cannot be learned in; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,7 @@ def _bounds(space: spaces.Space[Any]) -> tuple[tuple[float, ...], tuple[float, .
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise InterfaceError(
                 f"the action space must be bounded, but component {index} reaches from {low} to "
-                f"{high}: wrap the environment in `gymnasium.wrappers.RescaleAction` or give "
-                "it finite bounds."
+                f"{high}: give it finite bounds, as `gymnasium.wrappers.TransformAction` can."
             )
     return lower, upper
 

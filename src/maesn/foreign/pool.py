@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any, TypeAlias
 
@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Float
 
 from maesn.foreign.hosted import Reading
-from maesn.foreign.worker import MARK
+from maesn.foreign.interface import Interface
+from maesn.foreign.worker import MARK, Failure
 
 # What the environments have returned, one row each; see `maesn.foreign.hosted.Reading`.
 Readings: TypeAlias = dict[str, Float[np.ndarray, "simulation ..."]]
@@ -65,13 +66,16 @@ class WorkerPool:
             be imported elsewhere (of a script, or without a name) are sent as they are.
         num_workers: number of processes.
         time_limit: seconds that one call of one environment may take.
+
+    Raises:
+        WorkerError: the recipe cannot be sent to a process.
     """
 
     def __init__(self, recipe: tuple[Any, ...], num_workers: int, time_limit: float) -> None:
         self._time_limit = time_limit
         self._workers: list[_Worker] = []
+        content = _content(recipe)
         try:
-            content = cloudpickle.dumps(recipe)
             for _ in range(num_workers):
                 self._workers.append(_Worker(content))
         except BaseException:
@@ -83,6 +87,18 @@ class WorkerPool:
         """Of the workers."""
         return [worker.process.pid for worker in self._workers]
 
+    def describe(self, task: bytes) -> Interface:
+        """Return what the environment of a task looks like from outside.
+
+        Args:
+            task: pickled.
+
+        Raises:
+            WorkerError: the environment cannot be used; the pool must be closed.
+        """
+        ((_, (interface,)),) = self._ask("describe", 1, [task])
+        return interface
+
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
         """Begin an episode in every simulation.
 
@@ -93,7 +109,7 @@ class WorkerPool:
         Raises:
             WorkerError: an environment cannot be used; the pool must be closed.
         """
-        return self._ask("begin", len(tasks), tasks, seeds)
+        return self._read("begin", len(tasks), tasks, seeds)
 
     def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
         """Advance every simulation whose episode has not ended.
@@ -101,7 +117,7 @@ class WorkerPool:
         Raises:
             WorkerError: an environment cannot be used; the pool must be closed.
         """
-        return self._ask("step", len(controls), controls)
+        return self._read("step", len(controls), controls)
 
     def close(self) -> None:
         """Stop all workers, and whatever processes their environments have started."""
@@ -112,7 +128,19 @@ class WorkerPool:
         for worker in workers:
             worker.stop(deadline)
 
-    def _ask(self, request: str, num_simulations: int, *columns: Any) -> Readings:
+    def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
+        readings: Readings = {}
+        for first, values in self._ask(request, num_simulations, *columns):
+            for name, value in zip(Reading._fields, values, strict=True):
+                if name not in readings:
+                    readings[name] = np.empty((num_simulations, *value.shape[1:]), np.float32)
+                readings[name][first :: len(self._workers)] = value
+        return readings
+
+    def _ask(
+        self, request: str, num_simulations: int, *columns: Any
+    ) -> Iterator[tuple[int, Sequence[Any]]]:
+        """Yield the first simulation of each worker, and its answer, as they come in."""
         stride = len(self._workers)
         for first, worker in enumerate(self._workers[:num_simulations]):
             # A worker that is gone already is found out when its answer is missing.
@@ -122,25 +150,15 @@ class WorkerPool:
             worker.connection: (first, worker)
             for first, worker in enumerate(self._workers[:num_simulations])
         }
-        readings: Readings = {}
         watch = _Watch(self._time_limit)
         while pending:
             ready = wait(list(pending), self._time_limit / _CHECKS_PER_LIMIT)
             for connection in ready:
                 assert isinstance(connection, Connection)
                 first, worker = pending.pop(connection)
-                self._write(readings, _answer(worker, first, stride), first, num_simulations)
+                yield first, _answer(worker, first, stride)
             for first, worker in pending.values():
                 watch.look(worker, first, stride)
-        return readings
-
-    def _write(
-        self, readings: Readings, values: tuple[np.ndarray, ...], first: int, num_simulations: int
-    ) -> None:
-        for name, value in zip(Reading._fields, values, strict=True):
-            if name not in readings:
-                readings[name] = np.empty((num_simulations, *value.shape[1:]), np.float32)
-            readings[name][first :: len(self._workers)] = value
 
 
 class _Worker:
@@ -205,7 +223,16 @@ class _Watch:
             )
 
 
-def _answer(worker: _Worker, first: int, stride: int) -> tuple[np.ndarray, ...]:
+def _content(recipe: tuple[Any, ...]) -> bytes:
+    try:
+        return cloudpickle.dumps(recipe)
+    except Exception as error:  # what a user's closure holds can raise anything
+        raise WorkerError(
+            0, f"`make_env` cannot be sent to a process: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _answer(worker: _Worker, first: int, stride: int) -> Sequence[Any]:
     try:
         answer = worker.connection.recv()
     except (EOFError, OSError) as error:
@@ -214,7 +241,6 @@ def _answer(worker: _Worker, first: int, stride: int) -> tuple[np.ndarray, ...]:
             first + stride * worker.mark()[1],
             f"the environment has ended its process (exit code {code})",
         ) from error
-    if isinstance(answer[0], int):
-        index, reason = answer
-        raise WorkerError(first + stride * index, reason)
+    if isinstance(answer, Failure):
+        raise WorkerError(first + stride * answer.environment, answer.reason)
     return answer

@@ -7,15 +7,24 @@ import contextlib
 import mmap
 import pickle
 import struct
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
+from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading, raised
 
 # What a worker writes before each call of an environment: how many calls so far, and whose.
 MARK = struct.Struct("=Qq")
+
+
+class Failure(NamedTuple):
+    """What a worker answers if one of its environments cannot go on."""
+
+    environment: int
+    """Which one, among those of the worker."""
+    reason: str
 
 
 def main(connection_descriptor: int, mark_descriptor: int) -> None:
@@ -31,8 +40,8 @@ def main(connection_descriptor: int, mark_descriptor: int) -> None:
         share = _load_share(connection, mark)
         try:
             while share is not None:
-                request, *arguments = connection.recv()
-                connection.send(share.answer(request, arguments))
+                request, *columns = connection.recv()
+                connection.send(share.answer(request, columns))
         finally:
             if share is not None:
                 share.close()
@@ -43,7 +52,8 @@ def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":
     try:
         return _Share(pickle.loads(recipe), mark)
     except Exception as error:  # noqa: BLE001  # the import of a user's module can raise anything
-        connection.send((0, f"`make_env` cannot be loaded: {type(error).__name__}: {error}"))
+        reason = f"`make_env` cannot be loaded: {type(error).__name__}: {error}"
+        connection.send(Failure(0, reason))
         return None
 
 
@@ -56,25 +66,37 @@ class _Share:
         self._calls = 0
         self._environments: list[HostedEnvironment] = []
 
-    def answer(self, request: str, arguments: list[Any]) -> tuple[int, str] | tuple[Any, ...]:
-        """Return the readings of all environments, or (index, reason) of the first that fails."""
-        if request == "begin":
-            while len(self._environments) < len(arguments[0]):
-                self._environments.append(HostedEnvironment(*self._recipe))
-        readings: list[Reading] = []
-        for index, values in enumerate(zip(*arguments, strict=True)):
+    def answer(self, request: str, columns: list[Sequence[Any]]) -> Any:
+        """Ask one environment after the other.
+
+        Args:
+            request: the method of `HostedEnvironment` that is called.
+            columns: for each of its arguments, one value for each environment.
+
+        Returns:
+            What they return, readings as one array for each field; or the `Failure` of the first
+            one that cannot go on.
+        """
+        answers = []
+        for index, arguments in enumerate(zip(*columns, strict=True)):
             self._calls += 1
             MARK.pack_into(self._mark, 0, self._calls, index)
-            environment = self._environments[index]
+            if index == len(self._environments):
+                self._environments.append(HostedEnvironment(*self._recipe))
             try:
-                call = environment.begin if request == "begin" else environment.step
-                readings.append(call(*values))
+                answers.append(getattr(self._environments[index], request)(*arguments))
             except HostedError as error:
-                return index, str(error)
-        return tuple(np.asarray(column, np.float32) for column in zip(*readings, strict=True))
+                return Failure(index, str(error))
+            except Exception as error:  # noqa: BLE001  # of a user's code, wherever it is called
+                return Failure(index, f"the environment {raised(error)}")
+        return answers if request == "describe" else _by_field(answers)
 
     def close(self) -> None:
         """Close all environments, whatever each of them does about it."""
         for environment in self._environments:
             with contextlib.suppress(Exception):
                 environment.close()
+
+
+def _by_field(readings: list[Reading]) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(column, np.float32) for column in zip(*readings, strict=True))
