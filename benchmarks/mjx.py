@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -93,7 +94,7 @@ class Timed:
             .agents
         )
         keys = jax.random.split(jax.random.key(2), count)
-        return jax.block_until_ready(self.collect(keys, agents, np.arange(count)))
+        return jax.block_until_ready(self.collect(keys, agents, jnp.arange(count)))
 
     def iterate(self) -> None:
         """Do one meta-iteration."""

@@ -1,6 +1,6 @@
 """Train one of the families with PPO of Stable-Baselines3, on one task, through Gymnasium.
 
-    pip install 'maesn[gym]' stable-baselines3
+    pip install -e '.[gym]' stable-baselines3
     python examples/train_with_stable_baselines3.py --env maesn/Point-v0 --task 0 --steps 20000
 
 Stable-Baselines3 brings PyTorch and is nothing that maesn needs, which is why it is installed for

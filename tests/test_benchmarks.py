@@ -1,4 +1,4 @@
-"""What benchmarks divide by: the engine alone has to do just what a collection asks of it."""
+"""Benchmarks: they run, and the engine alone does just what a collection asks of it."""
 
 import re
 from pathlib import Path
@@ -14,6 +14,7 @@ from playing import constant_agents, keys
 from scripts import ROOT, load_script
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
+from maesn.physics import load_model
 from maesn.rollout import Collector
 from maesn.worlds import make_world
 
@@ -88,3 +89,24 @@ def test_the_ratio_is_the_median_over_pairs(monkeypatch: pytest.MonkeyPatch) -> 
     collection = load_script("benchmarks/collection.py")
     found = collection.Measurement(9.0, [2.0, 4.0, 1.0], [1.0, 3.0, 0.9], 100)
     assert found.ratio == 0.75
+
+
+def test_the_engine_on_the_accelerator_gets_its_table(capsys: pytest.CaptureFixture[str]) -> None:
+    mjx = load_script("benchmarks/mjx.py")
+    smallest = {"meta_batch_size": 2, "episodes_per_task": 2, "repeats": 1}
+    mjx.main(mjx.Settings(families=("wheeled",), **smallest))
+    device, title, _, row = filter(None, capsys.readouterr().out.splitlines())
+    assert device.startswith(f"{jax.default_backend()}: ")
+    assert title == "wheeled: 4 simulations of 200 steps"
+    # Steps per second, three times, and how far the unlimited engine ends from itself.
+    assert re.fullmatch(r"as the model says +\d+( +\d+\.?\d*s){3} +0\.000", row)
+
+
+@pytest.mark.parametrize("family", ["wheeled", "ant", "blockpush"])
+def test_the_sweep_leaves_out_contacts_of_geoms_that_exist(family: str) -> None:
+    mjx, model = load_script("benchmarks/mjx.py"), load_model(family)
+    variants = mjx.variants(family, sweep=True).values()
+    untouched = {name for limits in variants for name in limits.untouched}
+    geoms = {model.geom(index).name for index in range(model.ngeom)}
+    assert untouched
+    assert untouched <= geoms

@@ -19,6 +19,7 @@ from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
 from maesn.rollout import Collector
 from maesn.runs.run import Run
+from maesn.worlds import DeviceWorld
 
 TASK, PLAYED, SHOWN, UPDATES = 3, 5, 2, [0, 2]
 
@@ -136,6 +137,23 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert moving.size == still.size
         assert still.width > SHOWN * 300
         assert still.height > 2 * 190
+
+
+def test_what_was_opened_is_closed_whatever_happens(
+    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    closed: list[str] = []
+    for kind in (DeviceWorld, Drawn):
+        monkeypatch.setattr(kind, "close", lambda _, name=kind.__name__: closed.append(name))
+    arguments = {"episodes": 1, "episodes_per_task": 2, "update": (0,), "out": tmp_path}
+    maesn.render(run.directory, **arguments)
+    whole = closed.copy()
+    monkeypatch.setattr(Drawn, "draw", None)  # drawing fails
+    with pytest.raises(TypeError, match="not callable"):
+        maesn.render(run.directory, **arguments)
+    # The first scene finds out whether anything can be drawn here.
+    assert whole == ["Drawn", "DeviceWorld", "Drawn"]
+    assert closed == 2 * whole
 
 
 def test_cells_stand_in_rows_and_reached_goals_are_framed() -> None:

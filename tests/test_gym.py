@@ -103,6 +103,13 @@ def test_the_action_space_covers_the_actuators_exactly(family: str) -> None:
         assert (np.abs(np.asarray(inner.control(jnp.asarray(0.99 * end)))) < np.abs(control)).all()
 
 
+@pytest.mark.parametrize(("family", "rate"), [("wheeled", 100), ("point", 10)])
+def test_films_run_in_real_time(family: str, rate: int) -> None:
+    # Control steps last 0.01 s and 0.1 s; one picture is shown for each.
+    assert gymnasium.make(IDS[family]).metadata["render_fps"] == rate
+    assert "render_fps" not in TaskEnv.metadata  # no rate is that of all families
+
+
 def test_a_seed_repeats_everything_and_another_does_not() -> None:
     first, again, other = (play(TaskEnv("point"), seed) for seed in (1, 1, 2))
     jax.tree.map(np.testing.assert_array_equal, first, again)
@@ -164,6 +171,8 @@ def test_success_is_what_the_distance_says() -> None:
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
         ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
         ({"family": "bandit"}, ValueError, "must have continuous actions"),
+        ({"rewards": "sparse"}, ValueError, "^`rewards` is not a setting: choose from `task`"),
+        ({"num_threads": 2}, ValueError, "`num_threads` is not a setting"),
     ],
 )
 def test_wrong_settings_are_refused_by_name(
@@ -171,6 +180,32 @@ def test_wrong_settings_are_refused_by_name(
 ) -> None:
     with pytest.raises(error, match=message):
         TaskEnv(**{"family": "point"} | settings)
+
+
+def test_a_misspelt_option_of_a_reset_is_refused_and_changes_nothing() -> None:
+    env, other = TaskEnv("point"), TaskEnv("point")
+    env.reset(seed=3)
+    other.reset(seed=3)
+    with pytest.raises(ValueError, match=r"^`taks` is not an option: choose from `task`\.$"):
+        env.reset(seed=4, options={"taks": 3})
+    assert env.reset(options={})[1] == other.reset()[1]
+
+
+def test_a_misspelt_reward_is_refused_by_the_name_that_it_was_given() -> None:
+    # In a process of its own, because the run-time type checks of the tests would come first.
+    program = """
+import gymnasium
+for make in (gymnasium.make, gymnasium.make_vec):
+    try:
+        make("maesn.gym:maesn/Point-v0", reward="sprase")
+    except ValueError as error:
+        print(error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    message = "`reward` must be 'dense' or 'sparse', got 'sprase'."
+    assert done.stdout.splitlines() == [message, message]
 
 
 def test_a_step_before_a_reset_is_refused() -> None:
@@ -234,7 +269,7 @@ def test_without_gymnasium_one_sentence_says_what_to_install() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.stderr.splitlines()[-1] == (
-        "ImportError: `maesn.gym` needs Gymnasium, which is not installed: pip install maesn[gym]"
+        "ImportError: `maesn.gym` needs Gymnasium: pip install -e '.[gym]'"
     )
 
 

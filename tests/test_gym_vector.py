@@ -82,8 +82,8 @@ def test_a_masked_reset_draws_from_the_rows_own_seed() -> None:
     mask = np.array([False, True, False])
     after = part.reset(seed=20, options={"reset_mask": mask})[0]
     np.testing.assert_array_equal(after, np.where(mask[:, None], expected, before))
-    several = TaskVectorEnv("point", COUNT).reset(seed=[20, 21, 22])[0]
-    np.testing.assert_array_equal(several, expected)
+    for same in ([20, 21, 22], np.int64(20), np.uint8(20)):
+        np.testing.assert_array_equal(TaskVectorEnv("point", COUNT).reset(seed=same)[0], expected)
 
 
 def test_tasks_are_chosen_for_all_or_for_each() -> None:
@@ -103,6 +103,7 @@ def test_tasks_are_chosen_for_all_or_for_each() -> None:
         ({"options": {"task": [1, 2]}}, "`task` must be an index"),
         ({"options": {"reset_mask": np.zeros(COUNT, bool)}}, "`reset_mask` must be 3 booleans"),
         ({"options": {"reset_mask": np.ones(COUNT)}}, "`reset_mask` must be 3 booleans"),
+        ({"options": {"mask": np.ones(COUNT, bool)}}, "`mask` is not an option: .* `reset_mask`"),
         ({"seed": [1, 2]}, "`seed` must be one number or one for each of 3 episodes, got 2"),
     ],
 )
@@ -114,6 +115,8 @@ def test_wrong_resets_are_refused_by_name(wrong: dict[str, Any], message: str) -
 def test_what_it_cannot_do_is_refused() -> None:
     with pytest.raises(ValueError, match="`autoreset_mode` must be NEXT_STEP or DISABLED"):
         TaskVectorEnv("point", autoreset_mode=AutoresetMode.SAME_STEP)
+    with pytest.raises(ValueError, match=r"`threads` is not a setting: .* `num_threads`"):
+        gymnasium.make_vec(IDS["point"], num_envs=COUNT, threads=1)
     envs = TaskVectorEnv("point", COUNT)
     with pytest.raises(gymnasium.error.ResetNeeded, match="no episode is running"):
         envs.step(np.zeros((COUNT, 2), np.float32))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -66,21 +67,21 @@ def render(
     run = Run.open(working_copy(directory), family=family)
     task_set, updates = run.task_set(tasks), sorted(set(update))
     _check(task, len(task_set), updates, episodes, episodes_per_task, seed)
-    world = run.world(task_set, reward)
-    _refuse_blindness(world.env)
+    env = run.env(reward)
+    _refuse_blindness(env)
     learner = run.learner.fast_learner(run.latest_state())
-    collect = Collector(world, episodes_per_task)
-    played = record_adaptation(
-        learner, collect, task=task, updates=updates, num_episodes=episodes, seed=seed
-    )
-    stride = math.ceil(world.env.horizon / _MOST_PICTURES)
-    stage = _Stage(world.env, task_set[task], played, stride)
-    rows = [stage.row(playback, episodes_per_task) for playback in played]
-    stage.close()
+    with closing(run.world(task_set, reward)) as world:
+        collect = Collector(world, episodes_per_task)
+        played = record_adaptation(
+            learner, collect, task=task, updates=updates, num_episodes=episodes, seed=seed
+        )
+    stride = math.ceil(env.horizon / _MOST_PICTURES)
+    with closing(_Stage(env, task_set[task], played, stride)) as stage:
+        rows = [stage.row(playback, episodes_per_task) for playback in played]
     name = f"{adaptation_file(run.directory, tasks, reward).stem}-task-{task}"
     title = f"{run.settings.method} on {run.config.family}, {reward} reward, {tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
-    period = 1000.0 * stride * world.env.control_period
+    period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
     return _write(folder, {f"{name}.gif": moving, f"{name}.png": contact_sheet(title, rows)})
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from physics.plain import assert_equal
+from physics.plain import assert_equal, plain_episodes
 from physics.robots import without_looks
 
 from maesn.envs import Ant
@@ -12,7 +12,7 @@ from maesn.envs.ant import rotation_matrix
 from maesn.physics import NativeSimulator, Readings
 
 ROBOT = "ant"
-SIMULATIONS, STEPS = 6, 80
+SIMULATIONS, STEPS = 6, 200  # whole episodes
 READ = (*Ant.readings, "xmat")
 SHINS = [4, 7, 10, 13]
 GRAVITY, TIME_STEP = 9.81, 0.01
@@ -35,34 +35,9 @@ def controls() -> np.ndarray:
     return np.random.default_rng(1).uniform(-1, 1, size=(STEPS, SIMULATIONS, 8))
 
 
-def plain(model: mujoco.MjModel) -> list[Readings]:
-    """Each step `mj_step`, then all that is derived from the state, and the contact forces."""
-    episodes = []
-    for qpos, qvel, control in zip(*begin(model), controls().swapaxes(0, 1), strict=True):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        moments = [derived(model, data)]
-        for row in control:
-            data.ctrl[:] = row
-            mujoco.mj_step(model, data)
-            moments.append(derived(model, data))
-        episodes.append(moments)
-    return [
-        {name: np.stack([moment[name] for moment in moments]) for name in READ}
-        for moments in zip(*episodes, strict=True)
-    ]
-
-
-def derived(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
-    mujoco.mj_forward(model, data)
-    data.cfrc_ext[:] = np.nan  # whoever does not compute them shows it
-    mujoco.mj_rnePostConstraint(model, data)
-    return {name: getattr(data, name).copy() for name in READ}
-
-
 @pytest.fixture(scope="module")
 def expected(model: mujoco.MjModel) -> list[Readings]:
-    return plain(model)
+    return plain_episodes([model] * SIMULATIONS, *begin(model), controls(), READ)
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])

@@ -170,7 +170,7 @@ def test_what_the_engine_lacks_is_refused(tmp_path: Path) -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(EngineError, match=r"pip install maesn\[gpu\]"):
+    with pytest.raises(EngineError, match=r"pip install -e '\.\[gpu\]'"):
         MjxEngine("wheeled")
 
 

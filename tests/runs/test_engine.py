@@ -62,7 +62,7 @@ def test_a_missing_engine_leaves_no_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(EngineError, match=r"pip install maesn\[gpu\]"):
+    with pytest.raises(EngineError, match=r"pip install -e '\.\[gpu\]'"):
         create(tmp_path / "run", family="wheeled", engine="mjx")
     assert not (tmp_path / "run").exists()
 

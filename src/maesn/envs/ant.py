@@ -15,9 +15,15 @@ Observation (125 components; the goal is not among them):
 | 113-121 | rotation matrix of the torso, row by row                             |            |
 | 122-124 | centre of mass x, y, z of the whole ant                              | m          |
 
-Action (8 components, unbounded): torque demand of hip 4, ankle 4, hip 1, ankle 1, hip 2, ankle 2,
-hip 3, ankle 3: not the order of the angles. The motors receive u = clip(a, -1, 1) and turn a unit
-into 30 N m.
+Action (8 components a, unbounded; the motors receive u = clip(a, -1, 1)). The order is not that of
+the angles:
+
+| index | control u                   | unit and range      |
+|-------|-----------------------------|---------------------|
+| 0-1   | torque on hip 4 and ankle 4 | 30 N m, -1 to 1     |
+| 2-3   | torque on hip 1 and ankle 1 | 30 N m, -1 to 1     |
+| 4-5   | torque on hip 2 and ankle 2 | 30 N m, -1 to 1     |
+| 6-7   | torque on hip 3 and ankle 3 | 30 N m, -1 to 1     |
 
 Reward, with x the horizontal centre of mass, g the goal, R the sparse radius, and c the clipped
 contact torques and forces:

@@ -16,8 +16,12 @@ Observation (26 components; 28 in the variant `paper`):
 | 16-25 | velocity x, y of blocks 0 to 4                     | m/s   |
 | 26-27 | `paper` only, the instruction: goal x, y           | m     |
 
-Action (3 components, unbounded): force demand in x and y and torque demand about z. The motors
-receive u = clip(2 a, -2, 2), in N and N m.
+Action (3 components a, unbounded; the motors receive u = clip(2 a, -2, 2)):
+
+| index | control u                                          | unit and range      |
+|-------|----------------------------------------------------|---------------------|
+| 0-1   | force on the gripper in x and y                    | N, -2 to 2          |
+| 2     | torque on the gripper about z                      | N m, -2 to 2        |
 
 Reward, with d the distance in metres of the relevant block from the goal g:
 

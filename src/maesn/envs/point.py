@@ -3,8 +3,17 @@
 It has the wheeled robot's goals and rewards but no dynamics, so MAESN trains on it in seconds. It
 is not in the paper; its variants follow those of `maesn.envs.wheeled`.
 
-Observation (2 components): position x, y in m. Action (2 components, unbounded): velocity demand;
-the point moves by 0.1 m times u = clip(a, -1, 1) per step.
+Observation (2 components; the goal is not among them):
+
+| index | quantity              | unit |
+|-------|-----------------------|------|
+| 0-1   | position x, y         | m    |
+
+Action (2 components a, unbounded; the point receives u = clip(a, -1, 1)):
+
+| index | control u             | unit and range      |
+|-------|-----------------------|---------------------|
+| 0-1   | velocity in x and y   | m/s, -1 to 1        |
 
 Reward, with d the distance from the goal g in metres:
 

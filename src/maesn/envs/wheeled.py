@@ -11,8 +11,12 @@ Observation (12 components; the goal is not among them):
 | 9     | rate of turn                         | rad/s |
 | 10-11 | speed of the right and left wheel    | rad/s |
 
-Action (2 components, unbounded): torque demand of the right and left wheel. The motors receive
-u = clip(2 a, -2, 2) N m.
+Action (2 components a, unbounded; the motors receive u = clip(2 a, -2, 2)):
+
+| index | control u                            | unit and range      |
+|-------|--------------------------------------|---------------------|
+| 0     | torque on the right wheel            | N m, -2 to 2        |
+| 1     | torque on the left wheel             | N m, -2 to 2        |
 
 Reward, with d the distance of the car from the goal g in metres:
 

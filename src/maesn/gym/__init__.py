@@ -7,11 +7,10 @@ itself. `gymnasium.make_vec` of the same names plays many episodes at once on th
 from importlib.util import find_spec
 
 if find_spec("gymnasium") is None:
-    raise ImportError("`maesn.gym` needs Gymnasium, which is not installed: pip install maesn[gym]")
+    raise ImportError("`maesn.gym` needs Gymnasium: pip install -e '.[gym]'")
 
 import gymnasium
 
-from maesn.envs import FAMILIES
 from maesn.gym.env import TaskEnv as TaskEnv
 from maesn.gym.stepping import Stepper as Stepper
 from maesn.gym.vector import TaskVectorEnv as TaskVectorEnv
@@ -25,7 +24,7 @@ IDS: dict[str, str] = {
 """Family -> the name under which Gymnasium makes it."""
 
 for _family, _id in IDS.items():
-    if _family in FAMILIES and _id not in gymnasium.registry:
+    if _id not in gymnasium.registry:
         gymnasium.register(
             _id,
             entry_point="maesn.gym:TaskEnv",

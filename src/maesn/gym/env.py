@@ -6,10 +6,14 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
-from maesn.gym.stepping import RENDER_MODES, Stepper, TaskChoice, View
+from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_render_mode, refuse_unknown
+from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
 from maesn.worlds import Scene
 
 Observation = Float[np.ndarray, " observation"]
+
+# A single episode needs a single thread.
+_SETTINGS = tuple(name for name in SETTINGS if name != "num_threads")
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
@@ -19,13 +23,19 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         family: as for `Stepper`, like every other setting.
         render_mode: `rgb_array` for pictures from `render`; None for none.
         settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`; see `Stepper`.
+
+    Raises:
+        RunError: there is no such family or set of tasks.
+        ValueError: a setting is unknown or wrong.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
+    # Shared by all families; how many pictures a second shows is each environment's own.
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
         self, family: Any = "wheeled", *, render_mode: str | None = None, **settings: Any
     ) -> None:
+        refuse_unknown("a setting", settings, _SETTINGS)
         self._stepper = Stepper(family, 1, num_threads=1, **settings)
         self.observation_space = self._stepper.observation_space
         self.action_space = self._stepper.action_space
@@ -45,12 +55,17 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
         Returns:
             Observation and information: `task`, `is_success`.
+
+        Raises:
+            ValueError: there is no such option or task.
         """
+        options = options or {}
+        refuse_unknown("an option", options, ("task",))
         super().reset(seed=seed)
-        task: TaskChoice = (options or {}).get("task")
-        view = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], task)
+        task: TaskChoice = options.get("task")
+        glimpse = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], task)
         self._ended = False
-        return view.observation[0], self._information(view)
+        return glimpse.observation[0], self._information(glimpse)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step.
@@ -69,8 +84,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         reward = float(after.reward[0])
         terminated, truncated = bool(after.terminated[0]), bool(after.truncated[0])
         self._ended = terminated or truncated
-        information = self._information(after.view) | {"goal_reward": float(after.goal_reward[0])}
-        return after.view.observation[0], reward, terminated, truncated, information
+        goal = {"goal_reward": float(after.goal_reward[0])}
+        information = self._information(after.glimpse) | goal
+        return after.glimpse.observation[0], reward, terminated, truncated, information
 
     def render(self) -> Any:
         """Return a picture of the present state, or None without a `render_mode`."""
@@ -87,21 +103,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if self._scene is not None:
             self._scene.close()
 
-    def _information(self, view: View) -> dict[str, Any]:
-        return {"task": int(self._stepper.task_index[0]), "is_success": bool(view.solved[0])}
-
-
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return a render mode if there is such.
-
-    Raises:
-        ValueError: there is not.
-    """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ValueError(
-            f"`render_mode` must be {', '.join(RENDER_MODES)} or None, got {render_mode!r}."
-        )
-    return render_mode
+    def _information(self, glimpse: Glimpse) -> dict[str, Any]:
+        return {"task": int(self._stepper.task_index[0]), "is_success": bool(glimpse.solved[0])}
 
 
 def metadata_of(stepper: Stepper) -> dict[str, Any]:

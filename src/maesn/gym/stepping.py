@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from inspect import signature
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,19 +14,16 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
+from maesn.gym.settings import TaskChoice, checked_task, make_steppable
 from maesn.physics import PhysicsError
 from maesn.runs.task_sources import find_tasks, resolve_family
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
 
-TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
-"""Index of a task in its set, for all episodes or for each; None for one that is drawn."""
-
 # Of the pictures, in pixels.
 WIDTH, HEIGHT = 480, 360
-RENDER_MODES = ("rgb_array",)
 
 
-class View(NamedTuple):
+class Glimpse(NamedTuple):
     """What is seen of the present states, one row for each episode."""
 
     observation: Float[np.ndarray, "episode observation"]
@@ -36,7 +34,7 @@ class View(NamedTuple):
 class Transition(NamedTuple):
     """What a step has brought, one row for each episode."""
 
-    view: View
+    glimpse: Glimpse
     reward: Float[np.ndarray, " episode"]
     goal_reward: Float[np.ndarray, " episode"]
     """The part of `reward` that is paid for the goal; the rest are control costs and the like."""
@@ -77,16 +75,10 @@ class Stepper:
         num_threads: int = 0,
     ) -> None:
         family = resolve_family(family) if isinstance(family, str) else family
-        radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
-        self.env: AnyEnv = family.make_env(variant=variant, reward_kind=reward, **radius)
-        if self.env.action_kind != "continuous":
-            raise ValueError(
-                f"`family` must have continuous actions to be stepped here, but those of "
-                f"`{family.name}` are {self.env.action_kind}: play it with `maesn.Collector`."
-            )
+        self.env: AnyEnv = make_steppable(family, reward, variant, sparse_radius)
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
-        self._chosen = self._checked(task)
+        self._chosen = checked_task(task, len(self.tasks), num_episodes)
         self._simulator = open_simulator(self.env, num_episodes, num_threads)
         self.task_index = np.zeros(num_episodes, np.int64)
         self._present: Any = None  # the tasks of these indices
@@ -108,7 +100,7 @@ class Stepper:
         rows: Int[np.ndarray, " row"],
         streams: Sequence[np.random.Generator],
         task: TaskChoice = None,
-    ) -> View:
+    ) -> Glimpse:
         """Start some episodes anew.
 
         Args:
@@ -120,8 +112,13 @@ class Stepper:
 
         Returns:
             The states of all episodes.
+
+        Raises:
+            EpisodeError: the physics cannot begin with the state that was drawn.
+            ValueError: there is no such task.
         """
-        chosen = self._chosen if task is None else self._checked(task)
+        asked = checked_task(task, len(self.tasks), self.num_episodes)
+        chosen = self._chosen if asked is None else asked
         seeds = np.zeros(self.num_episodes, np.uint32)
         for row in rows:
             drawn = streams[row].integers(len(self.tasks)) if chosen is None else chosen[row]
@@ -136,7 +133,7 @@ class Stepper:
         except PhysicsError as error:
             raise self._error(error) from error
         self._readings, self._steps[rows] = _single(readings), 0
-        return View(*_seen(_look(self.env, self._readings, self._present)))
+        return Glimpse(*_seen(_look(self.env, self._readings, self._present)))
 
     def step(
         self, action: Float[np.ndarray, "episode action"], ended: Bool[np.ndarray, " episode"]
@@ -158,10 +155,11 @@ class Stepper:
             raise self._error(error) from error
         self._steps += 1
         judged = _judge(self.env, before, action, self._readings, self._present)
-        view, reward, terminated, cut = judged
+        glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
         out_of_time = (self._steps >= self.env.horizon) | cut
-        return Transition(View(*_seen(view)), total, goal, terminated, out_of_time & ~terminated)
+        out_of_time &= ~terminated
+        return Transition(Glimpse(*_seen(glimpse)), total, goal, terminated, out_of_time)
 
     def open_scene(self) -> Scene:
         """Return what draws the states.
@@ -181,22 +179,16 @@ class Stepper:
         """Release the engine's threads and memory; may be called twice."""
         self._simulator.close()
 
-    def _checked(self, task: TaskChoice) -> Int[np.ndarray, " episode"] | None:
-        if task is None:
-            return None
-        chosen = np.asarray(task)
-        whole = chosen.dtype.kind in "iu" and chosen.shape in ((), (self.num_episodes,))
-        if not whole or (chosen < 0).any() or (chosen >= len(self.tasks)).any():
-            raise ValueError(
-                f"`task` must be an index from 0 to {len(self.tasks) - 1}, or one for each of "
-                f"{self.num_episodes} episodes, got {task!r}."
-            )
-        return np.broadcast_to(chosen, (self.num_episodes,))
-
     def _error(self, error: PhysicsError) -> EpisodeError:
         row = error.simulations[0]
         task, step = int(self.task_index[row]), int(self._steps[row])
         return EpisodeError(self.env.name, task, row, step, error.reason)
+
+
+SETTINGS = tuple(
+    name for name, one in signature(Stepper).parameters.items() if one.kind is one.KEYWORD_ONLY
+)
+"""Names of all that may be set."""
 
 
 def _single(readings: HostReadings) -> HostReadings:

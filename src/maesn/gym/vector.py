@@ -1,7 +1,7 @@
 """A family of tasks as a Gymnasium vector environment: many episodes on the batched engine."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from gymnasium import logger
@@ -11,13 +11,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float, Int
 
-from maesn.gym.env import checked_render_mode, metadata_of
-from maesn.gym.stepping import Stepper, View
+from maesn.gym.env import metadata_of
+from maesn.gym.settings import checked_render_mode, refuse_unknown
+from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
 from maesn.worlds import Scene
 
 Observations = Float[np.ndarray, "episode observation"]
 PerEpisode = Float[np.ndarray, " episode"]
 Flags = Bool[np.ndarray, " episode"]
+Seeds: TypeAlias = int | np.integer[Any] | Sequence[int | None] | None
 
 _MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 
@@ -37,6 +39,10 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
             must be reset before the next step, `reset(options={"reset_mask": ended})`.
         settings: `task` (for all or for each episode), `tasks`, `reward`, `variant`,
             `sparse_radius`, `num_threads`; see `Stepper`.
+
+    Raises:
+        RunError: there is no such family or set of tasks.
+        ValueError: a setting is unknown or wrong.
     """
 
     def __init__(
@@ -49,6 +55,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         **settings: Any,
     ) -> None:
         self._mode = _checked_mode(autoreset_mode)
+        refuse_unknown("a setting", settings, SETTINGS)
         self._stepper = Stepper(family, num_envs, **settings)
         self.num_envs = num_envs
         self.single_observation_space = self._stepper.observation_space
@@ -65,7 +72,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,
+        seed: Seeds = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
         """Start episodes.
@@ -78,15 +85,20 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
 
         Returns:
             Observations and information of all episodes: `task`, `is_success`.
+
+        Raises:
+            ValueError: there is no such option or task, or mask or seeds are not one for each
+                episode.
         """
         options = options or {}
+        refuse_unknown("an option", options, ("task", "reset_mask"))
         rows = self._rows_to_reset(options)
         for row, own_seed in zip(rows, self._seeds(seed)[rows], strict=True):
             if own_seed is not None:
                 self._streams[row] = seeding.np_random(int(own_seed))[0]
-        view = self._stepper.begin(rows, self._streams, options.get("task"))
+        glimpse = self._stepper.begin(rows, self._streams, options.get("task"))
         self._running, self._ended[rows] = True, False
-        return view.observation, self._information(view)
+        return glimpse.observation, self._information(glimpse)
 
     def step(self, actions: Any) -> tuple[Observations, PerEpisode, Flags, Flags, dict[str, Any]]:
         """Advance all episodes by one control step.
@@ -101,14 +113,14 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         over = self._ended
         self._refuse_step(over)
         after = self._stepper.step(np.asarray(actions, np.float32), over)
-        view = (
-            self._stepper.begin(np.flatnonzero(over), self._streams) if over.any() else after.view
-        )
+        glimpse = after.glimpse
+        if over.any():
+            glimpse = self._stepper.begin(np.flatnonzero(over), self._streams)
         reward, goal = (np.where(over, 0.0, paid) for paid in (after.reward, after.goal_reward))
         terminated, truncated = after.terminated & ~over, after.truncated & ~over
         self._ended = terminated | truncated
-        information = self._information(view) | _columns(goal_reward=goal)
-        return view.observation, reward, terminated, truncated, information
+        information = self._information(glimpse) | _columns(goal_reward=goal)
+        return glimpse.observation, reward, terminated, truncated, information
 
     def render(self) -> Any:
         """Return a picture of the present state of every episode, or None without a mode."""
@@ -135,9 +147,9 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("no episode is running: `reset` all of them first.")
         return np.flatnonzero(mask)
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
-        if isinstance(seed, int):
-            seed = [seed + row for row in range(self.num_envs)]
+    def _seeds(self, seed: Seeds) -> np.ndarray:
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + row for row in range(self.num_envs)]
         seeds = np.array([None] * self.num_envs if seed is None else seed, object)
         if len(seeds) != self.num_envs:
             raise ValueError(
@@ -155,8 +167,8 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
                 'themselves: call `reset(options={"reset_mask": mask})` before `step`.'
             )
 
-    def _information(self, view: View) -> dict[str, Any]:
-        return _columns(task=self._stepper.task_index.copy(), is_success=view.solved)
+    def _information(self, glimpse: Glimpse) -> dict[str, Any]:
+        return _columns(task=self._stepper.task_index.copy(), is_success=glimpse.solved)
 
 
 def _columns(**columns: np.ndarray) -> dict[str, Any]:

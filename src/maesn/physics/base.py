@@ -6,8 +6,9 @@ no task, no reward and no episode. Row i of every array that goes in or comes ou
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Shaped
 
@@ -17,6 +18,13 @@ Readings: TypeAlias = dict[str, Float64[np.ndarray, "simulation ..."]]
 
 # Values of fields of `mujoco.MjModel` by name, one row for each simulation.
 ModelFields: TypeAlias = Mapping[str, Shaped[np.ndarray, "simulation ..."]]
+
+# What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
+# describes the state one substep earlier unless it is computed again.
+CURRENT = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
+
+# Beyond this size MuJoCo itself calls a number bad, and ignores it as it ignores NaN.
+LARGEST = float(mujoco.mjMAXVAL)
 
 _SHOWN = 5
 
@@ -41,6 +49,26 @@ class PhysicsError(Exception):
         more = len(self.simulations) - _SHOWN
         rest = f" and {more} more" if more > 0 else ""
         super().__init__(f"simulation {shown}{rest}: {reason}")
+
+
+def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
+    """Return where a field of a model is, to be read or set: what holds it, and its name there.
+
+    Args:
+        model: the model.
+        name: of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options.
+
+    Raises:
+        ValueError: there is no such field.
+    """
+    owner, _, field = name.rpartition(".")
+    source = model.opt if owner == "opt" else model
+    if owner not in ("", "opt") or not hasattr(source, field):
+        raise ValueError(
+            f"`model_fields` must name fields of `mujoco.MjModel`, or of its options as "
+            f'"opt.<field>", got {name!r}'
+        )
+    return source, field
 
 
 class AbstractSimulator(ABC):

@@ -22,13 +22,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import Readings
-from maesn.physics.base import EngineError, ModelFields
+from maesn.physics.base import CURRENT, EngineError, ModelFields
 from maesn.physics.loading import label, load_model
 from maesn.physics.mjx_dynamics import Dynamics, ModelVariants
 from maesn.physics.mjx_margins import MarginError, margins_as_sizes
 
-# What a step leaves current; all else needs another forward pass.
-_STATE = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
 # What follows from the forces between bodies.
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 # Fields that MJX has but never fills would read as zeros, so what can be read is what was compared
@@ -94,7 +92,7 @@ class MjxEngine:
             self._variants = ModelVariants(compiled, lambda m: self._put(m, limits))
             self._blank = self._mjx.make_data(self._prepared(compiled, limits))
         self._readers = {name: self._reader(name, compiled) for name in readings}
-        self._derives = not _STATE.issuperset(readings)
+        self._derives = not CURRENT.issuperset(readings)
         self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
 
     def dynamics(self, model_fields: ModelFields) -> Dynamics:
@@ -196,7 +194,7 @@ def import_mjx() -> ModuleType:
     if importlib.util.find_spec("mujoco.mjx") is None:
         raise EngineError(
             "the engine `mjx` needs the package mujoco-mjx, which is not installed: "
-            "`pip install maesn[gpu]` brings it, and JAX for NVIDIA cards"
+            "`pip install -e '.[gpu]'` brings it, and JAX for NVIDIA cards"
         )
     # It prints that it has not found Warp, which it could use as well.
     with contextlib.redirect_stdout(io.StringIO()):

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array
 
-from maesn.physics.base import ModelFields, PhysicsError
+from maesn.physics.base import ModelFields, PhysicsError, find_field
 
 # Leaves of MJX's model by their path in it, where a simulation has its own.
 Dynamics: TypeAlias = dict[str, Array]
@@ -65,7 +65,7 @@ class ModelVariants:
         }
 
     def _check(self, name: str, values: np.ndarray) -> None:
-        shape = np.shape(_value(self._compiled, name))
+        shape = np.shape(getattr(*find_field(self._compiled, name)))
         if values.shape[1:] != shape:
             raise ValueError(
                 f"`{name}` must have the shape {('simulation', *shape)}, got {values.shape}"
@@ -106,23 +106,9 @@ class ModelVariants:
         """Return the model on the device with other fields, and all that follows from them."""
         varied = copy.copy(self._compiled)
         for name, value in fields.items():
-            owner, _, field = name.rpartition(".")
-            target = varied.opt if owner else varied
-            setattr(target, field, value)
+            setattr(*find_field(varied, name), value)
         mujoco.mj_setConst(varied, mujoco.MjData(varied))
         return self._put(varied)
-
-
-def _value(model: mujoco.MjModel, name: str) -> Any:
-    """Value of a field of the model, or of its options if the name is "opt.<field>"."""
-    owner, _, field = name.rpartition(".")
-    source = model.opt if owner == "opt" else model
-    if owner not in ("", "opt") or not hasattr(source, field):
-        raise ValueError(
-            f"`model_fields` must name fields of `mujoco.MjModel`, or of its options as "
-            f'"opt.<field>", got {name!r}'
-        )
-    return getattr(source, field)
 
 
 def _named_leaves(model: Any) -> dict[str, Any]:

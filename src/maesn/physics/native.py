@@ -14,23 +14,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from maesn.physics.base import (
+    CURRENT,
+    LARGEST,
     AbstractSimulator,
     EngineError,
     ModelFields,
     PhysicsError,
     Readings,
+    find_field,
 )
 from maesn.physics.loading import load_model
 
 _Mask: TypeAlias = Bool[np.ndarray, " simulation"]
 _Rows: TypeAlias = slice | np.ndarray
-
-# What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
-# describes the state one substep earlier unless it is computed again.
-_STATE = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
-
-# Beyond this size MuJoCo itself calls a number bad, and ignores it as it ignores NaN.
-_LARGEST = float(mujoco.mjMAXVAL)
 
 
 class NativeSimulator(AbstractSimulator):
@@ -77,7 +73,7 @@ class NativeSimulator(AbstractSimulator):
         self._expanded: set[str] = set()
         self._qpos, self._qvel, self._control = map(self._batch.bind, ("qpos", "qvel", "ctrl"))
         self._readings = {name: self._batch.bind(name) for name in readings}
-        self._derives = not _STATE.issuperset(readings)
+        self._derives = not CURRENT.issuperset(readings)
         stage = mujoco.mjtStage.mjSTAGE_ACC if self._derives else mujoco.mjtStage.mjSTAGE_NONE
         self._stage = int(stage)
 
@@ -158,7 +154,7 @@ class NativeSimulator(AbstractSimulator):
         info, count = self._batch.warning[simulation].T
         if not count.any():
             return (
-                f"the state must stay finite and below {_LARGEST:.0e} in size, got "
+                f"the state must stay finite and below {LARGEST:.0e} in size, got "
                 f"qpos {self._qpos[simulation]} and qvel {self._qvel[simulation]}: shorten the "
                 "model's time step, or bound what drives it"
             )
@@ -173,7 +169,7 @@ class NativeSimulator(AbstractSimulator):
     def _write_model_fields(self, fields: ModelFields, rows: _Rows) -> None:
         """Give simulations their own dynamics, and the model's own to fields not named."""
         for name in self._expanded - fields.keys():
-            self._batch.expand(name)[rows] = _own_value(self._model, name)
+            self._batch.expand(name)[rows] = getattr(*find_field(self._model, name))
         for name, value in fields.items():
             expanded = self._batch.expand(name)
             _check_rows(name, value, expanded, rows)
@@ -219,23 +215,16 @@ def _check_rows(
         failed = np.flatnonzero(~_sound_rows(values))
         raise PhysicsError(
             np.arange(whole.shape[0])[rows][failed].tolist(),
-            f"`{name}` must be finite and below {_LARGEST:.0e} in size, got {values[failed[0]]}: "
+            f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed[0]]}: "
             "look for what computed it, because MuJoCo would go on without it",
         )
 
 
 def _is_sound(values: np.ndarray) -> bool:
     # False for NaN too. No product: large ones wake threads that the engine then has to wait for.
-    return bool(values.max(initial=0.0) <= _LARGEST and values.min(initial=0.0) >= -_LARGEST)
+    return bool(values.max(initial=0.0) <= LARGEST and values.min(initial=0.0) >= -LARGEST)
 
 
 def _sound_rows(values: np.ndarray) -> Bool[np.ndarray, " simulation"]:
     size = np.abs(values.reshape(values.shape[0], -1))
-    return size.max(axis=1, initial=0.0) <= _LARGEST
-
-
-def _own_value(model: mujoco.MjModel, name: str) -> Any:
-    """Value of a field of the model, or of its options if the name is "opt.<field>"."""
-    if name.startswith("opt."):
-        return getattr(model.opt, name.removeprefix("opt."))
-    return getattr(model, name)
+    return size.max(axis=1, initial=0.0) <= LARGEST

@@ -11,12 +11,11 @@ from maesn.axes import Readings
 from maesn.envs.base import AbstractMujocoEnv, Start
 from maesn.envs.tasks import TaskSet
 from maesn.physics import PhysicsError
+from maesn.physics.base import LARGEST
 from maesn.physics.mjx import NO_LIMITS, MjxEngine, MjxLimits, MjxState
 from maesn.worlds.base import AbstractWorld, Act, Actors, SimulationFailure, Trajectory
 from maesn.worlds.device import scan_episodes
 
-# Beyond this size MuJoCo calls a number bad (`mjMAXVAL`).
-_LARGEST = 1e10
 # By these it is seen whether a simulation has blown up.
 _STATE = ("qpos", "qvel")
 
@@ -99,7 +98,7 @@ def _first_failure(
 ) -> tuple[Bool[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """Return whether a living episode has blown up, and the first step and simulation of those."""
     size = jnp.maximum(*(jnp.abs(readings[name]).max(axis=-1) for name in _STATE))
-    failed = jnp.logical_not(size <= _LARGEST)  # of NaN, too
+    failed = jnp.logical_not(size <= LARGEST)  # of NaN, too
     alive = jnp.logical_not(ended.reshape(ended.shape[0], -1))
     # The start belongs to the first step, whatever that makes of it.
     by_step = failed[1:].at[0].set(failed[0] | failed[1]) & alive
@@ -112,6 +111,6 @@ def _refuse(failed: np.ndarray, step: np.ndarray, simulation: np.ndarray) -> Non
         raise SimulationFailure(
             int(simulation),
             int(step),
-            f"control and state must stay finite and below {_LARGEST:.0e} in size, and do not: "
+            f"control and state must stay finite and below {LARGEST:.0e} in size, and do not: "
             "shorten the model's time step, or bound what drives it",
         )

@@ -1,0 +1,91 @@
+"""What can be asked of the Gymnasium environments. What cannot is refused by its own name."""
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import TypeAlias, get_args
+
+import numpy as np
+from jaxtyping import Int
+
+from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
+
+TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
+"""Index of a task in its set, for all episodes or for each; None for one that is drawn."""
+
+RENDER_MODES = ("rgb_array",)
+
+
+def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> None:
+    """Refuse a name that stands for nothing: ignoring it would do something else than was asked.
+
+    Args:
+        kind: what the names stand for, with an article.
+        given: the names that came.
+        known: all that there are.
+
+    Raises:
+        ValueError: a name is not known.
+    """
+    for name in given:
+        if name not in known:
+            names = ", ".join(f"`{one}`" for one in known)
+            raise ValueError(f"`{name}` is not {kind}: choose from {names}.")
+
+
+def make_steppable(
+    family: TaskFamily, reward: RewardKind, variant: Variant, sparse_radius: float | None
+) -> AnyEnv:
+    """Return the environment of a family, which must be one that Gymnasium can step.
+
+    Args:
+        family: of tasks.
+        reward: dense or sparse.
+        variant: whose reward formulas.
+        sparse_radius: radius of the goal region in metres; None for the family's own.
+
+    Raises:
+        ValueError: its actions are discrete, or a setting is wrong.
+    """
+    if reward not in get_args(RewardKind):  # environments know it by another name
+        kinds = " or ".join(map(repr, get_args(RewardKind)))
+        raise ValueError(f"`reward` must be {kinds}, got {reward!r}.")
+    radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
+    env = family.make_env(variant=variant, reward_kind=reward, **radius)
+    if env.action_kind != "continuous":
+        raise ValueError(
+            f"`family` must have continuous actions to be stepped here, but those of "
+            f"`{family.name}` are {env.action_kind}: play it with `maesn.Collector`."
+        )
+    return env
+
+
+def checked_task(
+    task: TaskChoice, num_tasks: int, num_episodes: int
+) -> Int[np.ndarray, " episode"] | None:
+    """Return the index of the task of each episode; None if they are to be drawn.
+
+    Raises:
+        ValueError: there is no such task, or it is not said for every episode.
+    """
+    if task is None:
+        return None
+    chosen = np.asarray(task)
+    whole = chosen.dtype.kind in "iu" and chosen.shape in ((), (num_episodes,))
+    if not whole or (chosen < 0).any() or (chosen >= num_tasks).any():
+        raise ValueError(
+            f"`task` must be an index from 0 to {num_tasks - 1}, or one for each of "
+            f"{num_episodes} episodes, got {task!r}."
+        )
+    return np.broadcast_to(chosen, (num_episodes,))
+
+
+def checked_render_mode(render_mode: str | None) -> str | None:
+    """Return a render mode if there is such.
+
+    Raises:
+        ValueError: there is not.
+    """
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise ValueError(
+            f"`render_mode` must be {', '.join(RENDER_MODES)} or None, got {render_mode!r}."
+        )
+    return render_mode
