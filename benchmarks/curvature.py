@@ -18,7 +18,7 @@ means.
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ import tyro
 from jaxtyping import Array, Float
 
 from maesn.axes import Key
-from maesn.envs import TaskFamily, find_family
+from maesn.envs import find_family
 from maesn.episodes import Thinning
 from maesn.learners import PRESETS, GradientMetaLearner
 from maesn.learners.curvature import sampled_distributions
@@ -36,7 +36,7 @@ from maesn.learners.objective import MetaObjective, MetaParameters, start_agents
 from maesn.rollout import Collector
 from maesn.runs.run import Run
 from maesn.trust_region import TrustRegion, TrustRegionInfo
-from maesn.worlds import make_world
+from maesn.worlds import AbstractWorld, make_world
 
 HEADING = (
     "cg steps  damping  stride  Hessian's  gain (x 1000, +- standard error)  on its own batch  "
@@ -85,7 +85,8 @@ class Settings:
     family: str = "wheeled"
     """Family of tasks."""
     run: Path | None = None
-    """Directory of a run of such a method, whose latest checkpoint is judged; None: train one."""
+    """Directory of a run of such a method, whose latest checkpoint is judged, in the run's own
+    world. None: train `method` on `family`."""
     iterations: int = 60
     """Meta-iterations of that training."""
     repetitions: int = 6
@@ -162,36 +163,34 @@ def objective(
     )
 
 
-def subject(settings: Settings) -> tuple[GradientMetaLearner, GradientState, TaskFamily]:
-    """Return the learner whose steps are judged, its state, and the tasks that it learns from."""
+def subject(settings: Settings) -> tuple[GradientMetaLearner, GradientState, AbstractWorld]:
+    """Return the learner whose steps are judged, its state, and the world that it learns in."""
     if settings.run is not None:
         run = Run.open(settings.run)
-        learner, state, family = run.learner, run.latest_state(), find_family(run.config.family)
-    else:
-        learner, family = PRESETS[settings.method](), find_family(settings.family)
-        state = trained(learner, family, settings)
+        assert isinstance(run.learner, GradientMetaLearner)
+        return run.learner, run.latest_state(), run.world()
+    learner, family = PRESETS[settings.method](), find_family(settings.family)
     assert isinstance(learner, GradientMetaLearner)
-    return learner, state, family
+    world = make_world(family.make_env(), family.task_set("training"))
+    return learner, trained(learner, world, settings), world
 
 
-def trained(learner: Any, family: TaskFamily, settings: Settings) -> Any:
+def trained(
+    learner: GradientMetaLearner, world: AbstractWorld, settings: Settings
+) -> GradientState:
     """Train a while, and return the state."""
-    env = family.make_env()
-    world = make_world(env, family.task_set("training"))
-    collect = Collector(world, settings.episodes_per_task)
+    env, collect = world.env, Collector(world, settings.episodes_per_task)
     state = learner.init(
         jax.random.key(0), env.observation_size, env.action_size, collect.num_tasks
     )
     for iteration in range(settings.iterations):
         state, _ = learner.step(jax.random.fold_in(jax.random.key(1), iteration), state, collect)
-    world.close()
     return state
 
 
 def main(settings: Settings) -> None:
     """Train or load, measure, print."""
-    learner, state, family = subject(settings)
-    world = make_world(family.make_env(), family.task_set("training"))
+    learner, state, world = subject(settings)
     collect = Collector(world, settings.episodes_per_task)
     judge = Collector(world, settings.judged_episodes)
     has_hessian = learner.adaptation.policy is not None or learner.context.is_pathwise
@@ -203,8 +202,9 @@ def main(settings: Settings) -> None:
         unseen = objective(learner, state.parameters, judge, second)
         for choice in choices:
             outcomes[choice].append(outcome(choice, state.parameters, seen, unseen))
+    world.close()
     of = settings.method if settings.run is None else settings.run
-    print(f"{of} on {family.name}, after {int(state.iteration)} meta-iterations")
+    print(f"{of} on {world.env.name}, after {int(state.iteration)} meta-iterations")
     print(HEADING)
     for choice, found in outcomes.items():
         print(row(choice, found))

@@ -10,9 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from maesn.axes import ActionKind, Key
+from maesn.axes import Key
 from maesn.episodes import Collect
-from maesn.learners import AbstractFastLearner, AbstractMetaLearner, GradientMetaLearner, maesn
+from maesn.learners import (
+    AbstractFastLearner,
+    AbstractMetaLearner,
+    GradientMetaLearner,
+    floors,
+    maesn,
+)
 from maesn.policies import GaussianMLP
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.config import RunSettings
@@ -62,10 +68,7 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
         return state.iteration
 
     def fast_learner(self, state: DriftState) -> AbstractFastLearner[Any]:
-        raise NotImplementedError
-
-    def action_kind(self, state: DriftState) -> ActionKind:
-        return "continuous"
+        return floors(2, 2, "continuous")["zero action"]
 
 
 # So that a run directory can hold it, in the processes of these tests.

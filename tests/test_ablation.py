@@ -6,9 +6,11 @@ import pytest
 from small_runs import tensors
 
 from maesn import cli
+from maesn.ablation import Ablation
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.learners import AbstractMetaLearner, maesn, maml, method_name
 from maesn.report.style import series_styles
+from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest, from_json, to_json
 
@@ -59,6 +61,7 @@ def test_the_published_radii_are_those_of_wheeled_alone() -> None:
     assert ablation_radii("wheeled") == (0.8, 1.0)
     # Blocks begin within 0.6 m of their goals: at radius 0.8 there would be nothing to learn.
     assert ablation_radii("blockpush") == ablation_radii("point") == (None,)
+    assert Ablation(RunSettings(family="wheeled", sparse_radius=0.5)).radii == (0.5,)
 
 
 def test_lines_can_be_told_apart() -> None:

@@ -269,7 +269,7 @@ def test_without_gymnasium_one_sentence_says_what_to_install() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.stderr.splitlines()[-1] == (
-        "ImportError: `maesn.gym` needs Gymnasium: pip install -e '.[gym]'"
+        "ImportError: `maesn.gym` needs Gymnasium: pip install -e '.[gym]' in its clone"
     )
 
 

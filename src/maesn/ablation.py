@@ -46,6 +46,15 @@ class Ablation:
         return self.settings.family if ":" in self.settings.family else None
 
     @property
+    def radii(self) -> tuple[float | None, ...]:
+        """Sparse radii of the new tasks: that of the settings, else those of the published figure.
+
+        Where none was published, as on most families, None stands for the family's own.
+        """
+        own = self.settings.sparse_radius
+        return ablation_radii(self.settings.family) if own is None else (own,)
+
+    @property
     def names(self) -> list[str]:
         """Names of the lines, in the order of the figure."""
         return [name for name in ABLATION if not self.only or name in self.only]
@@ -70,8 +79,7 @@ def ablate(
         ablation: which lines, trained how.
         out: directory of runs, curves, figures and tables.
         conditions: of the adaptation.
-        radii: sparse radii of the new tasks, in metres; none for those of the published figure, or
-            where there is none, as on most families, for the family's own.
+        radii: sparse radii of the new tasks, in metres; none for `ablation.radii`.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
         say: is told what goes on.
 
@@ -87,8 +95,8 @@ def ablate(
         _train(ablation, name, out / RUNS)
     told = None if oracle is None else Run.open(oracle, ablation.own_family)
     done: dict[float | None, Comparison] = {}
-    for radius in radii or ablation_radii(ablation.settings.family):
-        say(f"adaptation on sparse reward, {said_radius(radius)}")
+    for radius in radii or ablation.radii:
+        say(f"adaptation on sparse reward, {radius_label(radius)}")
         settings = dataclasses.replace(ablation.settings, sparse_radius=radius)
         with closing(ground_of(settings, conditions)) as ground:
             check_family([told] if told else [], ground)
@@ -98,8 +106,8 @@ def ablate(
     return done
 
 
-def said_radius(radius: float | None) -> str:
-    """Name a sparse radius."""
+def radius_label(radius: float | None) -> str:
+    """Return how a sparse radius is called in messages."""
     return "the family's own radius" if radius is None else f"radius {radius:g} m"
 
 

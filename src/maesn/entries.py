@@ -19,7 +19,7 @@ from maesn.learners import (
     trpo,
     vime,
 )
-from maesn.policies import AbstractPolicySettings, CategoricalMLP, GaussianMLP
+from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.adaptation_files import adaptation_file, engine_suffix
 from maesn.runs.adaptation_record import Identity, identity_of_run, written_out
@@ -28,12 +28,6 @@ from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
-
-# A policy of the usual size for each kind of action, for methods from scratch.
-POLICIES: dict[str, AbstractPolicySettings] = {
-    "continuous": GaussianMLP(),
-    "discrete": CategoricalMLP(),
-}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,7 +75,7 @@ class Scratch:
             trpo: region,
             vime: {**region, "curiosity": Curiosity(self.curiosity_weight)},
         }
-        policy = POLICIES[env.action_kind]
+        policy = USUAL[env.action_kind]
         return make(env.observation_size, env.action_size, policy=policy, **settings[make])
 
 

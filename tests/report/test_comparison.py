@@ -170,12 +170,14 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     assert maesn[2] == "6"
     assert maesn[5].startswith(f"{rest.mean():.1f} [")
     assert trpo[2] == "4"
-    only_solved = dataclasses.replace(
+    solved_alone = dataclasses.replace(
         compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
     )
     floor = tuple(with_solved([0], line) for line in some.floor)
-    _, others, _ = summary_tables(dataclasses.replace(only_solved, floor=floor))
+    _, others, _ = summary_tables(dataclasses.replace(solved_alone, floor=floor))
     assert others.rows[0][0] == "MAESN"
+    nobody = dataclasses.replace(solved_alone, floor=floor, lines=solved_alone.lines[:1])
+    assert len(summary_tables(nobody)) == 1
 
 
 def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> None:

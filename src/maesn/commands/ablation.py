@@ -3,7 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-from maesn.ablation import Ablation, ablate, said_radius
+from maesn.ablation import Ablation, ablate, radius_label
 from maesn.commands.options import parse
 from maesn.comparison import USUAL
 from maesn.report.comparison_tables import print_summary
@@ -32,8 +32,8 @@ class Options:
     only: tuple[str, ...] = ()
     """Names of some lines of the figure; none for all."""
     radii: tuple[float, ...] = ()
-    """Sparse radii of the new tasks, in metres; a figure for each. None: on `wheeled` 0.8 and 1, as
-    in the published figure; elsewhere the family's own."""
+    """Sparse radii of the new tasks, in metres; a figure for each. Left out: on `wheeled` 0.8 and
+    1, as in the published figure; elsewhere the family's own."""
     tasks: str = USUAL.tasks
     """Tasks to adapt to: test, validation, training, ood, or an `.npz` file."""
     num_tasks: int | None = USUAL.num_tasks
@@ -62,7 +62,7 @@ def main(arguments: list[str]) -> None:
         say=print,
     )
     for radius, comparison in done.items():
-        print(f"Sparse reward, {said_radius(radius)}")
+        print(f"Sparse reward, {radius_label(radius)}")
         print_summary(comparison)
 
 

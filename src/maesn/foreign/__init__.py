@@ -6,7 +6,7 @@ Nothing here imports JAX: a worker is up in the time that its environments take 
 from importlib.util import find_spec
 
 if find_spec("gymnasium") is None:
-    raise ImportError("foreign environments need Gymnasium: pip install -e '.[gym]'")
+    raise ImportError("foreign environments need Gymnasium: pip install -e '.[gym]' in its clone")
 
 from maesn.foreign.interface import Interface as Interface
 from maesn.foreign.interface import InterfaceError as InterfaceError

@@ -7,7 +7,7 @@ itself. `gymnasium.make_vec` of the same names plays many episodes at once on th
 from importlib.util import find_spec
 
 if find_spec("gymnasium") is None:
-    raise ImportError("`maesn.gym` needs Gymnasium: pip install -e '.[gym]'")
+    raise ImportError("`maesn.gym` needs Gymnasium: pip install -e '.[gym]' in its clone")
 
 import gymnasium
 

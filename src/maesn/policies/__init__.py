@@ -11,3 +11,4 @@ from maesn.policies.recurrent import Recurrent as Recurrent
 from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy
 from maesn.policies.recurrent import input_features as input_features
 from maesn.policies.recurrent import input_size as input_size
+from maesn.policies.usual import USUAL as USUAL

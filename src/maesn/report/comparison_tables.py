@@ -57,8 +57,9 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
     """
     tables = [_ends(comparison)]
     unsolved = ~comparison.is_solved_at_reset
-    if unsolved.any() and not unsolved.all():
-        tables.append(_ends(comparison.of_tasks(unsolved), WITHOUT_SOLVED))
+    others = comparison.of_tasks(unsolved)
+    if others.lines and not unsolved.all():
+        tables.append(_ends(others, WITHOUT_SOLVED))
     if len(comparison.lines) > 1:
         tables.append(_improvements(comparison))
     return tables

@@ -32,7 +32,7 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.serialization import digest
-from maesn.runs.starting import iteration_key, untrained_state
+from maesn.runs.starting import check_actions, iteration_key, untrained_state
 from maesn.runs.storage import RunError, new_directory
 from maesn.runs.task_sources import (
     TASKS_FILE,
@@ -45,8 +45,6 @@ from maesn.runs.task_sources import (
 from maesn.worlds import AbstractWorld, EngineName, make_world
 
 CHECKPOINTS = "checkpoints"
-# Settings of policies without memory, by the kind of their actions.
-_POLICIES = {"continuous": "GaussianMLP", "discrete": "CategoricalMLP"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,7 +104,7 @@ class Run:
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / TASKS_FILE, tasks, family)
             state = (first_state or cls.untrained_state)(run)
-            run._check_actions(state)
+            check_actions(learner, state, run.env())
             run.save_state(state)
             # Last, so that a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
@@ -187,21 +185,6 @@ class Run:
             return untrained_state(*self._made_of())
         except ValueError as error:
             raise RunError(str(error)) from error
-
-    def _check_actions(self, state: Any) -> None:
-        """Refuse policies whose actions are of another kind than the environment's.
-
-        Raises:
-            RunError: they are.
-        """
-        env, kind = self.env(), self.learner.action_kind(state)
-        if kind != env.action_kind:
-            raise RunError(
-                f"`{env.name}` needs a policy of {env.action_kind} actions, but that of "
-                f"`{self.settings.method}` chooses {kind} ones: give the learner another, as in "
-                f'maesn.PRESETS["maesn"](policy=maesn.{_POLICIES[env.action_kind]}()), or train '
-                f"`rl2` with --policy.action-kind {env.action_kind}."
-            )
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""

@@ -8,7 +8,9 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import AnyEnv
-from maesn.learners import AbstractMetaLearner
+from maesn.learners import AbstractMetaLearner, method_name
+from maesn.policies import USUAL
+from maesn.runs.storage import RunError
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
 # instead would yield the keys of iterations 0 and 1 a second time.
@@ -31,6 +33,23 @@ def untrained_state(
     key = iteration_key(seed, _UNTRAINED)
     sizes = (env.observation_size, env.action_size, num_tasks, description_size)
     return _init(learner, key, *sizes)
+
+
+def check_actions(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
+    """Refuse policies whose actions are of another kind than the environment's.
+
+    Raises:
+        RunError: they are.
+    """
+    wanted, kind = env.action_kind, learner.action_kind(state)
+    if kind != wanted:
+        method, usual = method_name(learner), type(USUAL[wanted]).__name__
+        raise RunError(
+            f"`{env.name}` needs a policy of {wanted} actions, but that of `{method}` chooses "
+            f"{kind} ones: give the learner another, as in "
+            f'maesn.PRESETS["maesn"](policy=maesn.{usual}()), or train `rl2` with '
+            f"--policy.action-kind {wanted}."
+        )
 
 
 @eqx.filter_jit
