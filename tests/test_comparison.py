@@ -15,6 +15,7 @@ from maesn.comparison import compare, ground_of, silent
 from maesn.entries import Scratch
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
+from maesn.policies.usual import USUAL
 from maesn.report.adaptation_table import read_adaptation
 from maesn.report.style import METHOD_STYLES
 from maesn.runs import contest
@@ -42,7 +43,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(autouse=True)
 def small_policies(monkeypatch: pytest.MonkeyPatch) -> None:
     """Methods from scratch with small networks, which compile and run faster."""
-    monkeypatch.setitem(entries.POLICIES, "continuous", GaussianMLP((4,)))
+    monkeypatch.setitem(USUAL, "continuous", GaussianMLP((4,)))
 
 
 @contextmanager

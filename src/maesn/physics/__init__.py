@@ -1,10 +1,13 @@
 """Physics: models, and the engines that move them. The one place that imports MuJoCo."""
 
+# First, as it imports MuJoCo even where MUJOCO_GL names a library that is missing.
+from maesn.physics.graphics import RenderingError as RenderingError
+
+# isort: split
 from maesn.physics.base import AbstractSimulator as AbstractSimulator
 from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
-from maesn.physics.graphics import RenderingError as RenderingError
 from maesn.physics.loading import load_model as load_model
 from maesn.physics.native import NativeSimulator as NativeSimulator
 from maesn.physics.rendering import Renderer as Renderer
