@@ -182,12 +182,21 @@ def test_wrong_settings_are_refused_by_name(
         TaskEnv(**{"family": "point"} | settings)
 
 
-def test_a_misspelt_option_of_a_reset_is_refused_and_changes_nothing() -> None:
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"taks": 3}, r"^`taks` is not an option: choose from `task`\.$"),
+        ({"task": 100}, "^`task` must be an index from 0 to 99"),
+    ],
+)
+def test_a_wrong_option_of_a_reset_is_refused_and_changes_nothing(
+    wrong: dict[str, Any], message: str
+) -> None:
     env, other = TaskEnv("point"), TaskEnv("point")
     env.reset(seed=3)
     other.reset(seed=3)
-    with pytest.raises(ValueError, match=r"^`taks` is not an option: choose from `task`\.$"):
-        env.reset(seed=4, options={"taks": 3})
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=4, options=wrong)
     assert env.reset(options={})[1] == other.reset()[1]
 
 

@@ -107,9 +107,15 @@ def test_tasks_are_chosen_for_all_or_for_each() -> None:
         ({"seed": [1, 2]}, "`seed` must be one number or one for each of 3 episodes, got 2"),
     ],
 )
-def test_wrong_resets_are_refused_by_name(wrong: dict[str, Any], message: str) -> None:
+def test_wrong_resets_are_refused_by_name_and_change_nothing(
+    wrong: dict[str, Any], message: str
+) -> None:
+    envs, others = TaskVectorEnv("point", COUNT), TaskVectorEnv("point", COUNT)
+    envs.reset(seed=3)
+    others.reset(seed=3)
     with pytest.raises(ValueError, match=message):
-        TaskVectorEnv("point", COUNT).reset(**wrong)
+        envs.reset(**{"seed": 4} | wrong)
+    np.testing.assert_array_equal(envs.reset()[1]["task"], others.reset()[1]["task"])
 
 
 def test_what_it_cannot_do_is_refused() -> None:

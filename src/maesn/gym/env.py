@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
-from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_render_mode, refuse_unknown
+from maesn.gym.settings import RENDER_MODES, checked_render_mode, refuse_unknown
 from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
 from maesn.worlds import Scene
 
@@ -61,9 +61,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         """
         options = options or {}
         refuse_unknown("an option", options, ("task",))
+        chosen = self._stepper.choose(options.get("task"))
         super().reset(seed=seed)
-        task: TaskChoice = options.get("task")
-        glimpse = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], task)
+        glimpse = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], chosen)
         self._ended = False
         return glimpse.observation[0], self._information(glimpse)
 

@@ -95,11 +95,24 @@ class Stepper:
         """Of one episode: [-1, 1] covers the range of the actuators, see `docs/gymnasium.md`."""
         return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
 
+    def choose(self, task: TaskChoice = None) -> Int[np.ndarray, " episode"] | None:
+        """Return the index of the task of each episode; None if they are to be drawn.
+
+        Args:
+            task: index of the task, for all or for each episode; None for what was chosen when
+                the environment was made.
+
+        Raises:
+            ValueError: there is no such task.
+        """
+        asked = checked_task(task, len(self.tasks), self.num_episodes)
+        return self._chosen if asked is None else asked
+
     def begin(
         self,
         rows: Int[np.ndarray, " row"],
         streams: Sequence[np.random.Generator],
-        task: TaskChoice = None,
+        chosen: Int[np.ndarray, " episode"] | None,
     ) -> Glimpse:
         """Start some episodes anew.
 
@@ -107,18 +120,14 @@ class Stepper:
             rows: indices of the episodes, ascending.
             streams: one for every episode; those of `rows` draw the start, and the task if it is
                 not chosen.
-            task: index of the task, for all or for each episode; None for what was chosen when
-                the environment was made.
+            chosen: the index of the task of each episode; None to draw them.
 
         Returns:
             The states of all episodes.
 
         Raises:
             EpisodeError: the physics cannot begin with the state that was drawn.
-            ValueError: there is no such task.
         """
-        asked = checked_task(task, len(self.tasks), self.num_episodes)
-        chosen = self._chosen if asked is None else asked
         seeds = np.zeros(self.num_episodes, np.uint32)
         for row in rows:
             drawn = streams[row].integers(len(self.tasks)) if chosen is None else chosen[row]

@@ -93,10 +93,11 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         options = options or {}
         refuse_unknown("an option", options, ("task", "reset_mask"))
         rows = self._rows_to_reset(options)
+        chosen = self._stepper.choose(options.get("task"))
         for row, own_seed in zip(rows, self._seeds(seed)[rows], strict=True):
             if own_seed is not None:
                 self._streams[row] = seeding.np_random(int(own_seed))[0]
-        glimpse = self._stepper.begin(rows, self._streams, options.get("task"))
+        glimpse = self._stepper.begin(rows, self._streams, chosen)
         self._running, self._ended[rows] = True, False
         return glimpse.observation, self._information(glimpse)
 
@@ -115,7 +116,9 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         after = self._stepper.step(np.asarray(actions, np.float32), over)
         glimpse = after.glimpse
         if over.any():
-            glimpse = self._stepper.begin(np.flatnonzero(over), self._streams)
+            glimpse = self._stepper.begin(
+                np.flatnonzero(over), self._streams, self._stepper.choose()
+            )
         reward, goal = (np.where(over, 0.0, paid) for paid in (after.reward, after.goal_reward))
         terminated, truncated = after.terminated & ~over, after.truncated & ~over
         self._ended = terminated | truncated
