@@ -98,18 +98,24 @@ def chosen(ends: dict[str, np.ndarray]) -> str:
     return best if gain.mean() > standard_error(gain) else default
 
 
+def last_prepared(line: Line) -> int:
+    """Return the last update, of methods with memory the last that they were trained for."""
+    return len(line.tables[0].updates) - 1 if line.first_beyond is None else line.first_beyond - 1
+
+
 def rows(method: str, lines: dict[str, Line]) -> Iterator[str]:
     """Yield rows of Markdown, the chosen configuration bold."""
-    ends = {name: line.measure("mean_return")[0, :, -1] for name, line in lines.items()}
+    last = {name: last_prepared(line) for name, line in lines.items()}
+    ends = {name: line.measure("mean_return")[0, :, last[name]] for name, line in lines.items()}
     kept = chosen(ends)
     for name, end in ends.items():
         line, error = lines[name], standard_error(end)
-        success = 100 * line.measure("success_rate")[0, :, -1].mean()
+        success = 100 * line.measure("success_rate")[0, :, last[name]].mean()
         cells = (
             f"`{method}`",
             f"**{name}**" if name == kept else name,
             len(end),
-            line.tables[0].updates[-1],
+            line.tables[0].updates[last[name]],
             f"{end.mean():.1f} ± {error:.1f}",
             f"{success:.1f}",
         )
@@ -126,8 +132,8 @@ def main() -> None:
         for row in rows(method, configurations(method, settings)):
             print(row, flush=True)
     print(
-        "\nAfter the last update; ± one standard error over tasks, of one seed; share of episodes. "
-        "Bold: chosen; the first of a method is its default."
+        "\nAfter the last update (of `rl2`, the last that its trials had); ± one standard error "
+        "over tasks, of one seed; share of episodes. Bold: chosen; the first is the default."
     )
 
 

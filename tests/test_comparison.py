@@ -11,7 +11,7 @@ import pytest
 from small_runs import create, finish, tiny_maesn
 
 from maesn import api, cli, entries, evaluate
-from maesn.comparison import compare, ground_of, silent
+from maesn.comparison import Place, compare, ground_of, silent
 from maesn.entries import Scratch
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
@@ -234,6 +234,13 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --curiosity-weight -1 --out {0}", "`curiosity_weight` must be at least 0, got -1"),
         ("{1} --step-size inf --out {0}", "`step_size` must be positive, got inf"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
+        ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is told the task"),
+        ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
+        ("{1} --fine-tune trpo --updates 10 --out {0}", "must be more than `after`, got 10 and 10"),
+        ("{1} --seed 4294967296 --out {0}", "`seed` must lie between 0 and 2^32 - 1"),
+        ("{1} --scratch-seeds 0 0 --out {0}", "`seeds` must be different numbers"),
+        ("{1} --scratch-seeds -1 --out {0}", "`seeds` must lie between 0 and 2^32 - 1"),
+        ("{1} --scratch reinforce vpg --out {0}", "`reinforce` can begin from scratch only once"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_in_a_sentence(
@@ -243,7 +250,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(
     arguments: str,
     message: str,
 ) -> None:
-    command = arguments.format(tmp_path / "out", runs["maesn"]).split()
+    command = arguments.format(tmp_path / "out", runs["maesn"], runs["oracle"]).split()
     try:
         code = cli.run(["compare", *command])
     except SystemExit as ended:  # of the parser of options
@@ -251,6 +258,13 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(
     assert code == cli.USAGE_ERROR
     shown = capsys.readouterr()
     assert message in " ".join((shown.err + shown.out).replace("│", " ").split())
+
+
+def test_a_variant_in_which_a_run_sees_something_else_is_refused(tmp_path: Path) -> None:
+    """On `blockpush` the paper's variant tells the goal, two components more."""
+    run = create(tmp_path / "run", tiny_maesn(), family="blockpush")
+    with pytest.raises(RunError, match=r"must have `observation_size` 28 .*, got 26, that of its"):
+        compare([run.directory], out=tmp_path, place=Place(variant="paper"), conditions=FEW)
 
 
 def test_runs_in_different_worlds_are_refused(runs: dict[str, Path], tmp_path: Path) -> None:

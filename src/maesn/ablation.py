@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from maesn import api
-from maesn.comparison import Say, check_family, compare_entries, ground_of, silent
+from maesn.comparison import Say, check_world, compare_entries, ground_of, open_oracle, silent
 from maesn.entries import Entry, entry_of_runs
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.report.comparison import Comparison
@@ -93,13 +93,13 @@ def ablate(
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
-    told = None if oracle is None else Run.open(oracle, ablation.own_family)
+    told = None if oracle is None else open_oracle(oracle, ablation.own_family)
     done: dict[float | None, Comparison] = {}
     for radius in radii or ablation.radii:
         say(f"adaptation on sparse reward, {radius_label(radius)}")
         settings = dataclasses.replace(ablation.settings, sparse_radius=radius)
         with closing(ground_of(settings, conditions)) as ground:
-            check_family([told] if told else [], ground)
+            check_world([told] if told else [], ground)
             entries = _entries(ablation, out / RUNS, ground)
             place = out / ("own-radius" if radius is None else f"radius-{radius:g}")
             done[radius] = compare_entries(entries, ground, place, oracle=told, say=say)

@@ -111,12 +111,17 @@ def adapt(
         test_time: what is changed about the learner in new tasks: step sizes, curiosity,
             fine-tuning.
         engine: what moves the world; None for the run's own engine.
+
+    Raises:
+        RunError: a setting cannot be used, or not together with another one.
+        EpisodeError: an episode went wrong.
     """
     if updates < 0 or episodes_per_task < 1 or not 0 <= seed < 2**32:
         raise RunError(
             "`updates` must be at least 0, `episodes_per_task` at least 1 and `seed` from 0 to "
             f"2^32 - 1, got {updates}, {episodes_per_task} and {seed}."
         )
+    test_time.check_reached(updates)
     run = Run.open(working_copy(directory), family=family)
     learner = test_time.add_to(run.learner.fast_learner(run.latest_state()), run, run.env())
     go_on, done = None, 0
@@ -143,6 +148,7 @@ def adapt(
             updates,
             done,
         )
+    record["trial_episodes"] = outcome.trial_episodes
     suffix = test_time.suffix + engine_suffix(engine)
     table = adaptation_file(run.directory, tasks, reward, done, suffix)
     write_outcome(table if out is None else Path(out), outcome, record)

@@ -119,11 +119,16 @@ def compare(
     """
     own = place.family if place.family and ":" in place.family else None
     runs = [Run.open(path, family=own) for path in directories]
-    told = None if oracle is None else Run.open(oracle, family=own)
+    told = None if oracle is None else open_oracle(oracle, own)
     settings = place.settings(runs)
     _check_tuned(tuned_methods, runs, test_time)
+    test_time.check_reached(conditions.updates)
+    if told and any(run.settings.method == told.settings.method for run in runs):
+        raise RunError(
+            "an oracle is among the runs, and --oracle names one as well: give one of the two."
+        )
     with closing(ground_of(settings, conditions)) as ground:
-        check_family([*runs, *([told] if told else [])], ground)
+        check_world([*runs, *([told] if told else [])], ground)
         entries = _entries(runs, ground, place.engine, test_time, tuned_methods, say)
         entries += scratch_entries(scratch, ground)
         if not entries:
@@ -136,8 +141,28 @@ def ground_of(settings: RunSettings, conditions: Conditions) -> Ground:
     return open_ground(resolve_family(settings.family), settings, conditions)
 
 
-def check_family(runs: Sequence[Run], ground: Ground) -> None:
-    """Refuse runs that were trained in another family.
+def open_oracle(directory: str | Path, family: str | None) -> Run:
+    """Open a run whose policy is told the task.
+
+    Args:
+        directory: of the run.
+        family: the run's family, if it is the user's own.
+
+    Raises:
+        RunError: it cannot be read, or is a run of another method.
+    """
+    run = Run.open(directory, family=family)
+    if run.settings.method != "oracle":
+        raise RunError(
+            f"`{run.directory}` must be a run of `oracle`, which is told the task, to be the "
+            f"ceiling of a score, but is one of `{run.settings.method}`: train one with `maesn "
+            "train oracle`."
+        )
+    return run
+
+
+def check_world(runs: Sequence[Run], ground: Ground) -> None:
+    """Refuse runs that were trained in another family, or with other observations or actions.
 
     Raises:
         RunError: a run was.
@@ -148,6 +173,14 @@ def check_family(runs: Sequence[Run], ground: Ground) -> None:
                 f"`{run.directory}` must be a run on {ground.env.name} to be compared there, got "
                 f"one on {run.config.family}: leave it out, or give another --family."
             )
+        trained = run.env()
+        for name in ("observation_size", "action_size"):
+            wanted, found = getattr(ground.env, name), getattr(trained, name)
+            if wanted != found:
+                raise RunError(
+                    f"`{run.directory}` must have `{name}` {wanted} to be compared here, got "
+                    f"{found}, that of its variant `{run.settings.variant}`: give that --variant."
+                )
 
 
 def compare_entries(
@@ -239,8 +272,13 @@ def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:
     ]
     conditions = ground.conditions
     named = (
-        dataclasses.replace(table, tasks=conditions.tasks, reward=conditions.reward)
+        dataclasses.replace(
+            table,
+            tasks=conditions.tasks,
+            reward=conditions.reward,
+            trial_episodes=entry.trial_episodes,
+        )
         for table in tables
     )
     seeds = tuple(contestant.seed for contestant in entry.contestants)
-    return Line(entry.name, entry.style, seeds, tuple(named), entry.trial_episodes)
+    return Line(entry.name, entry.style, seeds, tuple(named))

@@ -9,6 +9,7 @@ Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration"
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -101,7 +102,7 @@ class Curiosity(eqx.Module):
             if not getattr(self, name) > 0:
                 raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
         for name in ("updates", "weight"):
-            if not getattr(self, name) >= 0:
+            if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
         if any(size < 1 for size in self.hidden_sizes):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
@@ -114,14 +115,22 @@ class Curiosity(eqx.Module):
                 f"{observation_size}: curiosity predicts observations, and there are none."
             )
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
-        return self.start(init_bayesian_network(key, sizes, self.prior_std))
+        network = init_bayesian_network(key, sizes, self.prior_std)
+        pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
+        return self.start(network, pool)
 
-    def start(self, network: BayesianNetwork) -> CuriosityState:
-        """Return a state that begins with what a network knows, and has seen nothing itself."""
+    def start(self, network: BayesianNetwork, pool: Ring) -> CuriosityState:
+        """Return a state that begins with what another one knows.
+
+        Args:
+            network: the model.
+            pool: what it has learned from. The model's inputs and outputs are in units of the
+                pool's moments, so that it means nothing without them.
+        """
         return CuriosityState(
             network=network,
             optimizer=optax.adam(self.learning_rate).init(network),
-            pool=Ring.empty(self.pool_size, network.input_size + network.output_size),
+            pool=pool,
             medians=Ring.empty(self.median_window, 1),
         )
 

@@ -63,6 +63,10 @@ class Scratch:
         for name in ("step_size", "max_kl"):
             if not 0 < getattr(self, name) < math.inf:
                 raise RunError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise RunError(f"`seeds` must be different numbers, at least one, got {self.seeds}.")
+        if not all(0 <= seed < 2**32 for seed in self.seeds):
+            raise RunError(f"`seeds` must lie between 0 and 2^32 - 1, got {self.seeds}.")
         if not 0 <= self.curiosity_weight < math.inf:
             raise RunError(f"`curiosity_weight` must be at least 0, got {self.curiosity_weight}.")
 
@@ -152,9 +156,13 @@ def scratch_entries(scratch: Scratch, ground: Ground) -> list[Entry]:
     """Return the methods that begin anew in every task.
 
     Raises:
-        RunError: there is no such method.
+        RunError: there is no such method, or it is named twice.
     """
     chosen = [_method_and_count(text) for text in scratch.methods]
+    names = [name for name, _ in chosen]
+    for name in names:
+        if names.count(name) > 1:
+            raise RunError(f"`{name}` can begin from scratch only once, got {scratch.methods}.")
     return [entry_of_scratch(*one, scratch, ground) for one in chosen]
 
 
@@ -199,6 +207,5 @@ def _unlearned(
 
 def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
     """Return the style of a method that something is added to: its colour, dashed."""
-    added = test_time.suffix.strip("-").replace("-", " ")
-    label = f"{style.label} ({added})"
+    label = f"{style.label}, {test_time.label}"
     return dataclasses.replace(style, label=label, line=(0, (2.0, 1.0)), marker="d")

@@ -71,7 +71,7 @@ class Collector:
         Returns:
             The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
         """
-        self._check_actions(agents)
+        self._check_policy(agents)
         tasks = self.world.tasks[np.asarray(task_index)]
         actors, start = self._begin(keys, agents, tasks)
         if carry is not None:
@@ -89,12 +89,17 @@ class Collector:
             self._refuse(np.asarray(finite), np.asarray(task_index))
         return episodes, trajectory.readings
 
-    def _check_actions(self, agents: Agents) -> None:
+    def _check_policy(self, agents: Agents) -> None:
         env, kind = self.world.env, agents.policy.action_kind
         if kind != env.action_kind:
             raise ValueError(
                 f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
                 f"{kind}: choose a policy, or its `action_kind`, that fits."
+            )
+        if not env.can_show(agents.policy.observed_reward):
+            raise ValueError(
+                f"`{env.name}` pays the {env.reward_kind} reward and no other at the same time, "
+                f"but the policy reads the {agents.policy.observed_reward} one."
             )
 
     def _refuse(self, finite: np.ndarray, task_index: np.ndarray) -> None:

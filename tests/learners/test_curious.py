@@ -23,6 +23,7 @@ from maesn.learners import (
     AbstractFastLearner,
     CuriousFastLearner,
     CuriousMetaLearner,
+    GradientFastLearner,
     maesn,
     method_name,
 )
@@ -129,14 +130,22 @@ def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector
     fast = learner.fast_learner(state)
     assert (fast.observation_size, fast.action_size) == (2, 2)
     begun = fast.init(keys(TASKS))
-    for known, start in zip(
-        *map(jax.tree.leaves, (state.curiosity.network, begun.curiosity.network)), strict=True
-    ):
-        np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
-    assert np.all(begun.curiosity.pool.count == 0)
+    # The network means nothing without the pool, by whose moments its inputs are scaled.
+    for part in ("network", "pool"):
+        handed_over = (getattr(one.curiosity, part) for one in (state, begun))
+        for known, start in zip(*map(jax.tree.leaves, handed_over), strict=True):
+            np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
+    assert np.all(begun.curiosity.medians.count == 0)
     outcome = adapt(fast, collect, updates=2, episodes_per_task=4, chunk_size=2)
     assert np.isfinite(outcome.curves.mean_return).all()
     assert np.all(outcome.contexts.mean[:, 1] != 0)
+
+
+def test_who_does_not_learn_from_reward_is_paid_no_bonus() -> None:
+    learner = METHODS["oracle+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5, 2))
+    assert isinstance(fast, GradientFastLearner)
+    assert not fast.learns_from_reward
 
 
 def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:

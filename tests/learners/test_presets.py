@@ -27,8 +27,9 @@ SMALL = {
     "curvature_stride": 2,
     "hessian_stride": 2,
 }
-# The one with memory has tests of its own (`test_recurrent`).
-every_preset = pytest.mark.parametrize("preset", [name for name in PRESETS if name != "rl2"])
+# Those with memory have tests of their own (`test_recurrent`).
+WITHOUT_MEMORY = [name for name in PRESETS if not name.startswith("rl2")]
+every_preset = pytest.mark.parametrize("preset", WITHOUT_MEMORY)
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 

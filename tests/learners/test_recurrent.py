@@ -142,7 +142,8 @@ def test_the_value_function_learns_what_is_paid() -> None:
     assert error.mean() < 0.1 * np.asarray(returns).std()
 
 
-def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
+@pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])
+def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> None:
     """A hidden side is paid at an episode's last step alone, 1 or 0, and nothing else is told.
 
     Without memory across episodes the second is paid 1/2 at best, as the first is. With it, what
@@ -152,9 +153,10 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
     tasks = TaskSet(np.float32([-1.0, 1.0] * 20))
     collect = Collector(make_world(env, tasks), 10)
     descent = MinibatchDescent(1e-2, epochs=4, minibatches=2)
-    learner = rl2(
+    usual = {"rl2": {"policy_step": ProximalStep(descent=descent)}}
+    learner = PRESETS[method](
+        **usual.get(method, {}),
         policy=Recurrent(hidden_size=8, readout_sizes=(8,)),
-        policy_step=ProximalStep(descent=descent),
         value=RecurrentValue((), 8, (8,), descent),
         meta_batch_size=40,
     )

@@ -1,5 +1,6 @@
 """Adaptation tables: what is written is read, and what is wrong is said."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,14 @@ import pytest
 from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.report import ReportError
-from maesn.report.adaptation_table import COLUMNS, MEASURES, read_adaptation, stack_seeds
+from maesn.report.adaptation_table import (
+    COLUMNS,
+    MEASURES,
+    read_adaptation,
+    stack_seeds,
+    table_name,
+)
+from maesn.report.tables import summary_tables
 
 HEADER = ",".join(COLUMNS)
 ROW = "0,0,0,-396.0,-390.0,0.1,0.1,0.02"
@@ -47,6 +55,39 @@ def test_an_adaptation_that_went_on_starts_later(tmp_path: Path) -> None:
     assert table.episodes_per_update == 50
     # Its first column is not played from the prior.
     assert table.prior_reach is None
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("test-sparse", ("test", "sparse", "")),
+        ("from-10-test-dense", ("from-10-test", "dense", "")),
+        ("file-my-sparse-goals-dense", ("file-my-sparse-goals", "dense", "")),
+        ("test-sparse-10-then-trpo", ("test", "sparse", "-10-then-trpo")),
+        ("ood-sparse-3-full-steps-on-mjx", ("ood", "sparse", "-3-full-steps-on-mjx")),
+        ("validation-dense-curious", ("validation", "dense", "-curious")),
+        ("table", ("table", "", "")),
+    ],
+)
+def test_a_name_says_of_what_a_table_is(name: str, expected: tuple[str, str, str]) -> None:
+    assert table_name(Path(f"{name}.csv")) == expected
+
+
+def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
+    """Of RL2, an update is one episode, of which as many are played as there are trials."""
+    path = tmp_path / "test-sparse.csv"
+    write_adaptation(path, replace(adaptation_table(), episodes=np.arange(NUM_UPDATES + 1)))
+    record = {"episodes_per_task": 30, "trial_episodes": 2}
+    path.with_suffix(".settings.json").write_text(json.dumps(record))
+    table = read_adaptation(path)
+    assert table.episodes_per_update == 1
+    assert table.prior_reach is not None
+    assert table.prior_reach.episodes == 30
+    assert table.first_beyond == 2
+    (summary,) = summary_tables([replace(table, solved_at_reset=None)], "RL2")
+    assert summary.note == (
+        "Meta-training has prepared for 2 episodes: from update 2 on it is beyond them."
+    )
 
 
 def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:

@@ -36,9 +36,9 @@ def constant(value: float, num_tasks: int = 8) -> AdaptationTable:
     )
 
 
-def named(name: str, *tables: AdaptationTable, **options: int) -> Line:
+def named(name: str, *tables: AdaptationTable) -> Line:
     style = METHOD_STYLES.get(name, MethodStyle(name, "#000000", "-", "o"))
-    return Line(name, style, tuple(range(len(tables))), tables, **options)
+    return Line(name, style, tuple(range(len(tables))), tables)
 
 
 def comparison(*lines: Line, oracle: float | None = -300.0) -> Comparison:
@@ -196,11 +196,17 @@ def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> N
 
 
 def test_memory_beyond_its_trials_is_faint_and_short_updates_are_seen(tmp_path: Path) -> None:
-    remembered = dataclasses.replace(adaptation_table(), episodes=np.arange(NUM_UPDATES + 1))
-    memory = named("rl2", remembered, trial_episodes=2)
+    counts = np.arange(NUM_UPDATES + 1)
+    remembered = dataclasses.replace(adaptation_table(), episodes=counts, trial_episodes=2)
+    memory = named("rl2", remembered)
     # The first two episodes are what it was trained for: those before which it knows 0 and 1.
     assert memory.first_beyond == 2
-    assert named("rl2", remembered, trial_episodes=9).first_beyond is None
+    assert dataclasses.replace(remembered, trial_episodes=9).first_beyond is None
+    ends, beats = (table.notes for table in summary_tables(comparison(memory, memory)))
+    prepared = remembered.mean_return[:, 1].mean()
+    assert any("is beyond them from update 2 on: after update 1, the last that" in x for x in ends)
+    assert any(f"its return is {prepared:.1f} [" in x for x in ends)
+    assert f"RL²: after update {NUM_UPDATES}, beyond its trials." in beats
     figure = plot_comparison(comparison(memory, named("maesn", adaptation_table())))
     returns, success = figure.axes
     assert len(line(returns, "RL²")) == 2

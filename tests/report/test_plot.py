@@ -90,6 +90,16 @@ def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) 
     ]
 
 
+def test_tables_of_changed_learners_are_named_and_not_drawn(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", without=["exploration", "metrics"])
+    table = run / "adaptation" / "test-sparse.csv"
+    tuned = table.with_name("test-sparse-10-then-trpo.csv")
+    tuned.write_bytes(table.read_bytes())
+    names, said = draw([run], tmp_path / "out")
+    assert names == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
+    assert f"Not drawn, because something was changed in the new tasks: `{tuned}`." in said
+
+
 def test_a_method_that_was_not_adapted_is_named(tmp_path: Path) -> None:
     whole = write_run(tmp_path / "whole", without=["exploration", "metrics"])
     bare = write_run(tmp_path / "bare", "maml", without=["adaptation", "exploration", "metrics"])

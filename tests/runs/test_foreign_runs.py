@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
-from strangers import HORIZON, Settable, draw_walks, make_fragile
+from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
 
 from maesn.api import adapt, export, plot
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
+from maesn.learners import rl2
+from maesn.policies import Recurrent
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.training import train
@@ -84,3 +86,15 @@ def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> No
     family = gymnasium_family("timeless", lambda task, reward: Settable(task), draw_walks)
     with pytest.raises(RunError, match="`horizon` must be given for `timeless`"):
         new_run(tmp_path / "run", family)
+
+
+def test_a_reward_that_is_not_paid_cannot_be_read(tmp_path: Path) -> None:
+    """An environment pays one reward at a time: trained on the dense one, no sparse one is seen."""
+    directory = tmp_path / "run"
+    reader = rl2(policy=Recurrent(hidden_size=4, readout_sizes=(4,), observed_reward="sparse"))
+    family = gymnasium_family("walk", make_walker, draw_walks, horizon=HORIZON)
+    with pytest.raises(RunError, match="pays the dense reward and no other at the same time"):
+        Run.create(directory, reader, tiny_settings(), family=family)
+    assert not directory.exists()
+    paid = tiny_settings(reward="sparse")
+    assert Run.create(directory, reader, paid, family=family).learner == reader

@@ -79,7 +79,7 @@ def test_step_scales_that_differ_have_tables_that_differ() -> None:
 def test_a_method_without_steps_has_no_other_step_sizes(
     tmp_path: Path, few: str, name: str, reason: str
 ) -> None:
-    run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=2), tiny_settings(method=name))
+    run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=4), tiny_settings(method=name))
     with pytest.raises(RunError, match=f"`{name}` cannot be adapted like this: .*{reason}"):
         api.adapt(run.directory, tasks=few, test_time=AtTestTime(step_scale=2.0))
 
@@ -147,4 +147,15 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     settings = tiny_settings()
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)
     with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* without memory"):
-        api.adapt(recurrent.directory, test_time=AtTestTime(fine_tune="trpo"))
+        api.adapt(recurrent.directory, updates=11, test_time=AtTestTime(fine_tune="trpo"))
+    with pytest.raises(RunError, match="`curious` cannot be given to a run of rl2: no update"):
+        api.adapt(recurrent.directory, test_time=AtTestTime(curious=True))
+    with pytest.raises(RunError, match="`updates` must be more than `after`, got 10 and 10: no up"):
+        api.adapt(trained, test_time=AtTestTime(fine_tune="trpo"))
+
+
+def test_a_label_says_what_is_changed() -> None:
+    assert AtTestTime().label == ""
+    assert AtTestTime(step_scale=2.0, full_steps=10).label == "steps × 2, 10 full steps"
+    tuned = AtTestTime(fine_tune="trpo", curious=True)
+    assert tuned.label == "curious, 10 updates, then TRPO"

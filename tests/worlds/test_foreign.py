@@ -18,9 +18,10 @@ from strange_families import (
 from strangers import HORIZON, Chooser, Walker, draw_walks, make_walker
 
 from maesn.agent import Agents
-from maesn.envs import TaskSet
+from maesn.context import Nothing
+from maesn.envs import RewardKind, TaskSet
 from maesn.episodes import Episodes
-from maesn.policies import CategoricalMLP
+from maesn.policies import CategoricalMLP, Recurrent
 from maesn.worlds import make_world
 
 
@@ -94,6 +95,18 @@ def test_neither_processes_nor_how_tasks_are_set_change_what_is_played(
     others = play(walkers.make_env(), tasks(), [5, 0, 3], episodes=EPISODES, seed=SEED)
     again = play(walkers.make_env(), tasks(), [5, 0, 3], episodes=EPISODES, seed=SEED)
     assert_same(others, again)
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_a_policy_that_reads_rewards_is_shown_those_of_the_environment(kind: RewardKind) -> None:
+    """Also far from the goal, where environments with one reward tell as much as near it."""
+    env = walkers.make_env(reward_kind=kind)
+    network = Recurrent(hidden_size=4, readout_sizes=(4,))
+    policy = network.init(jax.random.key(0), env.observation_size, env.action_size, 0)
+    cast = Agents(policy, Nothing(), shares_policy=True)
+    episodes = play(env, tasks(), range(8), episodes=EPISODES, seed=SEED, cast=cast)
+    assert np.any(~np.asarray(episodes.solved) & np.asarray(episodes.valid))
+    np.testing.assert_array_equal(episodes.observed_reward, episodes.reward)
 
 
 def test_discrete_actions_reach_the_environment_as_its_own() -> None:

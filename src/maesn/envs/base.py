@@ -151,6 +151,10 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         near = env.solved(next_readings, task)
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
+    def can_show(self, kind: ObservedReward) -> bool:
+        """Whether agents that read rewards can be shown this kind."""
+        return True
+
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         """Whether the episode ends by nature in this state: never, unless it says when."""
         return jnp.zeros((), bool)

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
-from maesn.axes import ActionKind, Key, Readings
+from maesn.axes import ActionKind, Key, ObservedReward, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
 from maesn.envs.tasks import SET_SIZE, TaskFamily
 from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool
@@ -101,6 +101,21 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
     ) -> Reward:
         """Return the environment's reward, which does not say what is due to the goal: all."""
         return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
+
+    def observed_reward(
+        self,
+        kind: ObservedReward,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Any,
+    ) -> Float[Array, ""]:
+        """Return the environment's reward: whether it tells a task from afar is not known here."""
+        return next_readings["reward"]
+
+    def can_show(self, kind: ObservedReward) -> bool:
+        """Whether it is the reward that is paid: an environment pays one at a time."""
+        return kind in ("paid", self.reward_kind)
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return readings["terminated"] > 0

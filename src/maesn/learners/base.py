@@ -13,9 +13,10 @@ import jax
 from jaxtyping import Array, Int
 
 from maesn.agent import Agents
-from maesn.axes import ActionKind, Key, TaskKeys
+from maesn.axes import Key, TaskKeys
 from maesn.context import AbstractContextValue
 from maesn.episodes import Collect, Episodes, TrialMemory
+from maesn.policies import AbstractPolicy
 
 FastState = TypeVar("FastState")
 MetaState = TypeVar("MetaState")
@@ -62,6 +63,14 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """
         return None
 
+    @property
+    def learns_from_reward(self) -> bool:
+        """Whether updates depend on the rewards of the episodes that they are given.
+
+        Not those of a policy that remembers what it was shown, or that was told its task.
+        """
+        return True
+
     def paced(self, step_scale: float, full_steps: int | None) -> "AbstractFastLearner[FastState]":
         """Return the same learner with other sizes of its steps.
 
@@ -86,8 +95,8 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
             ValueError: contexts are not what this learner changes in a task, or not all of it.
         """
         raise ValueError(
-            f"`{type(self).__name__}` cannot go on from latents: they are not what it learns in a "
-            "task."
+            f"`{type(self).__name__}` cannot go on from latents: they are not all that it learns "
+            "in a task."
         )
 
 
@@ -121,11 +130,17 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     def fast_learner(self, state: MetaState) -> AbstractFastLearner[Any]:
         """Return what has been learned, as a learner for new tasks."""
 
-    def action_kind(self, state: MetaState) -> ActionKind:
-        """Return the kind of actions that the policies choose."""
+    def player(self, state: MetaState) -> AbstractPolicy:
+        """Return the policy that plays first in a new task."""
         learner, one_task = self.fast_learner(state), jax.random.split(jax.random.key(0), 1)
-        kind: ActionKind = learner.agents(learner.init(one_task)).policy.action_kind
-        return kind
+        return learner.agents(learner.init(one_task)).policy
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """Refuse a number of episodes per task that meta-iterations cannot learn from.
+
+        Raises:
+            ValueError: there are too few.
+        """
 
     @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:

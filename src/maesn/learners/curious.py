@@ -13,7 +13,6 @@ from maesn.axes import Key, TaskKeys
 from maesn.curiosity import Curiosity, CuriosityState
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
-from maesn.networks import BayesianNetwork
 
 
 class CuriousFastState(eqx.Module):
@@ -39,7 +38,7 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     curiosity: Curiosity
     observation_size: int
     action_size: int
-    network: BayesianNetwork | None = None
+    known: CuriosityState | None = None
     """What the models know at the start; None for nothing."""
 
     def init(self, keys: TaskKeys) -> CuriousFastState:
@@ -76,8 +75,8 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
         return CuriousFastState(learned, models, state.keys, state.update + 1)
 
     def _fresh(self, key: Key) -> CuriosityState:
-        if self.network is not None:
-            return self.curiosity.start(self.network)
+        if self.known is not None:
+            return self.curiosity.start(self.known.network, self.known.pool)
         return self.curiosity.init(key, self.observation_size, self.action_size)
 
     @eqx.filter_jit
@@ -143,16 +142,20 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
         """Return those of the learner, which is another method if it is curious."""
         return (type(self), *self.learner.slots())
 
-    def fast_learner(self, state: CuriousState) -> CuriousFastLearner:
-        """Return the learner of new tasks; its models begin with what this one knows."""
-        network = state.curiosity.network
-        inputs, outputs = network.input_size, network.output_size
+    def fast_learner(self, state: CuriousState) -> AbstractFastLearner[Any]:
+        """Return the learner of new tasks; its models begin with what this one knows.
+
+        A learner whose updates do not depend on rewards has no use for a bonus, and comes as it is.
+        """
+        learner, network = self.learner.fast_learner(state.learner), state.curiosity.network
+        if not learner.learns_from_reward:
+            return learner
         return CuriousFastLearner(
-            learner=self.learner.fast_learner(state.learner),
+            learner=learner,
             curiosity=self.curiosity,
-            observation_size=outputs,
-            action_size=inputs - outputs,
-            network=network,
+            observation_size=network.output_size,
+            action_size=network.input_size - network.output_size,
+            known=state.curiosity,
         )
 
     def step(

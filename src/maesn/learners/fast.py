@@ -57,11 +57,15 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
 
     def paced(self, step_scale: float, full_steps: int | None) -> "GradientFastLearner":
         """See `AbstractFastLearner.paced`."""
-        if self.adaptation.policy is None and self.adaptation.context is None:
+        if not self.learns_from_reward:
             raise ValueError("it changes nothing in a task, so it takes no steps.")
         scale = self.schedule.scale * step_scale
         number = self.schedule.full_steps if full_steps is None else full_steps
         return replace(self, schedule=replace(self.schedule, scale=scale, full_steps=number))
+
+    @property
+    def learns_from_reward(self) -> bool:
+        return self.adaptation.policy is not None or self.adaptation.context is not None
 
     def _start(self, context: AbstractContextValue, update: int = 0) -> GradientFastState:
         agents = Agents(self.policy, context, shares_policy=True, statistics=self.statistics)

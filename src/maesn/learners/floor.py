@@ -32,6 +32,10 @@ class FixedPolicy(AbstractFastLearner[None]):
     def update(self, state: None, episodes: Episodes) -> None:
         """Learn nothing."""
 
+    @property
+    def learns_from_reward(self) -> bool:
+        return False
+
 
 def floors(
     observation_size: int, action_size: int, action_kind: ActionKind

@@ -18,6 +18,11 @@ from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
 class AbstractPolicyStep(eqx.Module):
     """Improves a policy on trials that it has played."""
 
+    @property
+    @abstractmethod
+    def minibatches(self) -> int:
+        """Number of parts that the trials are cut into."""
+
     @abstractmethod
     def init(self, policy: AbstractPolicy) -> Any:
         """Return the optimiser's state before the first step."""
@@ -76,6 +81,10 @@ class ProximalStep(AbstractPolicyStep):
             raise ValueError(f"`clip` must lie in (0, 1), got {self.clip}.")
         if not self.entropy_weight >= 0:
             raise ValueError(f"`entropy_weight` must be at least 0, got {self.entropy_weight}.")
+
+    @property
+    def minibatches(self) -> int:
+        return self.descent.minibatches
 
     def init(self, policy: AbstractPolicy) -> Any:
         return self.descent.init(policy)
@@ -137,6 +146,10 @@ class TrustRegionStep(AbstractPolicyStep):
     def __check_init__(self) -> None:
         if self.curvature_stride < 1:
             raise ValueError(f"`curvature_stride` must be at least 1, got {self.curvature_stride}.")
+
+    @property
+    def minibatches(self) -> int:
+        return 1
 
     def init(self, policy: AbstractPolicy) -> None:
         return None

@@ -111,6 +111,21 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
     def iteration(self, state: RecurrentState) -> Int[Array, ""]:
         return state.iteration
 
+    def slots(self) -> tuple[Any, ...]:
+        """Return how the policy is improved."""
+        return (type(self), type(self.policy_step))
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""
+        trials = self.meta_batch_size * episodes_per_task
+        most = max(self.policy_step.minibatches, self.value.descent.minibatches)
+        if trials < most:
+            raise ValueError(
+                f"`minibatches` is {most}, but a meta-iteration has only {trials} trials, "
+                f"{episodes_per_task} in each of {self.meta_batch_size} tasks: lower it, or play "
+                "more."
+            )
+
     def fast_learner(self, state: RecurrentState) -> RecurrentFastLearner:
         """Return the learner of new tasks: it remembers."""
         return RecurrentFastLearner(state.policy, self.trial_episodes)

@@ -46,5 +46,9 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
         return 1
 
     @property
+    def learns_from_reward(self) -> bool:
+        return False
+
+    @property
     def trial_episodes(self) -> int:
         return self.trained_episodes

@@ -1,15 +1,16 @@
 """Adaptation curves of one run, read from the CSV file that `maesn adapt` writes."""
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from maesn.report.reading import ReportError
+from maesn.report.reading import ReportError, read_json
 
 Curves = Float[np.ndarray, "task update"]
 
@@ -17,6 +18,25 @@ MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", 
 COLUMNS = ("task", "update", "episodes", *MEASURES)
 # Tables of earlier versions lack it; whatever reads one must do without.
 SOLVED_AT_RESET = "solved_at_reset"
+# TASKS-REWARD, and behind it what was changed in the new tasks, as `-10-then-trpo` or `-on-mjx`.
+_NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
+
+
+class TableName(NamedTuple):
+    """What the name of a table says."""
+
+    tasks: str
+    """Name of the task set, with `from-UPDATE-` before it if an earlier adaptation went on."""
+    reward: str
+    """Reward of the adaptation; empty if the file is called otherwise."""
+    changed: str = ""
+    """What was changed about the learner or the engine, with a hyphen before it."""
+
+
+def table_name(path: Path) -> TableName:
+    """Return what the name of a table says."""
+    found = _NAME.fullmatch(path.stem)
+    return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
 
 
 class PriorReach(NamedTuple):
@@ -64,6 +84,11 @@ class AdaptationTable:
     """Number of updates that lie before column 0; not 0 if an earlier adaptation went on."""
     solved_at_reset: Curves | None = None
     """Share of the episodes that start in the goal region; None in tables of earlier versions."""
+    played: int | None = None
+    """Episodes per task that each entry is a mean of; None if no record says so."""
+    trial_episodes: int | None = None
+    """Number of episodes that meta-training has prepared for; None if there is no such limit, or no
+    record says so."""
 
     @property
     def num_tasks(self) -> int:
@@ -81,6 +106,14 @@ class AdaptationTable:
         return int(self.episodes[1] - self.episodes[0]) if len(self.episodes) > 1 else None
 
     @property
+    def first_beyond(self) -> int | None:
+        """First column that lies beyond what meta-training has prepared for; None without one."""
+        if self.trial_episodes is None:
+            return None
+        beyond = np.flatnonzero(self.episodes >= self.trial_episodes)
+        return int(beyond[0]) if len(beyond) else None
+
+    @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
         """Which tasks some episode starts in the goal region of; none if the table does not say."""
         if self.solved_at_reset is None:
@@ -95,10 +128,11 @@ class AdaptationTable:
     @property
     def prior_reach(self) -> PriorReach | None:
         """What the prior reaches; None if the table does not tell."""
-        if self.first_update or self.episodes_per_update is None:
+        episodes = self.episodes_per_update if self.played is None else self.played
+        if self.first_update or episodes is None:
             return None
         rates, solved = self.success_rate[:, 0], self.is_solved_at_reset
-        return prior_reach(rates, solved, self.episodes_per_update)
+        return prior_reach(rates, solved, episodes)
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""
@@ -125,7 +159,7 @@ def stack_seeds(
 
 
 def read_adaptation(path: Path) -> AdaptationTable:
-    """Read a CSV file of `maesn adapt`.
+    """Read a CSV file of `maesn adapt`, and its record where there is one beside it.
 
     Args:
         path: `<tasks>-<reward>.csv`; rows in any order.
@@ -141,11 +175,17 @@ def read_adaptation(path: Path) -> AdaptationTable:
             f"Expected the same `episodes` for every task in `{path}`, got different ones; "
             f"{_remedy(path)}."
         )
-    tasks, _, reward = path.stem.rpartition("-")
+    name = table_name(path)
     present = [name for name in (*MEASURES, SOLVED_AT_RESET) if name in rows[0]]
-    curves = {name: _grid(rows, name, first, path) for name in present}
+    curves: dict[str, Any] = {name: _grid(rows, name, first, path) for name in present}
     counts = episodes[0].astype(np.int64)
-    return AdaptationTable(tasks, reward, counts, **curves, first_update=first)
+    table = AdaptationTable(name.tasks, name.reward, counts, **curves, first_update=first)
+    record = path.with_suffix(".settings.json")
+    if not record.exists():
+        return table
+    said = read_json(record, _remedy(path))
+    played, trial_episodes = said.get("episodes_per_task"), said.get("trial_episodes")
+    return replace(table, played=played, trial_episodes=trial_episodes)
 
 
 def _read_rows(path: Path) -> list[dict[str, float]]:

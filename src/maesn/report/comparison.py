@@ -15,7 +15,7 @@ from maesn.report.adaptation_table import (
     AdaptationTable,
     stack_seeds,
 )
-from maesn.report.reading import ReportError
+from maesn.report.reading import ReportError, writing
 from maesn.report.style import MethodStyle
 
 COLUMNS = (
@@ -41,8 +41,6 @@ class Line:
     seeds: tuple[int, ...]
     tables: tuple[AdaptationTable, ...]
     """One per seed, all of the first so many tasks and with as many updates."""
-    trial_episodes: int | None = None
-    """Number of episodes that meta-training has prepared for; None if there is no such limit."""
 
     @property
     def label(self) -> str:
@@ -70,10 +68,12 @@ class Line:
     @property
     def first_beyond(self) -> int | None:
         """First column that lies beyond what meta-training has prepared for; None without one."""
-        if self.trial_episodes is None:
-            return None
-        beyond = np.flatnonzero(self.tables[0].episodes >= self.trial_episodes)
-        return int(beyond[0]) if len(beyond) else None
+        return self.tables[0].first_beyond
+
+    @property
+    def trial_episodes(self) -> int | None:
+        """Number of episodes that meta-training has prepared for; None if there is no limit."""
+        return self.tables[0].trial_episodes
 
 
 @dataclass(frozen=True)
@@ -207,14 +207,10 @@ def write_tidy_table(comparison: Comparison, path: Path) -> None:
     Raises:
         ReportError: if it cannot be written.
     """
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(tidy_rows(comparison))
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise ReportError(f"Cannot write `{path}` ({reason}): choose another `--out`.") from error
+    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(tidy_rows(comparison))
 
 
 def paired(

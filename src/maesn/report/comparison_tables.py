@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from maesn.report.comparison import Comparison, Line, paired
+from maesn.report.reading import writing
 from maesn.report.statistics import (
     Interval,
     improvement_interval,
@@ -20,6 +21,7 @@ from maesn.report.statistics import (
 from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, note_on_solved
 
 _SCORE = Unit("score", digits=2)
+_SCORE_INTERVAL = "The score's interval is the return's: floor and oracle are taken as known."
 _PROBABILITY = Unit("probability", digits=2)
 
 
@@ -66,9 +68,14 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
 
 
 def write_summary(comparison: Comparison, path: Path) -> None:
-    """Write the tables as Markdown."""
+    """Write the tables as Markdown.
+
+    Raises:
+        ReportError: the file cannot be written.
+    """
     texts = [table.to_markdown() for table in summary_tables(comparison)]
-    path.write_text("\n".join(texts), encoding="utf-8")
+    with writing(path):
+        path.write_text("\n".join(texts), encoding="utf-8")
 
 
 def print_summary(comparison: Comparison, console: Console | None = None) -> None:
@@ -105,7 +112,7 @@ def _ends(comparison: Comparison, addition: str = "") -> TextTable:
         f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
         note_on_solved(comparison.is_solved_at_reset),
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
-        comparison.why_no_score or _scoreless(comparison),
+        comparison.why_no_score or _scoreless(comparison) or _SCORE_INTERVAL,
     ]
     tasks = ", ".join(filter(None, (f"{comparison.lines[0].tables[0].tasks} tasks", addition)))
     title = f"After each method's last update, in {tasks}"
@@ -117,7 +124,7 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
     last = line.measure("mean_return")[..., -1]
     returns, middle = mean_interval(last), interquartile_mean_interval(last)
     success = mean_interval(line.measure("success_rate")[..., -1])
-    labels.append(returns.label)
+    labels += [returns.label, middle.label]
     return (
         line.label,
         str(len(line.seeds)),
@@ -151,9 +158,14 @@ def _scoreless(comparison: Comparison) -> str:
 
 
 def _beyond(line: Line) -> str:
+    """Say where a method ends within what it was trained for."""
+    assert line.first_beyond is not None
+    last = line.first_beyond - 1
+    prepared = mean_interval(line.measure("mean_return")[..., last])
     return (
-        f"{line.label} is beyond the {line.trial_episodes} episodes that it was trained for from "
-        f"update {line.first_beyond} on."
+        f"{line.label} was trained for trials of {line.trial_episodes} episodes, and is beyond "
+        f"them from update {last + 1} on: after update {last}, the last that it was trained for, "
+        f"its return is {_text(prepared, UNITS['mean_return'])}."
     )
 
 
@@ -167,7 +179,14 @@ def _improvements(comparison: Comparison) -> TextTable:
         "Probability that the first method's last point is above the second's in a task",
         ("first", "second", "probability"),
         tuple(rows),
-        (f"In brackets: {'; or '.join(dict.fromkeys(labels))}. A tie counts as half a win.",),
+        (
+            f"In brackets: {'; or '.join(dict.fromkeys(labels))}. A tie counts as half a win.",
+            *(
+                f"{line.label}: after update {int(line.tables[0].updates[-1])}, beyond its trials."
+                for line in comparison.lines
+                if line.first_beyond is not None
+            ),
+        ),
     )
 
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from rich.console import Console
 
-from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.adaptation_table import AdaptationTable, table_name
 from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
 from maesn.report.figures.exploration import ExploringSeries, plot_exploration
 from maesn.report.figures.latents import plot_latents
@@ -115,6 +115,7 @@ def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path
     sets = list(dict.fromkeys(pair for run in runs for pair in _adapted_sets(run)))
     if not sets:
         _say_missing(runs, "adaptation", "`maesn adapt DIR` writes it", say)
+    _say_changed(runs, say)
     written: list[Path] = []
     for tasks, reward in sets:
         lacking = [run for run in runs if (tasks, reward) not in _adapted_sets(run)]
@@ -127,8 +128,9 @@ def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path
 
 
 def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
-    parts = [file.stem.rpartition("-") for file in run.adaptation_files()]
-    return [(tasks, reward) for tasks, _, reward in parts]
+    """Return task sets and rewards of a run's adaptations in which nothing was changed."""
+    names = [table_name(file) for file in run.adaptation_files()]
+    return [(name.tasks, name.reward) for name in names if not name.changed]
 
 
 def _adapted(series: Series, tasks: str, reward: str) -> AdaptedSeries | None:
@@ -206,6 +208,13 @@ def _plot_latents(series: Sequence[Series], out: Path) -> list[Path]:
             name = f"latents-{line.name}-{tasks}-{reward}"
             written += save_figure(plot_latents(latents, goals), out, name)
     return written
+
+
+def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:
+    files = [file for run in runs for file in run.adaptation_files() if table_name(file).changed]
+    if files:
+        places = ", ".join(f"`{file}`" for file in files)
+        say(f"Not drawn, because something was changed in the new tasks: {places}.")
 
 
 def _say_missing(runs: Iterable[RecordedRun], what: str, command: str, say: Say) -> None:

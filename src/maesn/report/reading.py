@@ -1,11 +1,12 @@
-"""Reading files that may be absent or wrong: what was expected, what came, what to do.
+"""Files that may be absent or wrong, or cannot be written: what came, and what to do.
 
 Nothing here executes what it reads.
 """
 
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,20 @@ import numpy as np
 
 class ReportError(ValueError):
     """A file cannot be drawn from. The message is one sentence for the user."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Name what cannot be written inside the block.
+
+    Raises:
+        ReportError: it cannot.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ReportError(f"Cannot write `{path}` ({reason}): choose another `--out`.") from error
 
 
 def read_json(path: Path, remedy: str) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from maesn.report.adaptation_table import (
     PriorReach,
     prior_reach,
     read_adaptation,
+    table_name,
 )
 from maesn.report.reading import ReportError, read_arrays, read_json, read_json_lines, take_array
 
@@ -40,7 +41,8 @@ class RecordedRun:
 
     def adaptation_files(self) -> list[Path]:
         """Return the tables that `maesn adapt` has left, in the order of their names."""
-        return sorted((self.path / "adaptation").glob("*-*.csv"))
+        files = sorted((self.path / "adaptation").glob("*.csv"))
+        return [file for file in files if table_name(file).reward]
 
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the table of one task set and reward; None if there is none."""

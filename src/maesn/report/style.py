@@ -89,6 +89,7 @@ METHOD_STYLES = {
     "maml_bias": MethodStyle("MAML + bias", SKY_BLUE, _DASH_DOT_DOT, "v"),
     "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, _DOTS, "P"),
     "rl2": MethodStyle("RL²", BLACK, _SHORT_DASH, "X"),
+    "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, _DOTS, "p"),
     "vime": MethodStyle("VIME", BLUE, _DOTS, "h"),
     "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),
     "reinforce": MethodStyle("REINFORCE", GREY, _DOTS, ">"),

@@ -137,7 +137,17 @@ def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
 
 
 def _note(tables: Sequence[AdaptationTable]) -> str:
-    return note_on_solved(_solved_at_reset(tables))
+    return " ".join(filter(None, (note_on_solved(_solved_at_reset(tables)), _beyond(tables[0]))))
+
+
+def _beyond(table: AdaptationTable) -> str:
+    """Say from where on a method does what it was never trained for; empty for nowhere."""
+    if table.first_beyond is None:
+        return ""
+    return (
+        f"Meta-training has prepared for {table.trial_episodes} episodes: from update "
+        f"{table.updates[table.first_beyond]} on it is beyond them."
+    )
 
 
 def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTable:

@@ -56,6 +56,8 @@ class Conditions:
                 raise ValueError(
                     f"`{name}` must be at least {smallest}, got {getattr(self, name)}."
                 )
+        if self.seed >= 2**32:
+            raise ValueError(f"`seed` must lie between 0 and 2^32 - 1, got {self.seed}.")
         for name, smallest in {"num_tasks": 1, "run_updates": 0}.items():
             value = getattr(self, name)
             if value is not None and value < smallest:
@@ -170,7 +172,7 @@ def _fits(contestant: Contestant) -> bool:
         return False
     found, wanted = read_json(path), dict(contestant.record)
     longer = found.pop("updates", -1) >= wanted.pop("updates")
-    return longer and found == wanted
+    return longer and all(found.get(name) == value for name, value in wanted.items())
 
 
 def _unique_name(contestant: Contestant) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
-from maesn.learners import AbstractFastLearner, GradientFastLearner
+from maesn.learners import AbstractFastLearner, CuriousFastLearner, GradientFastLearner
 from maesn.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.gaussian_mlp import MINIMUM_STD
@@ -117,9 +117,11 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         "a policy can be exported if its latent alone adapts, by the likelihood-ratio gradient: "
         "the methods `maesn` and `latent_space`"
     )
+    if isinstance(learner, CuriousFastLearner):
+        raise ValueError(f"`learner` is paid for what it finds out, which needs a model; {advice}.")
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
-    if learner.adaptation.policy is None and learner.adaptation.context is None:
+    if not learner.learns_from_reward:
         raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
     if not isinstance(learner.context, LatentContext):
         raise ValueError(

@@ -35,13 +35,20 @@ def untrained_state(
     return _init(learner, key, *sizes)
 
 
-def check_actions(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
-    """Refuse policies whose actions are of another kind than the environment's.
+def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
+    """Refuse policies that cannot play in an environment.
 
     Raises:
-        RunError: they are.
+        RunError: their actions are of another kind, or they read a reward that is not paid.
     """
-    wanted, kind = env.action_kind, learner.action_kind(state)
+    policy = learner.player(state)
+    if not env.can_show(policy.observed_reward):
+        raise RunError(
+            f"`{env.name}` pays the {env.reward_kind} reward and no other at the same time, but "
+            f"the policy reads the {policy.observed_reward} one: leave --policy.observed-reward "
+            "out."
+        )
+    wanted, kind = env.action_kind, policy.action_kind
     if kind != wanted:
         method, usual = method_name(learner), type(USUAL[wanted]).__name__
         raise RunError(

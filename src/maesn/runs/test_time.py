@@ -47,6 +47,32 @@ class AtTestTime:
         if self.full_steps is not None and self.full_steps < 1:
             raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
 
+    def check_reached(self, updates: int) -> None:
+        """Refuse a fine-tuning that would never begin.
+
+        Args:
+            updates: number of updates in the new tasks.
+
+        Raises:
+            RunError: all of them are the learner's own.
+        """
+        if self.fine_tune is not None and self.after >= updates:
+            raise RunError(
+                f"`updates` must be more than `after`, got {updates} and {self.after}: no update "
+                "would be left in which the policy is fine-tuned."
+            )
+
+    @property
+    def label(self) -> str:
+        """What is changed, as it stands behind a method's name in figures; empty for nothing."""
+        parts = {
+            f"steps × {self.step_scale:g}": self.step_scale != 1,
+            f"{self.full_steps} full steps": self.full_steps is not None,
+            "curious": self.curious,
+            f"{self.after} updates, then {str(self.fine_tune).upper()}": self.fine_tune is not None,
+        }
+        return ", ".join(text for text, is_so in parts.items() if is_so)
+
     @property
     def suffix(self) -> str:
         """What is appended to the name of a table of adaptation curves."""
@@ -82,6 +108,11 @@ class AtTestTime:
             raise RunError(
                 f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
                 "already: leave it out."
+            )
+        if self.curious and not learner.learns_from_reward:
+            raise RunError(
+                f"`curious` cannot be given to a run of {run.settings.method}: no update of it in "
+                "a new task depends on what it is paid."
             )
         if self.step_scale != 1 or self.full_steps is not None:
             learner = self._paced(learner, run)

@@ -8,10 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from maesn.report.adaptation_table import AdaptationTable, stack_seeds
-from maesn.report.figures.curves import Curve, draw_curve, explain, percent_axis
+from maesn.report.figures.curves import (
+    draw_intervals,
+    explain,
+    note_on_bands,
+    note_on_trials,
+    percent_axis,
+)
 from maesn.report.published import PublishedCurve
 from maesn.report.series import Series
-from maesn.report.statistics import Interval, mean_intervals
+from maesn.report.statistics import mean_intervals
 from maesn.report.style import TWO_COLUMNS, new_figure, publication_style
 
 _HEIGHT = 2.35  # inches, without the legend
@@ -48,22 +54,15 @@ def plot_adaptation_curves(adapted: Sequence[AdaptedSeries]) -> Figure:
     percent_axis(panels[1], "success rate")
     percent_axis(panels[2], "time in goal region")
     _draw_published(panels[0], adapted)
-    explain(figure, panels[0], _note(labels))
+    explain(figure, panels[0], _note(adapted, labels))
     return figure
 
 
 def _draw_series(axes: Axes, line: AdaptedSeries, measure: str) -> str:
     """Draw one line and return what its band resamples."""
-    intervals = mean_intervals(stack_seeds(line.tables, measure))
-    mean, low, high = (_values(intervals, name) for name in ("mean", "low", "high"))
-    updates = line.tables[0].updates
-    curve = Curve(updates.astype(float), mean, (low, high))
-    draw_curve(axes, curve, line.series.style, num_seeds=len(line.tables))
-    return intervals[0].label
-
-
-def _values(intervals: Sequence[Interval], name: str) -> np.ndarray:
-    return np.array([getattr(interval, name) for interval in intervals])
+    intervals, table = mean_intervals(stack_seeds(line.tables, measure)), line.tables[0]
+    updates, seeds = table.updates.astype(float), len(line.tables)
+    return draw_intervals(axes, updates, intervals, line.series.style, seeds, table.first_beyond)
 
 
 def _draw_published(axes: Axes, adapted: Sequence[AdaptedSeries]) -> None:
@@ -103,11 +102,14 @@ def _episodes_axis(axes: Axes, adapted: Sequence[AdaptedSeries]) -> None:
     top.spines["top"].set_visible(True)
 
 
-def _note(labels: dict[str, str]) -> str:
-    """Say what the bands are, once for all lines of which it is the same."""
-    members: dict[str, list[str]] = {}
-    for name, label in labels.items():
-        members.setdefault(label, []).append(name)
-    *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
-    lines = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
-    return "\n".join([*lines, f"{'other bands' if lines else 'bands'}: {rule}"])
+def _note(adapted: Sequence[AdaptedSeries], labels: dict[str, str]) -> str:
+    """Say what the bands are, what is faint, and how long an update is where that differs."""
+    parts = note_on_bands(labels)
+    lengths = {line.series.label: line.tables[0].episodes_per_update for line in adapted}
+    if len(set(lengths.values())) > 1:
+        said = (f"{label} {number or 0}" for label, number in lengths.items())
+        parts.append(f"episodes per update: {', '.join(said)}")
+    for line in adapted:
+        table = line.tables[0]
+        parts += note_on_trials(line.series.label, table.trial_episodes, table.first_beyond)
+    return "\n".join(parts)

@@ -1,20 +1,22 @@
 """All methods' adaptation curves over the same tasks, against environment steps."""
 
-from collections.abc import Sequence
-
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from maesn.report.comparison import Comparison, Line
-from maesn.report.figures.curves import Curve, draw_curve, explain, percent_axis
-from maesn.report.statistics import Interval, mean_intervals
+from maesn.report.figures.curves import (
+    draw_intervals,
+    explain,
+    note_on_bands,
+    note_on_trials,
+    percent_axis,
+)
+from maesn.report.statistics import mean_intervals
 from maesn.report.style import DARK_GREY, ONE_COLUMN, new_figure, publication_style
 
 _HEIGHT = 3.4  # inches, without the legend
 _HEIGHTS = (1.5, 1.0)  # return above, success below
 _LINE_CHARACTERS = 58  # of a note in one column
-_FAINT = 0.35  # opacity of what a method was never trained for
 
 
 @publication_style()
@@ -43,26 +45,8 @@ def plot_comparison(comparison: Comparison) -> Figure:
 
 def _draw_line(axes: Axes, comparison: Comparison, line: Line, measure: str) -> str:
     """Draw one method and return what its band resamples."""
-    intervals = mean_intervals(line.measure(measure))
-    steps = comparison.steps(line).astype(float)
-    beyond = len(steps) if line.first_beyond is None else max(line.first_beyond, 1)
-    prepared = slice(0, beyond)
-    draw_curve(axes, _curve(steps, intervals, prepared), line.style, num_seeds=len(line.seeds))
-    if beyond < len(steps):
-        curve = _curve(steps, intervals, slice(beyond - 1, None))
-        axes.plot(curve.x, curve.y, color=line.style.colour, linestyle=":", alpha=_FAINT)
-        axes.fill_between(
-            curve.x, *curve.ends, color=line.style.colour, alpha=_FAINT / 4, linewidth=0
-        )
-    return intervals[0].label
-
-
-def _curve(steps: np.ndarray, intervals: Sequence[Interval], part: slice) -> Curve:
-    mean, low, high = (
-        np.array([getattr(interval, name) for interval in intervals[part]])
-        for name in ("mean", "low", "high")
-    )
-    return Curve(steps[part], mean, (low, high))
+    intervals, steps = mean_intervals(line.measure(measure)), comparison.steps(line).astype(float)
+    return draw_intervals(axes, steps, intervals, line.style, len(line.seeds), line.first_beyond)
 
 
 def _draw_bounds(axes: Axes, comparison: Comparison) -> None:
@@ -91,15 +75,7 @@ def _has_updates(line: Line) -> bool:
 
 def _note(comparison: Comparison, labels: dict[str, str]) -> str:
     """Say what the bands are, and what is faint."""
-    members: dict[str, list[str]] = {}
-    for name, label in labels.items():
-        members.setdefault(label, []).append(name)
-    rule, *exceptions = sorted(members, key=lambda label: -len(members[label]))
-    parts = [f"bands: {rule}"]
-    parts += [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
-    parts += [
-        f"{line.label}, faint: beyond the {line.trial_episodes} episodes that it was trained for"
-        for line in comparison.lines
-        if line.first_beyond is not None
-    ]
+    parts = note_on_bands(labels)
+    for line in comparison.lines:
+        parts += note_on_trials(line.label, line.trial_episodes, line.first_beyond)
     return "\n".join(parts)

@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from maesn.report.statistics import Interval
 from maesn.report.style import NOTE_SIZE, MethodStyle
 
 _NUM_MARKERS = 6
 _BAND_OPACITY = 0.18
+_FAINT = 0.35  # opacity of what a method was never trained for
 _LEGEND_COLUMNS = 4
 _LEGEND_LINE = 0.145  # inches
 _LINE_CHARACTERS = 110  # of a note across two columns
@@ -47,11 +50,66 @@ def draw_curve(axes: Axes, curve: Curve, style: MethodStyle, num_seeds: int) -> 
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
 
 
+def draw_intervals(
+    axes: Axes,
+    x: Values,
+    intervals: Sequence[Interval],
+    style: MethodStyle,
+    num_seeds: int,
+    first_beyond: int | None = None,
+) -> str:
+    """Draw means with their intervals, and return what the intervals resample.
+
+    Args:
+        axes: to draw in.
+        x: where each one stands.
+        intervals: one for each x.
+        style: of the method.
+        num_seeds: the label says if there are several.
+        first_beyond: index from which on the line is faint, because meta-training has not prepared
+            for it; None for no such limit.
+    """
+    mean, low, high = (
+        np.array([getattr(interval, name) for interval in intervals])
+        for name in ("mean", "low", "high")
+    )
+    end = len(x) if first_beyond is None else max(first_beyond, 1)
+    draw_curve(axes, Curve(x[:end], mean[:end], (low[:end], high[:end])), style, num_seeds)
+    if end < len(x):
+        faint = slice(end - 1, None)
+        axes.plot(x[faint], mean[faint], color=style.colour, linestyle=":", alpha=_FAINT)
+        axes.fill_between(
+            x[faint], low[faint], high[faint], color=style.colour, alpha=_FAINT / 4, linewidth=0
+        )
+    return intervals[0].label
+
+
 def percent_axis(axes: Axes, label: str) -> None:
     """Let the vertical axis run from 0 to 100 %."""
     axes.set_ylabel(label)
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+
+
+def note_on_bands(labels: Mapping[str, str]) -> list[str]:
+    """Say what the bands are, once for all lines of which it is the same.
+
+    Args:
+        labels: what the band of each line resamples, by the line's label.
+    """
+    members: dict[str, list[str]] = {}
+    for name, label in labels.items():
+        members.setdefault(label, []).append(name)
+    *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
+    others = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
+    return [*others, f"{'other bands' if others else 'bands'}: {rule}"]
+
+
+def note_on_trials(label: str, trial_episodes: int | None, first_beyond: int | None) -> list[str]:
+    """Say of a line why its end is faint, if it is."""
+    if first_beyond is None:
+        return []
+    return [f"{label}, faint: beyond the {trial_episodes} episodes that it was trained for"]
 
 
 def explain(figure: Figure, axes: Axes, note: str, line_characters: int = _LINE_CHARACTERS) -> None:
