@@ -1,4 +1,4 @@
-"""The paper's settings as named values: each figure is a list of runs."""
+"""The paper's last figure as named values: what each of its lines is."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
