@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from maesn import api
-from maesn.comparison import Say, check_world, compare_entries, ground_of, open_oracle, silent
+from maesn.comparison import check_world, compare_entries, ground_of, open_oracle, silent
 from maesn.entries import Entry, entry_of_runs
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.report.comparison import Comparison
 from maesn.report.style import MethodStyle, series_styles
 from maesn.runs.config import CONFIG, RunSettings
-from maesn.runs.contest import Conditions, Ground
+from maesn.runs.contest import Conditions, Ground, Say
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.storage import RunError

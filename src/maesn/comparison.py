@@ -1,11 +1,10 @@
 """All methods under the same conditions: trained runs, methods from scratch, floor and oracle."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
 
 from maesn.entries import Entry, Scratch, entry_of_runs, floor_entries, scratch_entries
 from maesn.envs import Variant
@@ -17,14 +16,12 @@ from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
 from maesn.runs.config import RunSettings
-from maesn.runs.contest import Conditions, Ground, curves_of, open_ground
+from maesn.runs.contest import Conditions, Ground, Say, curves_of, open_ground
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError, explained
 from maesn.runs.task_sources import resolve_family
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
-
-Say: TypeAlias = Callable[[str], None]
 
 
 def silent(sentence: str) -> None:

@@ -1,7 +1,7 @@
 """The settings of contexts: how they start, what they cost, how their draw is differentiated."""
 
 from abc import abstractmethod
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import Key
 from maesn.context.values import AbstractContextValue, Bias, Latent, Nothing, Told
 from maesn.numerics import DiagonalGaussian
+from maesn.settings import check_choice
 
 Value = TypeVar("Value", bound=AbstractContextValue)
 
@@ -171,6 +172,9 @@ class BiasContext(AbstractContext[Bias]):
         return jnp.zeros(())
 
 
+LatentGradient: TypeAlias = Literal["likelihood_ratio", "reparameterized"]
+
+
 class LatentContext(AbstractContext[Latent]):
     """A Gaussian latent per training task; one z is drawn per episode.
 
@@ -186,12 +190,13 @@ class LatentContext(AbstractContext[Latent]):
     """Weight of the KL divergence to the prior. Reference: 0.1 on wheeled and ant."""
     initial_spread: float = 1.0
     """Standard deviation of the latents' means at the start. Reference: 1."""
-    gradient: Literal["likelihood_ratio", "reparameterized"] = "likelihood_ratio"
+    gradient: LatentGradient = "likelihood_ratio"
     """How the inner loss is differentiated through the draw of z. Reference: likelihood ratio."""
 
     def __check_init__(self) -> None:
         if self.size < 1:
             raise ValueError(f"`size` of LatentContext must be at least 1, got {self.size}.")
+        check_choice("gradient", self.gradient, LatentGradient)
         if self.kl_weight < 0:
             raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
         if self.initial_spread < 0:

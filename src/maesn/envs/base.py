@@ -8,7 +8,7 @@ in which somebody else's environments run for `maesn.envs.foreign.GymnasiumEnv`.
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
+from maesn.settings import check_choice
 
 RewardKind: TypeAlias = Literal["dense", "sparse"]
 """Dense in meta-training, sparse in meta-testing (section "Comparisons")."""
@@ -77,12 +78,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     """Whether `position` and `goal` mean something, so that figures can show them."""
 
     def __check_init__(self) -> None:
-        # A misspelt kind or variant would not fail: it would silently count as the other one.
-        for setting, known in (("variant", Variant), ("reward_kind", RewardKind)):
-            value = getattr(self, setting)
-            if value not in get_args(known):
-                names = " or ".join(map(repr, get_args(known)))
-                raise ValueError(f"`{setting}` must be {names}, got {value!r}.")
+        check_choice("variant", self.variant, Variant)
+        check_choice("reward_kind", self.reward_kind, RewardKind)
         if self.horizon < 1:
             raise ValueError(f"`horizon` must be at least 1, got {self.horizon}.")
         if not self.sparse_radius >= 0:

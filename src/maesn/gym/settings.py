@@ -1,12 +1,13 @@
 """What can be asked of the Gymnasium environments. What cannot is refused by its own name."""
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import TypeAlias, get_args
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Int
 
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
+from maesn.settings import check_choice
 
 TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
 """Index of a task in its set, for all episodes or for each; None for one that is drawn."""
@@ -45,9 +46,7 @@ def make_steppable(
     Raises:
         ValueError: its actions are discrete, or a setting is wrong.
     """
-    if reward not in get_args(RewardKind):  # environments know it by another name
-        kinds = " or ".join(map(repr, get_args(RewardKind)))
-        raise ValueError(f"`reward` must be {kinds}, got {reward!r}.")
+    check_choice("reward", reward, RewardKind)  # environments know it by another name
     radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
     env = family.make_env(variant=variant, reward_kind=reward, **radius)
     if env.action_kind != "continuous":

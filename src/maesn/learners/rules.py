@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ from maesn.axes import Key
 from maesn.episodes import Episodes, Thinning
 from maesn.numerics import AbstractDistribution, first_order_step, masked_mean
 from maesn.policies import AbstractPolicy
+from maesn.settings import check_choice
 from maesn.surrogate import action_distributions, outer_loss
 from maesn.trust_region import Evaluation, TrustRegion
 
@@ -42,15 +43,19 @@ class AbstractWeightRule(eqx.Module):
         """
 
 
+Scaling: TypeAlias = Literal["none", "adam"]
+
+
 class GradientRule(AbstractWeightRule):
     """REINFORCE: θ' = θ + step_size * mean_{e,t}[∇ log π(a_t | o_t, z_e) A_t]."""
 
     step_size: float = 0.1
     """Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    scaling: Literal["none", "adam"] = "none"
+    scaling: Scaling = "none"
     """Whether Adam scales the gradient, which turns the size of the step into another one."""
 
     def __check_init__(self) -> None:
+        check_choice("scaling", self.scaling, Scaling)
         if not self.step_size > 0:
             raise ValueError(f"`step_size` must be positive, got {self.step_size}.")
 

@@ -1,7 +1,5 @@
 """Policies that learn by remembering: RL2 (Duan et al. 2016, section 2.2)."""
 
-from typing import get_args
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,6 +10,7 @@ from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import AbstractDistribution
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
 from maesn.policies.heads import AbstractHead, make_head
+from maesn.settings import check_choice
 
 
 class RecurrentPolicy(AbstractPolicy):
@@ -79,10 +78,8 @@ class Recurrent(AbstractPolicySettings):
             raise ValueError(f"`hidden_size` must be at least 1, got {self.hidden_size}.")
         if not self.initial_std > 0:
             raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
-        for name, kind in (("action_kind", ActionKind), ("observed_reward", ObservedReward)):
-            if getattr(self, name) not in get_args(kind):
-                known = " or ".join(map(repr, get_args(kind)))
-                raise ValueError(f"`{name}` must be {known}, got {getattr(self, name)!r}.")
+        check_choice("action_kind", self.action_kind, ActionKind)
+        check_choice("observed_reward", self.observed_reward, ObservedReward)
 
     @property
     def has_memory(self) -> bool:

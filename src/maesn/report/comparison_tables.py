@@ -1,6 +1,5 @@
 """What a comparison comes to, as tables: where the methods end, and who beats whom."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -18,7 +17,7 @@ from maesn.report.statistics import (
     interquartile_mean_interval,
     mean_interval,
 )
-from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, note_on_solved
+from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, markdown_row, note_on_solved
 
 _SCORE = Unit("score", digits=2)
 _SCORE_INTERVAL = "The score's interval is the return's: floor and oracle are taken as known."
@@ -48,7 +47,7 @@ class TextTable:
     def to_markdown(self) -> str:
         """Return the table as Markdown."""
         ruler = ["---", *["---:"] * (len(self.headings) - 1)]
-        lines = [_markdown_row(row) for row in (self.headings, ruler, *self.rows)]
+        lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
         return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
 
 
@@ -195,7 +194,3 @@ def _text(interval: Interval, unit: Unit) -> str:
     if not interval.is_known:
         return mean
     return f"{mean} [{unit.number(interval.low)}, {unit.number(interval.high)}]"
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"

@@ -82,9 +82,9 @@ class IntervalTable:
     def to_markdown(self) -> str:
         """Return a Markdown table with the mean and both ends of its interval."""
         heads = (*self.headings, *(UNITS[measure].heading for measure in MEASURES))
-        lines = [f"**{self.title}**", "", _row(heads), _row(["---:"] * len(heads))]
+        lines = [f"**{self.title}**", "", markdown_row(heads), markdown_row(["---:"] * len(heads))]
         for names, cells in zip(self.names, self.cells, strict=True):
-            lines.append(_row((*names, *self._texts(cells, self._full))))
+            lines.append(markdown_row((*names, *self._texts(cells, self._full))))
         notes = " ".join(filter(None, (f"In brackets: {self.labels}.", self.note)))
         return "\n".join([*lines, "", notes, ""])
 
@@ -216,5 +216,6 @@ def difference_table(
     return IntervalTable(title, ("method",), names, cells, sign="+", note=_note(reference))
 
 
-def _row(cells: Sequence[str]) -> str:
+def markdown_row(cells: Sequence[str]) -> str:
+    """Return one row of a Markdown table."""
     return f"| {' | '.join(cells)} |"

@@ -19,6 +19,7 @@ from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.storage import RunError
+from maesn.settings import check_choice
 
 FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
 
@@ -42,6 +43,8 @@ class AtTestTime:
     usually 1/2); None: as the run's settings say."""
 
     def __post_init__(self) -> None:
+        if self.fine_tune is not None:
+            check_choice("fine_tune", self.fine_tune, FineTuneRule)
         if not 0 < self.step_scale < math.inf:
             raise ValueError(f"`step_scale` must be positive, got {self.step_scale}.")
         if self.full_steps is not None and self.full_steps < 1:

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 from maesn.envs.base import AnyEnv
 from maesn.envs.base import Start as Start
 from maesn.envs.tasks import TaskSet
+from maesn.settings import check_choice
 from maesn.worlds.base import AbstractWorld as AbstractWorld
 from maesn.worlds.base import Act as Act
 from maesn.worlds.base import Actors as Actors
@@ -47,9 +48,7 @@ def engine_of(env: AnyEnv, engine: EngineName = "native") -> str:
     Raises:
         ValueError: there is no such engine, or it cannot move the environment.
     """
-    if engine not in get_args(EngineName):
-        names = " or ".join(map(repr, get_args(EngineName)))
-        raise ValueError(f"`engine` must be {names}, got {engine!r}")
+    check_choice("engine", engine, EngineName)
     if engine == "native":
         return env.engine
     if env.engine == "mujoco.batch":
