@@ -109,11 +109,7 @@ class Curiosity(eqx.Module):
 
     def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
         """Return a model that knows nothing; raises `ValueError` if there is nothing to predict."""
-        if observation_size < 1:
-            raise ValueError(
-                "`observation_size` must be at least 1, got "
-                f"{observation_size}: curiosity predicts observations, and there are none."
-            )
+        check_observed(observation_size)
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
         network = init_bayesian_network(key, sizes, self.prior_std)
         pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
@@ -239,6 +235,19 @@ class Curiosity(eqx.Module):
         number = seen.valid.shape[0]
         chosen = jax.random.permutation(key, number)[: self.pool_additions]
         return Transitions(seen.rows[chosen], seen.valid[chosen])
+
+
+def check_observed(observation_size: int) -> None:
+    """Refuse worlds without observations, in which there is nothing to predict.
+
+    Raises:
+        ValueError: there are none.
+    """
+    if observation_size < 1:
+        raise ValueError(
+            "`observation_size` must be at least 1, got "
+            f"{observation_size}: curiosity predicts observations, and there are none."
+        )
 
 
 def transitions(episodes: Episodes) -> Transitions:

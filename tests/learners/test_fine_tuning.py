@@ -9,18 +9,22 @@ import pytest
 from learning_problems.compiling import quick_compilation as quick_compilation
 from playing import keys
 
+from maesn.curiosity import Curiosity
 from maesn.envs import point
 from maesn.evaluate import adapt
 from maesn.learners import (
     IMPROVEMENTS,
+    SCRATCH,
+    CuriousFastLearner,
     FineTuning,
     GradientFastLearner,
+    PolicyGradient,
     maesn,
     maml,
     rl2,
 )
 from maesn.normalization import ObservationStatistics
-from maesn.policies import GaussianMLP
+from maesn.policies import GaussianMLP, Recurrent
 from maesn.rollout import Collector
 from maesn.worlds import make_world
 
@@ -92,11 +96,17 @@ def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> Non
         assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)
 
 
-def test_a_policy_with_memory_is_refused_before_anything_is_played() -> None:
+def test_memory_is_refused_at_construction() -> None:
     learner = rl2()
     recurrent = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 40))
-    with pytest.raises(ValueError, match="must have a policy without memory, got Recurrent"):
-        FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3).init(keys(1))
+    with pytest.raises(ValueError, match="`learner` must be without memory, got RecurrentFastLea"):
+        FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3)
+    with pytest.raises(ValueError, match="`policy` must be without memory, got Recurrent:"):
+        PolicyGradient(2, 2, Recurrent())
+    with pytest.raises(ValueError, match="`learner` must learn from what it is paid to be curious"):
+        CuriousFastLearner(recurrent, Curiosity(), 2, 2)
+    with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0: curiosity"):
+        SCRATCH["vime"](0, 2)
 
 
 def test_the_normalisation_of_observations_stays(collect: Collector) -> None:

@@ -148,7 +148,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)
     with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* without memory"):
         api.adapt(recurrent.directory, updates=11, test_time=AtTestTime(fine_tune="trpo"))
-    with pytest.raises(RunError, match="`curious` cannot be given to a run of rl2: no update"):
+    with pytest.raises(RunError, match="`rl2` cannot be adapted like this: `learner` must learn"):
         api.adapt(recurrent.directory, test_time=AtTestTime(curious=True))
     with pytest.raises(RunError, match="`updates` must be more than `after`, got 10 and 10: no up"):
         api.adapt(trained, test_time=AtTestTime(fine_tune="trpo"))

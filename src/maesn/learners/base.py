@@ -64,6 +64,11 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         return None
 
     @property
+    def has_memory(self) -> bool:
+        """Whether the policies remember earlier episodes, without which their weights are lost."""
+        return False
+
+    @property
     def learns_from_reward(self) -> bool:
         """Whether updates depend on the rewards of the episodes that they are given.
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from maesn.agent import Agents
 from maesn.axes import Key, TaskKeys
-from maesn.curiosity import Curiosity, CuriosityState
+from maesn.curiosity import Curiosity, CuriosityState, check_observed
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
 
@@ -36,10 +36,21 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     learner: AbstractFastLearner[Any]
     """Learns from reward and bonus."""
     curiosity: Curiosity
+    """What it is paid."""
     observation_size: int
+    """Components of an observation."""
     action_size: int
+    """Components of an action, or number of choices."""
     known: CuriosityState | None = None
     """What the models know at the start; None for nothing."""
+
+    def __check_init__(self) -> None:
+        if not self.learner.learns_from_reward:
+            raise ValueError(
+                f"`learner` must learn from what it is paid to be curious, which "
+                f"{type(self.learner).__name__} does not."
+            )
+        check_observed(self.observation_size)
 
     def init(self, keys: TaskKeys) -> CuriousFastState:
         learner_keys, model_keys, keys = jnp.moveaxis(

@@ -4,6 +4,7 @@ A rule for test time, which any fast learner can be given; nothing is trained fo
 paper's claim about asymptotic performance means: what the latents cannot reach, the weights can.
 """
 
+from dataclasses import replace
 from typing import Any, Generic
 
 import equinox as eqx
@@ -14,7 +15,7 @@ from maesn.agent import Agents
 from maesn.axes import TaskKeys
 from maesn.episodes import Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, FastState
-from maesn.learners.scratch import PolicyGradientState, PolicyImprovement
+from maesn.learners.scratch import PolicyGradientState, PolicyImprovement, refuse_memory
 
 
 class FineTuningState(eqx.Module, Generic[FastState]):
@@ -46,12 +47,11 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     def __check_init__(self) -> None:
         if self.after < 0:
             raise ValueError(f"`after` must be at least 0, got {self.after}.")
+        refuse_memory("learner", self.learner)
 
     def init(self, keys: TaskKeys) -> FineTuningState[Any]:
         state = FineTuningState(self.learner.init(keys), None, keys, jnp.zeros((), int))
-        # Refuses agents that cannot be tuned now, and not after their updates.
-        tuning = self._begin(state)
-        return state if self.after else FineTuningState(state.learner, tuning, keys, state.update)
+        return state if self.after else replace(state, tuning=self._begin(state))
 
     def agents(self, state: FineTuningState[Any]) -> Agents:
         return self.learner.agents(state.learner) if state.tuning is None else state.tuning.agents

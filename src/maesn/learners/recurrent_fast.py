@@ -46,6 +46,10 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
         return 1
 
     @property
+    def has_memory(self) -> bool:
+        return True
+
+    @property
     def learns_from_reward(self) -> bool:
         return False
 

@@ -37,6 +37,23 @@ class PolicyGradientState(eqx.Module):
     """Number of updates so far."""
 
 
+def refuse_memory(name: str, owner: AbstractPolicySettings | AbstractFastLearner[Any]) -> None:
+    """Refuse what remembers: a policy gradient in one task knows no memory across episodes.
+
+    Args:
+        name: by which it was given.
+        owner: of the policy.
+
+    Raises:
+        ValueError: it has a memory.
+    """
+    if owner.has_memory:
+        raise ValueError(
+            f"`{name}` must be without memory, got {type(owner).__name__}: a policy gradient in "
+            "one task knows no memory across episodes."
+        )
+
+
 class PolicyImprovement(eqx.Module):
     """Policy gradient on the weights of agents that are given; their contexts stay."""
 
@@ -46,16 +63,7 @@ class PolicyImprovement(eqx.Module):
     """How rewards become advantages."""
 
     def begin(self, keys: TaskKeys, agents: Agents) -> PolicyGradientState:
-        """Return the state that begins with these agents, each with a copy of its weights.
-
-        Raises:
-            ValueError: the policy has a memory, which its weights cannot be adapted without.
-        """
-        if agents.policy.initial_carry() is not None:
-            raise ValueError(
-                f"`agents` must have a policy without memory, got {type(agents.policy).__name__}: "
-                "a policy gradient in one task knows no memory across episodes."
-            )
+        """Return the state that begins with these agents, each with a copy of its weights."""
         policy, memory = agents.vmap(lambda agent, _: (agent.policy, self.rule.init(agent.policy)))(
             keys
         )
@@ -80,11 +88,16 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     """Starts with fresh weights in every task, and follows the policy gradient."""
 
     observation_size: int
+    """Components of an observation."""
     action_size: int
+    """Components of an action, or number of choices."""
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network."""
     improvement: PolicyImprovement = PolicyImprovement()
     """How the weights follow their experience."""
+
+    def __check_init__(self) -> None:
+        refuse_memory("policy", self.policy)
 
     def init(self, keys: TaskKeys) -> PolicyGradientState:
         split = jax.vmap(jax.random.split)(keys)

@@ -4,8 +4,6 @@ import dataclasses
 import math
 from typing import Any, Literal, TypeAlias
 
-import jax
-
 from maesn.curiosity import Curiosity
 from maesn.envs import AnyEnv
 from maesn.learners import (
@@ -112,40 +110,22 @@ class AtTestTime:
                 f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
                 "already: leave it out."
             )
-        if self.curious and not learner.learns_from_reward:
+        try:
+            return self._changed(learner, env)
+        except ValueError as error:
             raise RunError(
-                f"`curious` cannot be given to a run of {run.settings.method}: no update of it in "
-                "a new task depends on what it is paid."
-            )
+                f"`{run.settings.method}` cannot be adapted like this: {error}"
+            ) from error
+
+    def _changed(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         if self.step_scale != 1 or self.full_steps is not None:
-            learner = self._paced(learner, run)
+            learner = learner.paced(self.step_scale, self.full_steps)
         if self.curious:
             sizes = env.observation_size, env.action_size
             learner = CuriousFastLearner(learner, self.curiosity, *sizes)
         if self.fine_tune is not None:
-            learner = _fine_tuned(learner, IMPROVEMENTS[self.fine_tune], self.after)
-        try:
-            jax.eval_shape(lambda: learner.init(jax.random.split(jax.random.key(0), 1)))
-        except ValueError as error:
-            raise RunError(
-                f"`{run.settings.method}` cannot be adapted like this: {error}"
-            ) from error
+            learner = FineTuning(learner, IMPROVEMENTS[self.fine_tune], self.after)
         return learner
-
-    def _paced(self, learner: AbstractFastLearner[Any], run: Run) -> AbstractFastLearner[Any]:
-        try:
-            return learner.paced(self.step_scale, self.full_steps)
-        except ValueError as error:
-            raise RunError(
-                f"`{run.settings.method}` cannot be adapted like this: {error}"
-            ) from error
 
 
 NOTHING_ADDED = AtTestTime()
-
-
-def _fine_tuned(learner: AbstractFastLearner[Any], improvement: Any, after: int) -> FineTuning:
-    try:
-        return FineTuning(learner, improvement, after)
-    except ValueError as error:
-        raise RunError(str(error)) from error
