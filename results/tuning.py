@@ -31,7 +31,7 @@ STEPPING = ("maesn", "latent_space", "maml", "maml_bias", "maml_bias_only")
 PACES = {
     "as trained": AtTestTime(),
     "10 full steps": AtTestTime(full_steps=10),
-    "steps x 2": AtTestTime(step_scale=2),
+    "steps x 2": AtTestTime(step_scale=2.0),
 }
 RECURRENT = {
     "learning rate 1e-3": "rl2",

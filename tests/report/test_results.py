@@ -1,8 +1,10 @@
 """The tables under `results/` are what the runs beside them say."""
 
+import math
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scripts import ROOT, load_script
 
@@ -20,3 +22,15 @@ def test_tables_are_those_of_the_runs(
     monkeypatch.setattr(sys, "argv", ["summarize.py", str(directory)])
     load_script("results/summarize.py").main()
     assert capsys.readouterr().out == (directory / "tables.md").read_text(encoding="utf-8")
+
+
+def test_a_default_configuration_stays_unless_another_is_better_beyond_chance() -> None:
+    tuning = load_script("results/tuning.py")
+    default = np.array([-10.0, -20.0, -30.0, -40.0])
+    # On average 1 better, with a standard error of the difference of 2.3.
+    hardly = default + np.array([5.0, -3.0, 5.0, -3.0])
+    clearly = default + np.array([1.5, 0.5, 1.5, 0.5])
+    assert tuning.standard_error(hardly - default) == pytest.approx(4 / math.sqrt(3))
+    assert tuning.chosen({"default": default, "other": hardly}) == "default"
+    assert tuning.chosen({"default": default, "other": clearly}) == "other"
+    assert tuning.chosen({"default": default, "other": default - 1}) == "default"
