@@ -13,7 +13,7 @@ from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import MinibatchDescent, masked_mean
 from maesn.policies import input_features, input_size
 
-# Weight of the past in the running mean and standard deviation of returns. They follow the policy
+# Ours: weight of the past in the running mean and standard deviation of returns. They follow the policy
 # within some ten iterations.
 STATISTICS_DECAY = 0.9
 SMALLEST_STD = 1e-4  # in the unit of returns; keeps equal returns from being blown up

@@ -83,10 +83,9 @@ class TrustRegionRule(AbstractWeightRule):
     """TRPO: the natural gradient step of a bounded mean KL divergence."""
 
     trust_region: TrustRegion = TrustRegion(damping=0.1, cg_steps=10)
-    """Damping as in Stable-Baselines3 and Spinning Up. With the reference's 1e-5, the step follows
-    directions that one task's small batch says nothing of, and is cut back to nearly nothing:
-    CartPole, learned in 20 updates with 0.1, is then not learned in 40. Steps of conjugate
-    gradients: Schulman et al. 2015, appendix C, and Spinning Up."""
+    """Damping as in Stable-Baselines3 and Spinning Up: with the reference's 1e-5, the step follows
+    directions that one task's small batch says nothing of, and is cut back to nearly nothing. Steps
+    of conjugate gradients: Schulman et al. 2015, appendix C, and Spinning Up."""
     curvature_stride: int = 10
     """The curvature is averaged over one of so many time steps; 1 for all. Schulman et
     al. 2015, appendix C.1: a tenth of the data."""

@@ -60,7 +60,7 @@ class GRU(eqx.Module):
             hidden: h before the first step.
         """
         # x W belongs into the loop, and gates are computed again for the gradient: to write and
-        # read those of all steps takes longer on a CPU (`benchmarks/methods.py --methods rl2`).
+        # read those of all steps takes longer on a CPU.
         advance = jax.checkpoint(GRU.__call__, prevent_cse=False)
 
         def step(
