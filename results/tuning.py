@@ -75,11 +75,8 @@ def configurations(method: str, settings: Settings) -> dict[str, Line]:
         found = {name: trained([settings.runs / run]) for name, run in RECURRENT.items()}
     else:
         run = settings.runs / method
-        found = {name: trained([run], test_time=pace) for name, pace in PACES.items()}
-    # A run whose pace is changed is the second line, behind the run as it is.
-    expected = {name: 2 if PACES.get(name, AtTestTime()).suffix else 1 for name in found}
-    assert {name: len(compared.lines) for name, compared in found.items()} == expected
-    return {name: compared.lines[-1] for name, compared in found.items()}
+        found = {name: trained([run], paces={method: pace}) for name, pace in PACES.items()}
+    return {name: compared.lines[0] for name, compared in found.items()}
 
 
 def standard_error(values: np.ndarray) -> float:

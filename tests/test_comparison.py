@@ -208,6 +208,24 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
     assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
 
 
+def test_a_method_takes_the_steps_that_are_chosen_for_it(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    """Its line replaces that of the run as it is, and what is fine-tuned takes the same steps."""
+    command = [
+        *["compare", str(runs["maesn"]), "--out", str(tmp_path), "--num-tasks", "2"],
+        *["--updates", "3", "--episodes-per-task", "3", "--fine-tune", "trpo", "--after", "1"],
+        *["--step-scales", "maesn", "2", "--full-steps", "maesn", "3"],
+    ]
+    assert cli.run(command) == 0
+    scaled, tuned = "maesn-steps-x2-3-full-steps", "maesn-steps-x2-3-full-steps-1-then-trpo"
+    methods = {row["method"] for row in table(tmp_path)}
+    assert methods == {scaled, tuned, "zero_action", "random_actions"}
+    assert "MAESN, steps × 2, 3 full steps, 1 update, then TRPO" in (
+        tmp_path / "summary.md"
+    ).read_text(encoding="utf-8")
+
+
 def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
     once = Conditions(num_tasks=1, updates=0, episodes_per_task=1)
     added = AtTestTime(after=3)
@@ -230,6 +248,7 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
             "(--fine-tune-only) must be methods of the runs, maesn; got maml",
         ),
         ("{1} --fine-tune-only maesn --out {0}", "say how with --fine-tune"),
+        ("{1} --step-scales maml 2 --out {0}", "(--step-scales, --full-steps) must be methods of"),
         ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive, got 0"),
         ("{1} --curiosity-weight -1 --out {0}", "`curiosity_weight` must be at least 0, got -1"),
         ("{1} --step-size inf --out {0}", "`step_size` must be positive, got inf"),

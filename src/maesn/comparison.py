@@ -1,10 +1,12 @@
 """All methods under the same conditions: trained runs, methods from scratch, floor and oracle."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 from maesn.entries import Entry, Scratch, entry_of_runs, floor_entries, scratch_entries
 from maesn.envs import Variant
@@ -79,6 +81,7 @@ class Place:
 
 
 ANYWHERE, NOBODY, USUAL = Place(), Scratch(), Conditions()
+AS_TRAINED: Mapping[str, AtTestTime] = MappingProxyType({})
 
 
 def compare(
@@ -91,6 +94,7 @@ def compare(
     oracle: str | Path | None = None,
     test_time: AtTestTime = NOTHING_ADDED,
     tuned_methods: Sequence[str] = (),
+    paces: Mapping[str, AtTestTime] = AS_TRAINED,
     say: Say = silent,
 ) -> Comparison:
     """Adapt methods to the same tasks; write curves, a figure and tables.
@@ -109,6 +113,8 @@ def compare(
         oracle: directory of a run of the preset `oracle`; without it there is no score.
         test_time: if it changes anything, runs take part a second time, changed like this.
         tuned_methods: runs of which methods do; empty for all that can be changed.
+        paces: step sizes of all runs of a method, by its name; those that are not named keep their
+            own.
         say: is told what goes on.
 
     Raises:
@@ -118,7 +124,13 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else open_oracle(oracle, own)
     settings = place.settings(runs)
-    _check_tuned(tuned_methods, runs, test_time)
+    _check_methods("tuned_methods", "--fine-tune-only", tuned_methods, runs)
+    _check_methods("paces", "--step-scales, --full-steps", paces, runs)
+    if tuned_methods and not test_time.suffix:
+        raise RunError(
+            "`tuned_methods` (--fine-tune-only) says whose policy is fine-tuned, but nothing is: "
+            "say how with --fine-tune."
+        )
     test_time.check_reached(conditions.updates)
     if told and any(run.settings.method == told.settings.method for run in runs):
         raise RunError(
@@ -126,7 +138,8 @@ def compare(
         )
     with closing(ground_of(settings, conditions)) as ground:
         check_world([*runs, *([told] if told else [])], ground)
-        entries = _entries(runs, ground, place.engine, test_time, tuned_methods, say)
+        changes = _Changes(test_time, tuned_methods, paces)
+        entries = _entries(runs, ground, place.engine, changes, say)
         entries += scratch_entries(scratch, ground)
         if not entries:
             raise RunError("name at least one run directory, or a method with --scratch.")
@@ -224,8 +237,7 @@ def _entries(
     runs: Sequence[Run],
     ground: Ground,
     engine: EngineName | None,
-    test_time: AtTestTime,
-    tuned_methods: Sequence[str],
+    changes: "_Changes",
     say: Say,
 ) -> list[Entry]:
     by_path = {run.directory: run for run in runs}
@@ -233,28 +245,43 @@ def _entries(
     for series in group_series([read_run(run.directory) for run in runs]):
         members = [by_path[one.path] for one in series.runs]
         entry = partial(entry_of_runs, series.name, series.style, members, ground, engine=engine)
-        entries.append(entry())
-        tuned = not tuned_methods or members[0].settings.method in tuned_methods
-        if test_time.suffix and tuned:
+        usual, tuned = changes.of(members[0].settings.method)
+        entries.append(entry(test_time=usual))
+        if tuned is not None:
             try:
-                entries.append(entry(test_time=test_time))
+                entries.append(entry(test_time=tuned))
             except RunError as error:
                 say(f"{series.label} takes part as it is: {error}")
     return entries
 
 
-def _check_tuned(methods: Sequence[str], runs: Sequence[Run], test_time: AtTestTime) -> None:
+class _Changes(NamedTuple):
+    """What is changed about whom in the new tasks."""
+
+    test_time: AtTestTime
+    tuned_methods: Sequence[str]
+    paces: Mapping[str, AtTestTime]
+
+    def of(self, method: str) -> tuple[AtTestTime, AtTestTime | None]:
+        """Return how a method takes part, and how a second time; None if it does not."""
+        pace = self.paces.get(method, NOTHING_ADDED)
+        if not self.test_time.suffix or (self.tuned_methods and method not in self.tuned_methods):
+            return pace, None
+        tuned = self.test_time
+        if pace.suffix:
+            tuned = dataclasses.replace(
+                tuned, step_scale=pace.step_scale, full_steps=pace.full_steps
+            )
+        return pace, tuned
+
+
+def _check_methods(name: str, option: str, methods: Iterable[str], runs: Sequence[Run]) -> None:
     known = sorted({run.settings.method for run in runs})
-    strangers = [name for name in methods if name not in known]
+    strangers = [method for method in methods if method not in known]
     if strangers:
         raise RunError(
-            "`tuned_methods` (--fine-tune-only) must be methods of the runs, "
+            f"`{name}` ({option}) must be methods of the runs, "
             f"{', '.join(known) or 'of which there are none'}; got {', '.join(strangers)}."
-        )
-    if methods and not test_time.suffix:
-        raise RunError(
-            "`tuned_methods` (--fine-tune-only) says whose policy is fine-tuned, but nothing is: "
-            "say how with --fine-tune."
         )
 
 

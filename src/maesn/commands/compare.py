@@ -34,6 +34,12 @@ class Options:
     """Methods of which the runs are fine-tuned, as in `maesn maml`; none: all that can be."""
     after: int = 10
     """Updates of a run's own learner before its policy is fine-tuned."""
+    step_scales: dict[str, float] = dataclasses.field(default_factory=dict)
+    """METHOD NUMBER ...: multiplies the sizes of all steps that the runs of a method take in the
+    new tasks, as in `maml 2`."""
+    full_steps: dict[str, int] = dataclasses.field(default_factory=dict)
+    """METHOD NUMBER ...: so many updates of a method's runs have the whole step size, before the
+    sizes begin to shrink."""
 
 
 def main(arguments: list[str]) -> None:
@@ -50,6 +56,15 @@ def main(arguments: list[str]) -> None:
             oracle=options.oracle,
             test_time=AtTestTime(fine_tune=options.fine_tune, after=options.after),
             tuned_methods=options.fine_tune_only,
+            paces=_paces(options),
             say=print,
         )
     )
+
+
+def _paces(options: Options) -> dict[str, AtTestTime]:
+    scales, steps = options.step_scales, options.full_steps
+    return {
+        method: AtTestTime(step_scale=scales.get(method, 1.0), full_steps=steps.get(method))
+        for method in {**scales, **steps}
+    }

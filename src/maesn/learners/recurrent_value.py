@@ -13,8 +13,8 @@ from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import MinibatchDescent, masked_mean
 from maesn.policies import input_features, input_size
 
-# Ours: weight of the past in the running mean and standard deviation of returns. They follow the policy
-# within some ten iterations.
+# Ours: weight of the past in the running mean and standard deviation of returns, which then follow
+# the policy within some ten iterations.
 STATISTICS_DECAY = 0.9
 SMALLEST_STD = 1e-4  # in the unit of returns; keeps equal returns from being blown up
 

@@ -66,11 +66,12 @@ class AtTestTime:
     @property
     def label(self) -> str:
         """What is changed, as it stands behind a method's name in figures; empty for nothing."""
+        updates = "1 update" if self.after == 1 else f"{self.after} updates"
         parts = {
             f"steps × {self.step_scale:g}": self.step_scale != 1,
             f"{self.full_steps} full steps": self.full_steps is not None,
             "curious": self.curious,
-            f"{self.after} updates, then {str(self.fine_tune).upper()}": self.fine_tune is not None,
+            f"{updates}, then {str(self.fine_tune).upper()}": self.fine_tune is not None,
         }
         return ", ".join(text for text, is_so in parts.items() if is_so)
 
