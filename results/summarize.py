@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from maesn.report.adaptation_table import AdaptationTable, read_adaptation
-from maesn.report.tables import difference_table, summary_tables
+from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.runs import read_run
+from maesn.report.tables import difference_table, markdown_row, summary_tables
 
 REFERENCE = "maesn-20x20"
 TABLE = Path("adaptation") / "test-sparse.csv"
@@ -27,6 +28,13 @@ def experiments(directory: Path) -> dict[str, list[Path]]:
         run = table.parents[1]
         found.setdefault(re.sub(r"-seed-\d+$", "", run.name), []).append(run)
     return dict(sorted(found.items(), key=lambda item: (item[0] != REFERENCE, item[0])))
+
+
+def table_of(run: Path) -> AdaptationTable:
+    """Return the table of a run's adaptation."""
+    table = read_run(run).adaptation("test", "sparse")
+    assert table is not None
+    return table
 
 
 def last_metrics(run: Path) -> dict[str, float]:
@@ -44,15 +52,13 @@ def training_row(name: str, run: Path) -> str:
     learned = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
     cells = (name, str(config["settings"]["seed"]), f"{last['return_before']:.1f}",
              f"{last['return_after']:.1f}", kl, learned, f"{last['action_std']:.2f}")  # fmt: skip
-    return f"| {' | '.join(cells)} |"
+    return markdown_row(cells)
 
 
 def main() -> None:
     """Print all tables as Markdown."""
     found = experiments(Path(sys.argv[1]))
-    tables: dict[str, list[AdaptationTable]] = {
-        name: [read_adaptation(run / TABLE) for run in runs] for name, runs in found.items()
-    }
+    tables = {name: [table_of(run) for run in runs] for name, runs in found.items()}
     print("# Training, mean of the last 20 meta-iterations, dense reward\n")
     print("| run | seed | before | after | KL to prior | step sizes | action std |")
     print("|---|---:|---:|---:|---:|---:|---:|")

@@ -24,6 +24,7 @@ import tyro
 from maesn.comparison import Place, compare
 from maesn.entries import Scratch
 from maesn.report.comparison import Line
+from maesn.report.tables import markdown_row
 from maesn.runs.contest import Conditions
 from maesn.runs.test_time import AtTestTime
 
@@ -116,7 +117,7 @@ def rows(method: str, lines: dict[str, Line]) -> Iterator[str]:
             f"{end.mean():.1f} ± {error:.1f}",
             f"{success:.1f}",
         )
-        yield f"| {' | '.join(map(str, cells))} |"
+        yield markdown_row([str(cell) for cell in cells])
 
 
 def main() -> None:

@@ -208,6 +208,9 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
     assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
 
 
+PACES = {"maesn": AtTestTime(step_scale=2.0, full_steps=3)}
+
+
 def test_a_method_takes_the_steps_that_are_chosen_for_it(
     runs: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -219,11 +222,23 @@ def test_a_method_takes_the_steps_that_are_chosen_for_it(
     ]
     assert cli.run(command) == 0
     scaled, tuned = "maesn-steps-x2-3-full-steps", "maesn-steps-x2-3-full-steps-1-then-trpo"
-    methods = {row["method"] for row in table(tmp_path)}
-    assert methods == {scaled, tuned, "zero_action", "random_actions"}
-    assert "MAESN, steps × 2, 3 full steps, 1 update, then TRPO" in (
+    rows = table(tmp_path)
+    assert {row["method"] for row in rows} == {scaled, tuned, "zero_action", "random_actions"}
+    paced, improved = (
+        [row["mean_return"] for row in rows if row["method"] == name] for name in (scaled, tuned)
+    )
+    # After 0 and 1 updates the same, then not.
+    assert [a == b for a, b in zip(paced, improved, strict=True)] == [True, True, False, False] * 2
+    assert "MAESN (steps × 2; 3 full steps; 1 update then TRPO)" in (
         tmp_path / "summary.md"
     ).read_text(encoding="utf-8")
+    first = Conditions(num_tasks=2, updates=3, episodes_per_task=3)
+    plain = compare([runs["maesn"]], out=tmp_path / "plain", conditions=first).lines[0]
+    done = compare([runs["maesn"]], out=tmp_path, conditions=first, paces=PACES).lines[0]
+    assert done.style.line == plain.style.line
+    same = plain.measure("mean_return") == done.measure("mean_return")
+    assert same[0, :, 0].all()
+    assert not same[0, :, 1:].any()
 
 
 def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -248,6 +263,9 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
             "(--fine-tune-only) must be methods of the runs, maesn; got maml",
         ),
         ("{1} --fine-tune-only maesn --out {0}", "say how with --fine-tune"),
+        ("{1} --step-scales maesn 0 --out {0}", "`step_scale` must be positive, got 0"),
+        ("{1} --full-steps maesn 0 --out {0}", "`full_steps` must be at least 1, got 0"),
+        ("{1} --fine-tune trpo --after -1 --out {0}", "`after` must be at least 0, got -1"),
         ("{1} --step-scales maml 2 --out {0}", "(--step-scales, --full-steps) must be methods of"),
         ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive, got 0"),
         ("{1} --curiosity-weight -1 --out {0}", "`curiosity_weight` must be at least 0, got -1"),
@@ -259,7 +277,7 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --seed 4294967296 --out {0}", "`seed` must lie between 0 and 2^32 - 1"),
         ("{1} --scratch-seeds 0 0 --out {0}", "`seeds` must be different numbers"),
         ("{1} --scratch-seeds -1 --out {0}", "`seeds` must lie between 0 and 2^32 - 1"),
-        ("{1} --scratch reinforce vpg --out {0}", "`reinforce` can begin from scratch only once"),
+        ("{1} --scratch reinforce vpg --out {0}", "must name each method once, got reinforce vpg"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_in_a_sentence(
@@ -282,7 +300,8 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(
 def test_a_variant_in_which_a_run_sees_something_else_is_refused(tmp_path: Path) -> None:
     """On `blockpush` the paper's variant tells the goal, two components more."""
     run = create(tmp_path / "run", tiny_maesn(), family="blockpush")
-    with pytest.raises(RunError, match=r"must have `observation_size` 28 .*, got 26, that of its"):
+    said = r"an environment of `observation_size` 28, as this .* `paper` has, got 26: compare it"
+    with pytest.raises(RunError, match=said):
         compare([run.directory], out=tmp_path, place=Place(variant="paper"), conditions=FEW)
 
 

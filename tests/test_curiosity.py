@@ -10,7 +10,8 @@ import pytest
 from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.transitions import episodes_of, linear_episodes
 
-from maesn.curiosity import Curiosity, Scale, Transitions, transitions
+from maesn.curiosity import Curiosity
+from maesn.transitions import Scale, Transitions, transitions
 
 KEY = jax.random.key(0)
 SMALL = Curiosity(hidden_sizes=(4,), pool_size=64, pool_additions=16, updates=20, samples=3)

@@ -105,6 +105,7 @@ def test_tasks_are_chosen_for_all_or_for_each() -> None:
         ({"options": {"reset_mask": np.ones(COUNT)}}, "`reset_mask` must be 3 booleans"),
         ({"options": {"mask": np.ones(COUNT, bool)}}, "`mask` is not an option: .* `reset_mask`"),
         ({"seed": [1, 2]}, "`seed` must be one number or one for each of 3 episodes, got 2"),
+        ({"seed": [4, -1, 5]}, "-1"),
     ],
 )
 def test_wrong_resets_are_refused_by_name_and_change_nothing(

@@ -63,6 +63,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import maml_bias_only as maml_bias_only
     from maesn.learners import oracle as oracle
     from maesn.learners import rl2 as rl2
+    from maesn.learners import rl2_trpo as rl2_trpo
     from maesn.numerics import MinibatchDescent as MinibatchDescent
     from maesn.policies import CategoricalMLP as CategoricalMLP
     from maesn.policies import GaussianMLP as GaussianMLP
@@ -146,6 +147,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "maml_bias_only",
         "oracle",
         "rl2",
+        "rl2_trpo",
     ),
     "maesn.numerics": ("MinibatchDescent",),
     "maesn.policies": (

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from maesn import api
-from maesn.comparison import check_world, compare_entries, ground_of, open_oracle, silent
+from maesn.admission import check_world, open_oracle
+from maesn.comparison import compare_entries, ground_of, silent
 from maesn.entries import Entry, entry_of_runs
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.report.comparison import Comparison
@@ -87,13 +88,13 @@ def ablate(
         One comparison per radius; None stands for the family's own.
 
     Raises:
-        RunError: a run in `out` is another one than is asked for.
+        RunError: a run in `out` is another one than is asked for, or the oracle is none.
     """
     out = Path(out)
+    told = None if oracle is None else open_oracle(oracle, ablation.own_family)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
-    told = None if oracle is None else open_oracle(oracle, ablation.own_family)
     done: dict[float | None, Comparison] = {}
     for radius in radii or ablation.radii:
         say(f"adaptation on sparse reward, {radius_label(radius)}")

@@ -30,6 +30,7 @@ from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.runs.shipped import find_run, working_copy
+from maesn.runs.starting import check_shown
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
@@ -126,6 +127,7 @@ def adapt(
     learner = test_time.add_to(run.learner.fast_learner(run.latest_state()), run, run.env())
     go_on, done = None, 0
     with closing(run.world(run.task_set(tasks), reward, engine)) as world:
+        check_shown(run.learner.player(run.latest_state()), world.env)
         if start is not None:
             latents, done = _latents_to_go_on_from(Path(start), learner, len(world.tasks))
             go_on = partial(_resume_chunk, learner, latents, done)

@@ -6,8 +6,8 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
+from maesn.admission import Changes, check_methods, check_world, open_oracle
 from maesn.entries import Entry, Scratch, entry_of_runs, floor_entries, scratch_entries
 from maesn.envs import Variant
 from maesn.report.adaptation_table import read_adaptation
@@ -124,8 +124,8 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else open_oracle(oracle, own)
     settings = place.settings(runs)
-    _check_methods("tuned_methods", "--fine-tune-only", tuned_methods, runs)
-    _check_methods("paces", "--step-scales, --full-steps", paces, runs)
+    check_methods("tuned_methods", "--fine-tune-only", tuned_methods, runs)
+    check_methods("paces", "--step-scales, --full-steps", paces, runs)
     if tuned_methods and not test_time.suffix:
         raise RunError(
             "`tuned_methods` (--fine-tune-only) says whose policy is fine-tuned, but nothing is: "
@@ -138,7 +138,7 @@ def compare(
         )
     with closing(ground_of(settings, conditions)) as ground:
         check_world([*runs, *([told] if told else [])], ground)
-        changes = _Changes(test_time, tuned_methods, paces)
+        changes = Changes(test_time, tuned_methods, paces)
         entries = _entries(runs, ground, place.engine, changes, say)
         entries += scratch_entries(scratch, ground)
         if not entries:
@@ -149,48 +149,6 @@ def compare(
 def ground_of(settings: RunSettings, conditions: Conditions) -> Ground:
     """Return where the settings and conditions say; to be closed."""
     return open_ground(resolve_family(settings.family), settings, conditions)
-
-
-def open_oracle(directory: str | Path, family: str | None) -> Run:
-    """Open a run whose policy is told the task.
-
-    Args:
-        directory: of the run.
-        family: the run's family, if it is the user's own.
-
-    Raises:
-        RunError: it cannot be read, or is a run of another method.
-    """
-    run = Run.open(directory, family=family)
-    if run.settings.method != "oracle":
-        raise RunError(
-            f"`{run.directory}` must be a run of `oracle`, which is told the task, to be the "
-            f"ceiling of a score, but is one of `{run.settings.method}`: train one with `maesn "
-            "train oracle`."
-        )
-    return run
-
-
-def check_world(runs: Sequence[Run], ground: Ground) -> None:
-    """Refuse runs that were trained in another family, or with other observations or actions.
-
-    Raises:
-        RunError: a run was.
-    """
-    for run in runs:
-        if run.config.family != ground.env.name:
-            raise RunError(
-                f"`{run.directory}` must be a run on {ground.env.name} to be compared there, got "
-                f"one on {run.config.family}: leave it out, or give another --family."
-            )
-        trained = run.env()
-        for name in ("observation_size", "action_size"):
-            wanted, found = getattr(ground.env, name), getattr(trained, name)
-            if wanted != found:
-                raise RunError(
-                    f"`{run.directory}` must have `{name}` {wanted} to be compared here, got "
-                    f"{found}, that of its variant `{run.settings.variant}`: give that --variant."
-                )
 
 
 def compare_entries(
@@ -237,7 +195,7 @@ def _entries(
     runs: Sequence[Run],
     ground: Ground,
     engine: EngineName | None,
-    changes: "_Changes",
+    changes: Changes,
     say: Say,
 ) -> list[Entry]:
     by_path = {run.directory: run for run in runs}
@@ -253,36 +211,6 @@ def _entries(
             except RunError as error:
                 say(f"{series.label} takes part as it is: {error}")
     return entries
-
-
-class _Changes(NamedTuple):
-    """What is changed about whom in the new tasks."""
-
-    test_time: AtTestTime
-    tuned_methods: Sequence[str]
-    paces: Mapping[str, AtTestTime]
-
-    def of(self, method: str) -> tuple[AtTestTime, AtTestTime | None]:
-        """Return how a method takes part, and how a second time; None if it does not."""
-        pace = self.paces.get(method, NOTHING_ADDED)
-        if not self.test_time.suffix or (self.tuned_methods and method not in self.tuned_methods):
-            return pace, None
-        tuned = self.test_time
-        if pace.suffix:
-            tuned = dataclasses.replace(
-                tuned, step_scale=pace.step_scale, full_steps=pace.full_steps
-            )
-        return pace, tuned
-
-
-def _check_methods(name: str, option: str, methods: Iterable[str], runs: Sequence[Run]) -> None:
-    known = sorted({run.settings.method for run in runs})
-    strangers = [method for method in methods if method not in known]
-    if strangers:
-        raise RunError(
-            f"`{name}` ({option}) must be methods of the runs, "
-            f"{', '.join(known) or 'of which there are none'}; got {', '.join(strangers)}."
-        )
 
 
 def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:

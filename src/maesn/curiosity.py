@@ -10,32 +10,22 @@ https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.axes import Key
 from maesn.episodes import Episodes
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step
+from maesn.transitions import Scale, Transitions, check_observed, transitions
 
-# Standard deviations beyond which inputs and changes are cut off: contacts have heavy tails.
-FEATURE_CLIP = 10.0
 # Transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
-
-
-class Transitions(NamedTuple):
-    """What the dynamics did, step by step, episodes behind each other."""
-
-    rows: Float[Array, "transition feature"]
-    """Observation, action, and change of the observation, side by side."""
-    valid: Bool[Array, " transition"]
-    """False for steps beyond the end of an episode, and where an observation is not finite."""
 
 
 class CuriosityState(eqx.Module):
@@ -48,17 +38,6 @@ class CuriosityState(eqx.Module):
     """Transitions to learn from."""
     medians: Ring
     """Median information gains of the last batches."""
-
-
-class Scale(NamedTuple):
-    """Mean and standard deviation of each feature of the pool."""
-
-    mean: Float[Array, " feature"]
-    std: Float[Array, " feature"]
-
-    def __call__(self, row: Float[Array, " feature"]) -> Float[Array, " feature"]:
-        """Return the standardised features of one transition."""
-        return jnp.clip((row - self.mean) / self.std, -FEATURE_CLIP, FEATURE_CLIP)
 
 
 class Curiosity(eqx.Module):
@@ -103,7 +82,9 @@ class Curiosity(eqx.Module):
                 raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
         for name in ("updates", "weight"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
+                raise ValueError(
+                    f"`{name}` must be finite and at least 0, got {getattr(self, name)}."
+                )
         if any(size < 1 for size in self.hidden_sizes):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
 
@@ -235,34 +216,3 @@ class Curiosity(eqx.Module):
         number = seen.valid.shape[0]
         chosen = jax.random.permutation(key, number)[: self.pool_additions]
         return Transitions(seen.rows[chosen], seen.valid[chosen])
-
-
-def check_observed(observation_size: int) -> None:
-    """Refuse worlds without observations, in which there is nothing to predict.
-
-    Raises:
-        ValueError: there are none.
-    """
-    if observation_size < 1:
-        raise ValueError(
-            "`observation_size` must be at least 1, got "
-            f"{observation_size}: curiosity predicts observations, and there are none."
-        )
-
-
-def transitions(episodes: Episodes) -> Transitions:
-    """Return what happened in all steps of all episodes.
-
-    Raises:
-        ValueError: the episodes do not hold what was observed after their last step.
-    """
-    time, states = episodes.action.shape[-2], episodes.observation.shape[-2]
-    if states != time + 1:
-        raise ValueError(
-            f"`episodes` must hold an observation after every step, {time + 1} for {time} steps, "
-            f"got {states}: curiosity judges a step by what is observed next."
-        )
-    before, after = episodes.observation[..., :-1, :], episodes.observation[..., 1:, :]
-    finite = jnp.isfinite(before).all(-1) & jnp.isfinite(after).all(-1)
-    rows = jnp.concatenate([before, episodes.action, after - before], axis=-1)
-    return Transitions(rows.reshape(-1, rows.shape[-1]), (episodes.valid & finite).reshape(-1))

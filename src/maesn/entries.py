@@ -68,7 +68,9 @@ class Scratch:
         if not all(0 <= seed < 2**32 for seed in self.seeds):
             raise RunError(f"`seeds` must lie between 0 and 2^32 - 1, got {self.seeds}.")
         if not 0 <= self.curiosity_weight < math.inf:
-            raise RunError(f"`curiosity_weight` must be at least 0, got {self.curiosity_weight}.")
+            raise RunError(
+                f"`curiosity_weight` must be finite and at least 0, got {self.curiosity_weight}."
+            )
 
     def learner(self, name: str, env: AnyEnv) -> AbstractFastLearner[Any]:
         """Return one of the methods, by its key in `SCRATCH`, for an environment."""
@@ -80,7 +82,10 @@ class Scratch:
             vime: {**region, "curiosity": Curiosity(self.curiosity_weight)},
         }
         policy = USUAL[env.action_kind]
-        return make(env.observation_size, env.action_size, policy=policy, **settings[make])
+        try:
+            return make(env.observation_size, env.action_size, policy=policy, **settings[make])
+        except ValueError as error:
+            raise RunError(f"`{name}` cannot learn in `{env.name}`: {error}") from error
 
 
 def entry_of_runs(
@@ -162,7 +167,10 @@ def scratch_entries(scratch: Scratch, ground: Ground) -> list[Entry]:
     names = [name for name, _ in chosen]
     for name in names:
         if names.count(name) > 1:
-            raise RunError(f"`{name}` can begin from scratch only once, got {scratch.methods}.")
+            raise RunError(
+                f"`scratch` must name each method once, got {' '.join(scratch.methods)}: `{name}` "
+                "is meant twice (`vpg` is `reinforce`)."
+            )
     return [entry_of_scratch(*one, scratch, ground) for one in chosen]
 
 
@@ -206,6 +214,8 @@ def _unlearned(
 
 
 def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
-    """Return the style of a method that something is added to: its colour, dashed."""
-    label = f"{style.label}, {test_time.label}"
-    return dataclasses.replace(style, label=label, line=(0, (2.0, 1.0)), marker="d")
+    """Return the style of a changed method: dashed, unless nothing but its steps is changed."""
+    named = dataclasses.replace(style, label=f"{style.label} ({test_time.label})")
+    if not (test_time.curious or test_time.fine_tune):
+        return named
+    return dataclasses.replace(named, line=(0, (2.0, 1.0)), marker="d")

@@ -96,11 +96,7 @@ class Collector:
                 f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
                 f"{kind}: choose a policy, or its `action_kind`, that fits."
             )
-        if not env.can_show(agents.policy.observed_reward):
-            raise ValueError(
-                f"`{env.name}` pays the {env.reward_kind} reward and no other at the same time, "
-                f"but the policy reads the {agents.policy.observed_reward} one."
-            )
+        env.check_shown(agents.policy.observed_reward)
 
     def _refuse(self, finite: np.ndarray, task_index: np.ndarray) -> None:
         task_slot, episode, step = np.argwhere(~finite)[0]

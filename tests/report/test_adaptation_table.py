@@ -14,8 +14,8 @@ from maesn.report.adaptation_table import (
     MEASURES,
     read_adaptation,
     stack_seeds,
-    table_name,
 )
+from maesn.report.table_name import table_name
 from maesn.report.tables import summary_tables
 
 HEADER = ",".join(COLUMNS)

@@ -93,8 +93,12 @@ def test_a_reward_that_is_not_paid_cannot_be_read(tmp_path: Path) -> None:
     directory = tmp_path / "run"
     reader = rl2(policy=Recurrent(hidden_size=4, readout_sizes=(4,), observed_reward="sparse"))
     family = gymnasium_family("walk", make_walker, draw_walks, horizon=HORIZON)
-    with pytest.raises(RunError, match="pays the dense reward and no other at the same time"):
+    with pytest.raises(
+        RunError, match="pays the dense reward alone, but the policy reads the sparse"
+    ):
         Run.create(directory, reader, tiny_settings(), family=family)
     assert not directory.exists()
     paid = tiny_settings(reward="sparse")
     assert Run.create(directory, reader, paid, family=family).learner == reader
+    with pytest.raises(RunError, match="reads the sparse one: give --reward sparse, or a policy"):
+        adapt(directory, reward="dense", updates=0, episodes_per_task=1, family=family)

@@ -18,7 +18,7 @@ from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES
-from maesn.learners import maml, rl2
+from maesn.learners import METHODS, maml
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.checkpoint import MismatchError
 from maesn.runs.run import Run
@@ -117,10 +117,16 @@ def test_actions_of_another_kind_are_refused_before_there_is_a_directory(tmp_pat
     assert Run.create(directory, discrete, tiny_settings(family="bandit")).learner == discrete
 
 
-def test_trials_that_are_too_few_for_the_minibatches_are_refused(tmp_path: Path) -> None:
-    directory = tmp_path / "run"
-    with pytest.raises(RunError, match="`minibatches` is 8, but a meta-iteration has only 4 trial"):
-        Run.create(directory, rl2(meta_batch_size=2), tiny_settings(episodes_per_task=2))
+@pytest.mark.parametrize(
+    ("method", "part"),
+    [("rl2", "policy_step"), ("rl2_trpo", "value"), ("rl2+curiosity", "policy_step")],
+)
+def test_trials_that_are_too_few_for_the_minibatches_are_refused(
+    tmp_path: Path, method: str, part: str
+) -> None:
+    directory, learner = tmp_path / "run", METHODS[method](meta_batch_size=2)
+    with pytest.raises(RunError, match=f"`{part}.descent.minibatches` is 8, but .* only 4 trials"):
+        Run.create(directory, learner, tiny_settings(episodes_per_task=2))
     assert not directory.exists()
 
 

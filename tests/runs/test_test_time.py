@@ -156,6 +156,6 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
 
 def test_a_label_says_what_is_changed() -> None:
     assert AtTestTime().label == ""
-    assert AtTestTime(step_scale=2.0, full_steps=10).label == "steps × 2, 10 full steps"
+    assert AtTestTime(step_scale=2.0, full_steps=10).label == "steps × 2; 10 full steps"
     tuned = AtTestTime(fine_tune="trpo", curious=True)
-    assert tuned.label == "curious, 10 updates, then TRPO"
+    assert tuned.label == "curious; 10 updates then TRPO"

@@ -12,6 +12,7 @@ from maesn.entries import Scratch
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.contest import Conditions
+from maesn.runs.storage import RunError
 from maesn.runs.test_time import AtTestTime, FineTuneRule
 
 
@@ -29,7 +30,8 @@ class Options:
     oracle: Path | None = None
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
     fine_tune: FineTuneRule | None = None
-    """Every run takes part a second time, its policy fine-tuned like this; None: it does not."""
+    """Every run takes part a second time, its policy fine-tuned like this in the updates beyond
+    --after; None: it does not."""
     fine_tune_only: tuple[str, ...] = ()
     """Methods of which the runs are fine-tuned, as in `maesn maml`; none: all that can be."""
     after: int = 10
@@ -46,6 +48,7 @@ def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "compare", arguments)
     enable_compilation_cache()
+    test_time, paces = _changes(options)
     print_summary(
         compare(
             options.runs,
@@ -54,17 +57,23 @@ def main(arguments: list[str]) -> None:
             place=options.place,
             conditions=options.conditions,
             oracle=options.oracle,
-            test_time=AtTestTime(fine_tune=options.fine_tune, after=options.after),
+            test_time=test_time,
             tuned_methods=options.fine_tune_only,
-            paces=_paces(options),
+            paces=paces,
             say=print,
         )
     )
 
 
-def _paces(options: Options) -> dict[str, AtTestTime]:
+def _changes(options: Options) -> tuple[AtTestTime, dict[str, AtTestTime]]:
+    """Return what is changed for the second lines of all runs, and the steps of single methods."""
     scales, steps = options.step_scales, options.full_steps
-    return {
-        method: AtTestTime(step_scale=scales.get(method, 1.0), full_steps=steps.get(method))
-        for method in {**scales, **steps}
-    }
+    try:
+        test_time = AtTestTime(fine_tune=options.fine_tune, after=options.after)
+        paces = {
+            method: AtTestTime(step_scale=scales.get(method, 1.0), full_steps=steps.get(method))
+            for method in {**scales, **steps}
+        }
+    except ValueError as error:
+        raise RunError(str(error)) from error
+    return test_time, paces

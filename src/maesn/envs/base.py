@@ -148,9 +148,12 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         near = env.solved(next_readings, task)
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
-    def can_show(self, kind: ObservedReward) -> bool:
-        """Whether agents that read rewards can be shown this kind."""
-        return True
+    def check_shown(self, kind: ObservedReward) -> None:
+        """Refuse a kind of reward that agents cannot be shown here.
+
+        Raises:
+            ValueError: they cannot.
+        """
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         """Whether the episode ends by nature in this state: never, unless it says when."""

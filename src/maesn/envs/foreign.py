@@ -113,9 +113,17 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         """Return the environment's reward: whether it tells a task from afar is not known here."""
         return next_readings["reward"]
 
-    def can_show(self, kind: ObservedReward) -> bool:
-        """Whether it is the reward that is paid: an environment pays one at a time."""
-        return kind in ("paid", self.reward_kind)
+    def check_shown(self, kind: ObservedReward) -> None:
+        """Refuse what is not paid: an environment pays one reward at a time.
+
+        Raises:
+            ValueError: it is not.
+        """
+        if kind not in ("paid", self.reward_kind):
+            raise ValueError(
+                f"`{self.name}` pays the {self.reward_kind} reward alone, but the policy reads the "
+                f"{kind} one: give --reward {kind}, or a policy that reads what is paid."
+            )
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return readings["terminated"] > 0

@@ -94,9 +94,10 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         refuse_unknown("an option", options, ("task", "reset_mask"))
         rows = self._rows_to_reset(options)
         chosen = self._stepper.choose(options.get("task"))
-        for row, own_seed in zip(rows, self._seeds(seed)[rows], strict=True):
-            if own_seed is not None:
-                self._streams[row] = seeding.np_random(int(own_seed))[0]
+        asked = zip(rows, self._seeds(seed)[rows], strict=True)
+        fresh = {row: seeding.np_random(int(own))[0] for row, own in asked if own is not None}
+        for row, stream in fresh.items():
+            self._streams[row] = stream
         glimpse = self._stepper.begin(rows, self._streams, chosen)
         self._running, self._ended[rows] = True, False
         return glimpse.observation, self._information(glimpse)

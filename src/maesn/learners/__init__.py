@@ -26,6 +26,7 @@ from maesn.learners.presets import maml_bias_only as maml_bias_only
 from maesn.learners.presets import method_name as method_name
 from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
+from maesn.learners.presets import rl2_trpo as rl2_trpo
 from maesn.learners.recurrent import RecurrentInfo as RecurrentInfo
 from maesn.learners.recurrent import RecurrentMetaLearner as RecurrentMetaLearner
 from maesn.learners.recurrent import RecurrentState as RecurrentState

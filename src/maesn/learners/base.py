@@ -65,7 +65,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
 
     @property
     def has_memory(self) -> bool:
-        """Whether the policies remember earlier episodes, without which their weights are lost."""
+        """Whether the policies remember earlier steps: a step then cannot be judged by itself."""
         return False
 
     @property

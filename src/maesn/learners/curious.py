@@ -10,9 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from maesn.agent import Agents
 from maesn.axes import Key, TaskKeys
-from maesn.curiosity import Curiosity, CuriosityState, check_observed
+from maesn.curiosity import Curiosity, CuriosityState
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
+from maesn.transitions import check_observed
 
 
 class CuriousFastState(eqx.Module):
@@ -72,6 +73,10 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     @property
     def trial_episodes(self) -> int | None:
         return self.learner.trial_episodes
+
+    @property
+    def has_memory(self) -> bool:
+        return self.learner.has_memory
 
     def paced(self, step_scale: float, full_steps: int | None) -> "CuriousFastLearner":
         """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
@@ -148,6 +153,10 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
 
     def iteration(self, state: CuriousState) -> Int[Array, ""]:
         return self.learner.iteration(state.learner)
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """See `AbstractMetaLearner.check_batch`."""
+        self.learner.check_batch(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
         """Return those of the learner, which is another method if it is curious."""

@@ -64,6 +64,10 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         return replace(self, schedule=replace(self.schedule, scale=scale, full_steps=number))
 
     @property
+    def has_memory(self) -> bool:
+        return self.policy.initial_carry() is not None
+
+    @property
     def learns_from_reward(self) -> bool:
         return self.adaptation.policy is not None or self.adaptation.context is not None
 

@@ -1,7 +1,8 @@
 """Fine-tuning: after a fast learner has settled, its policy's weights follow the task's gradient.
 
-A rule for test time, which any fast learner can be given; nothing is trained for it. It is what the
-paper's claim about asymptotic performance means: what the latents cannot reach, the weights can.
+A rule for test time, which any fast learner without memory can be given; nothing is trained for it.
+It is what the paper's claim about asymptotic performance means: what the latents cannot reach, the
+weights can.
 """
 
 from dataclasses import replace

@@ -14,7 +14,6 @@ from maesn.learners.curious import CuriousMetaLearner
 from maesn.learners.gradient import GradientMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent import RecurrentMetaLearner
-from maesn.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
@@ -138,13 +137,8 @@ def rl2(**settings: Any) -> RecurrentMetaLearner:
 
 
 def rl2_trpo(**settings: Any) -> RecurrentMetaLearner:
-    """RL2 with the step of its paper, TRPO, instead of PPO (Duan et al. 2016).
-
-    Damping 1e-2 and 10 steps of conjugate gradients, because the curvature is that of a tenth of
-    the trials; with the outer step's own 1e-5 it follows directions that those say nothing of.
-    """
-    region = TrustRegion(damping=1e-2, cg_steps=10)
-    return RecurrentMetaLearner(**{"policy_step": TrustRegionStep(region), **settings})
+    """RL2 with the step of its paper, TRPO, instead of PPO (Duan et al. 2016)."""
+    return RecurrentMetaLearner(**{"policy_step": TrustRegionStep(), **settings})
 
 
 PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {

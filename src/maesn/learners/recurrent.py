@@ -118,13 +118,17 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""
         trials = self.meta_batch_size * episodes_per_task
-        most = max(self.policy_step.minibatches, self.value.descent.minibatches)
-        if trials < most:
-            raise ValueError(
-                f"`minibatches` is {most}, but a meta-iteration has only {trials} trials, "
-                f"{episodes_per_task} in each of {self.meta_batch_size} tasks: lower it, or play "
-                "more."
-            )
+        parts = {
+            "policy_step": self.policy_step.minibatches,
+            "value": self.value.descent.minibatches,
+        }
+        for owner, minibatches in parts.items():
+            if trials < minibatches:
+                raise ValueError(
+                    f"`{owner}.descent.minibatches` is {minibatches}, but a meta-iteration has "
+                    f"only {trials} trials, {episodes_per_task} in each of "
+                    f"{self.meta_batch_size} tasks: lower it, or play more."
+                )
 
     def fast_learner(self, state: RecurrentState) -> RecurrentFastLearner:
         """Return the learner of new tasks: it remembers."""

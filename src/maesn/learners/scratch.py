@@ -38,7 +38,7 @@ class PolicyGradientState(eqx.Module):
 
 
 def refuse_memory(name: str, owner: AbstractPolicySettings | AbstractFastLearner[Any]) -> None:
-    """Refuse what remembers: a policy gradient in one task knows no memory across episodes.
+    """Refuse what remembers: the steps of the weights here judge every time step by itself.
 
     Args:
         name: by which it was given.
@@ -49,8 +49,8 @@ def refuse_memory(name: str, owner: AbstractPolicySettings | AbstractFastLearner
     """
     if owner.has_memory:
         raise ValueError(
-            f"`{name}` must be without memory, got {type(owner).__name__}: a policy gradient in "
-            "one task knows no memory across episodes."
+            f"`{name}` must be without memory, got {type(owner).__name__}: the policy gradient in "
+            "one task judges every step by itself."
         )
 
 

@@ -1,7 +1,6 @@
 """Adaptation curves of one run, read from the CSV file that `maesn adapt` writes."""
 
 import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from maesn.report.reading import ReportError, read_json
+from maesn.report.table_name import table_name
 
 Curves = Float[np.ndarray, "task update"]
 
@@ -18,25 +18,6 @@ MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", 
 COLUMNS = ("task", "update", "episodes", *MEASURES)
 # Tables of earlier versions lack it; whatever reads one must do without.
 SOLVED_AT_RESET = "solved_at_reset"
-# TASKS-REWARD, and behind it what was changed in the new tasks, as `-10-then-trpo` or `-on-mjx`.
-_NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
-
-
-class TableName(NamedTuple):
-    """What the name of a table says."""
-
-    tasks: str
-    """Name of the task set, with `from-UPDATE-` before it if an earlier adaptation went on."""
-    reward: str
-    """Reward of the adaptation; empty if the file is called otherwise."""
-    changed: str = ""
-    """What was changed about the learner or the engine, with a hyphen before it."""
-
-
-def table_name(path: Path) -> TableName:
-    """Return what the name of a table says."""
-    found = _NAME.fullmatch(path.stem)
-    return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
 
 
 class PriorReach(NamedTuple):
@@ -84,8 +65,8 @@ class AdaptationTable:
     """Number of updates that lie before column 0; not 0 if an earlier adaptation went on."""
     solved_at_reset: Curves | None = None
     """Share of the episodes that start in the goal region; None in tables of earlier versions."""
-    played: int | None = None
-    """Episodes per task that each entry is a mean of; None if no record says so."""
+    episodes_per_task: int | None = None
+    """Episodes that each entry is a mean of; None if no record says so."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if there is no such limit, or no
     record says so."""
@@ -128,7 +109,7 @@ class AdaptationTable:
     @property
     def prior_reach(self) -> PriorReach | None:
         """What the prior reaches; None if the table does not tell."""
-        episodes = self.episodes_per_update if self.played is None else self.played
+        episodes = self.episodes_per_task or self.episodes_per_update
         if self.first_update or episodes is None:
             return None
         rates, solved = self.success_rate[:, 0], self.is_solved_at_reset
@@ -180,12 +161,23 @@ def read_adaptation(path: Path) -> AdaptationTable:
     curves: dict[str, Any] = {name: _grid(rows, name, first, path) for name in present}
     counts = episodes[0].astype(np.int64)
     table = AdaptationTable(name.tasks, name.reward, counts, **curves, first_update=first)
+    return replace(table, **_recorded(path))
+
+
+def _recorded(path: Path) -> dict[str, Any]:
+    """Return what the record beside a table says of its episodes; nothing if there is none."""
     record = path.with_suffix(".settings.json")
     if not record.exists():
-        return table
-    said = read_json(record, _remedy(path))
-    played, trial_episodes = said.get("episodes_per_task"), said.get("trial_episodes")
-    return replace(table, played=played, trial_episodes=trial_episodes)
+        return {}
+    content = read_json(record, _remedy(path))
+    said = {name: content.get(name) for name in ("episodes_per_task", "trial_episodes")}
+    for name, value in said.items():
+        if not isinstance(value, int | None):
+            raise ReportError(
+                f"Expected a whole number or null for `{name}` in `{record}`, got {value!r}; "
+                f"{_remedy(path)}."
+            )
+    return said
 
 
 def _read_rows(path: Path) -> list[dict[str, float]]:

@@ -111,7 +111,8 @@ def _ends(comparison: Comparison, addition: str = "") -> TextTable:
         f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
         note_on_solved(comparison.is_solved_at_reset),
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
-        comparison.why_no_score or _scoreless(comparison) or _SCORE_INTERVAL,
+        comparison.why_no_score or _SCORE_INTERVAL,
+        "" if comparison.why_no_score else _scoreless(comparison),
     ]
     tasks = ", ".join(filter(None, (f"{comparison.lines[0].tables[0].tasks} tasks", addition)))
     title = f"After each method's last update, in {tasks}"

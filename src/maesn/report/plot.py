@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from rich.console import Console
 
-from maesn.report.adaptation_table import AdaptationTable, table_name
+from maesn.report.adaptation_table import AdaptationTable
 from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
 from maesn.report.figures.exploration import ExploringSeries, plot_exploration
 from maesn.report.figures.latents import plot_latents
@@ -27,6 +27,7 @@ from maesn.report.runs import (
 )
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import save_figure
+from maesn.report.table_name import table_name
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
 
@@ -214,7 +215,10 @@ def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:
     files = [file for run in runs for file in run.adaptation_files() if table_name(file).changed]
     if files:
         places = ", ".join(f"`{file}`" for file in files)
-        say(f"Not drawn, because something was changed in the new tasks: {places}.")
+        say(
+            "Not drawn, because the learner was changed in the new tasks or the engine asked for "
+            f"by name: {places}."
+        )
 
 
 def _say_missing(runs: Iterable[RecordedRun], what: str, command: str, say: Say) -> None:

@@ -1,7 +1,7 @@
 """Run directories, as far as figures and tables need them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ from maesn.report.adaptation_table import (
     PriorReach,
     prior_reach,
     read_adaptation,
-    table_name,
 )
 from maesn.report.reading import ReportError, read_arrays, read_json, read_json_lines, take_array
+from maesn.report.table_name import table_name
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
@@ -47,7 +47,16 @@ class RecordedRun:
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the table of one task set and reward; None if there is none."""
         file = self.path / "adaptation" / f"{tasks}-{reward}.csv"
-        return read_adaptation(file) if file.exists() else None
+        if not file.exists():
+            return None
+        return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
+
+    @property
+    def trial_episodes(self) -> int | None:
+        """Number of episodes that meta-training has prepared for; None if there is no limit."""
+        learner = self.learner.get("learner", self.learner)  # inside of one that is curious
+        number = learner.get("trial_episodes")
+        return number if isinstance(number, int) else None
 
 
 def read_run(path: Path) -> RecordedRun:

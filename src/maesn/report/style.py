@@ -16,7 +16,7 @@ import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from maesn.report.reading import ReportError
+from maesn.report.reading import writing
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
@@ -155,9 +155,6 @@ def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
 
 def _write(figure: Figure, file: Path) -> None:
     dated = {"CreationDate": None} if file.suffix == ".pdf" else None
-    try:
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(file, metadata=dated)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise ReportError(f"Cannot write `{file}` ({reason}): choose another `--out`.") from error

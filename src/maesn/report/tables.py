@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from maesn.report.adaptation_table import MEASURES, AdaptationTable, read_adaptation, stack_seeds
+from maesn.report.reading import writing
 from maesn.report.statistics import Interval, difference_interval, mean_intervals
 
 
@@ -54,7 +55,7 @@ class IntervalTable:
     sign: str = ""
     """`"+"` where a number is a difference."""
     note: str = ""
-    """A sentence about the tasks; empty if there is nothing to be said."""
+    """Sentences about tasks and methods; empty if there is nothing to be said."""
 
     @property
     def labels(self) -> str:
@@ -90,8 +91,9 @@ class IntervalTable:
 
     def write_markdown(self, path: Path) -> None:
         """Write the Markdown table to a file; its directory is made if need be."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(self.to_markdown(), encoding="utf-8")
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(self.to_markdown(), encoding="utf-8")
 
     def _texts(self, cells: Sequence[Interval], write: Callable[[Interval, str], str]) -> list[str]:
         return [write(cell, measure) for cell, measure in zip(cells, MEASURES, strict=True)]
@@ -213,7 +215,10 @@ def difference_table(
         for tables in others.values()
     )
     names = tuple((name,) for name in others)
-    return IntervalTable(title, ("method",), names, cells, sign="+", note=_note(reference))
+    notes = [note_on_solved(_solved_at_reset(reference))]
+    notes += [f"{name}: {_beyond(tables[0])}" for name, tables in others.items()]
+    note = " ".join(text for text in notes if text and not text.endswith(": "))
+    return IntervalTable(title, ("method",), names, cells, sign="+", note=note)
 
 
 def markdown_row(cells: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from maesn.envs import AnyEnv
 from maesn.runs.checkpoint import named_leaves, restore
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
@@ -26,7 +27,7 @@ def begun_state(run: Run, source_directory: str | Path) -> Any:
     directory = find_run(source_directory)
     same_family = read_config(directory).family == run.config.family
     source = Run.open(directory, run.family if same_family else None)
-    _check_sizes(run, source)
+    check_sizes(source, run.env(), "begin with a run in the same environment")
     fresh = run.untrained_state()
     iteration, rows = run.learner.iteration(fresh), _rows_of_tasks(run)
     values = named_leaves(source.latest_state())
@@ -36,14 +37,24 @@ def begun_state(run: Run, source_directory: str | Path) -> Any:
     return restore(fresh, values, source.directory)
 
 
-def _check_sizes(run: Run, source: Run) -> None:
-    ours, theirs = run.env(), source.env()
+def check_sizes(run: Run, env: AnyEnv, remedy: str) -> None:
+    """Refuse a run whose policy cannot play in an environment, for its sizes.
+
+    Args:
+        run: whose policy.
+        env: where it is to play.
+        remedy: what the user should do.
+
+    Raises:
+        RunError: observation or action have other sizes there.
+    """
+    trained = run.env()
     for name in ("observation_size", "action_size"):
-        wanted, found = getattr(ours, name), getattr(theirs, name)
+        wanted, found = getattr(env, name), getattr(trained, name)
         if wanted != found:
             raise RunError(
-                f"`{source.directory}` must have an environment of `{name}` {wanted} as "
-                f"`{run.directory}` has, got {found}: begin with a run in the same environment."
+                f"`{run.directory}` must have an environment of `{name}` {wanted}, as this "
+                f"`{env.name}` of variant `{env.variant}` has, got {found}: {remedy}."
             )
 
 

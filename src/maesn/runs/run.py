@@ -32,7 +32,7 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.serialization import digest
-from maesn.runs.starting import check_policy, iteration_key, untrained_state
+from maesn.runs.starting import check_batch, check_policy, iteration_key, untrained_state
 from maesn.runs.storage import RunError, new_directory
 from maesn.runs.task_sources import (
     TASKS_FILE,
@@ -100,7 +100,7 @@ class Run:
         run = cls(Path(directory), config, family, tasks)
         # Before anything is written: the engine may lack something, or the batches be too small.
         run.world().close()
-        _check_batch(learner, settings.episodes_per_task)
+        check_batch(learner, settings.episodes_per_task)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
@@ -247,10 +247,3 @@ class Run:
         env, tasks = self.env(), self.training_tasks
         told = jax.eval_shape(env.describe, tasks[0]).size
         return self.learner, env, self.settings.seed, rows, told
-
-
-def _check_batch(learner: AbstractMetaLearner[Any, Any], episodes_per_task: int) -> None:
-    try:
-        learner.check_batch(episodes_per_task)
-    except ValueError as error:
-        raise RunError(str(error)) from error

@@ -9,7 +9,7 @@ import numpy as np
 from maesn.axes import Key
 from maesn.envs import AnyEnv
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.policies import USUAL
+from maesn.policies import USUAL, AbstractPolicy
 from maesn.runs.storage import RunError
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
@@ -42,12 +42,7 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
         RunError: their actions are of another kind, or they read a reward that is not paid.
     """
     policy = learner.player(state)
-    if not env.can_show(policy.observed_reward):
-        raise RunError(
-            f"`{env.name}` pays the {env.reward_kind} reward and no other at the same time, but "
-            f"the policy reads the {policy.observed_reward} one: leave --policy.observed-reward "
-            "out."
-        )
+    check_shown(policy, env)
     wanted, kind = env.action_kind, policy.action_kind
     if kind != wanted:
         method, usual = method_name(learner), type(USUAL[wanted]).__name__
@@ -57,6 +52,30 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
             f'maesn.PRESETS["maesn"](policy=maesn.{usual}()), or train `rl2` with '
             f"--policy.action-kind {wanted}."
         )
+
+
+def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
+    """Refuse a policy that reads a reward which the environment cannot show.
+
+    Raises:
+        RunError: it does.
+    """
+    try:
+        env.check_shown(policy.observed_reward)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def check_batch(learner: AbstractMetaLearner[Any, Any], episodes_per_task: int) -> None:
+    """Refuse a number of episodes per task that a method cannot learn from.
+
+    Raises:
+        RunError: there are too few.
+    """
+    try:
+        learner.check_batch(episodes_per_task)
+    except ValueError as error:
+        raise RunError(str(error)) from error
 
 
 @eqx.filter_jit

@@ -27,7 +27,7 @@ class AtTestTime:
     """What is added to a learner in new tasks. By default nothing."""
 
     fine_tune: FineTuneRule | None = None
-    """How the policy's weights go on after the learner's own updates; None: they do not."""
+    """How the policy's weights go on in the updates beyond --after; None: they do not."""
     after: int = 10
     """Updates of the learner before its policy is fine-tuned."""
     curious: bool = False
@@ -43,6 +43,8 @@ class AtTestTime:
     def __post_init__(self) -> None:
         if self.fine_tune is not None:
             check_choice("fine_tune", self.fine_tune, FineTuneRule)
+        if self.after < 0:
+            raise ValueError(f"`after` must be at least 0, got {self.after}.")
         if not 0 < self.step_scale < math.inf:
             raise ValueError(f"`step_scale` must be positive, got {self.step_scale}.")
         if self.full_steps is not None and self.full_steps < 1:
@@ -71,9 +73,9 @@ class AtTestTime:
             f"steps × {self.step_scale:g}": self.step_scale != 1,
             f"{self.full_steps} full steps": self.full_steps is not None,
             "curious": self.curious,
-            f"{updates}, then {str(self.fine_tune).upper()}": self.fine_tune is not None,
+            f"{updates} then {str(self.fine_tune).upper()}": self.fine_tune is not None,
         }
-        return ", ".join(text for text, is_so in parts.items() if is_so)
+        return "; ".join(text for text, is_so in parts.items() if is_so)
 
     @property
     def suffix(self) -> str:

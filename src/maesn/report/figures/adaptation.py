@@ -105,9 +105,10 @@ def _episodes_axis(axes: Axes, adapted: Sequence[AdaptedSeries]) -> None:
 def _note(adapted: Sequence[AdaptedSeries], labels: dict[str, str]) -> str:
     """Say what the bands are, what is faint, and how long an update is where that differs."""
     parts = note_on_bands(labels)
-    lengths = {line.series.label: line.tables[0].episodes_per_update for line in adapted}
-    if len(set(lengths.values())) > 1:
-        said = (f"{label} {number or 0}" for label, number in lengths.items())
+    counts = {line.series.label: line.tables[0].episodes_per_update for line in adapted}
+    known = {label: count for label, count in counts.items() if count is not None}
+    if len(set(known.values())) > 1:
+        said = (f"{label} {count}" for label, count in known.items())
         parts.append(f"episodes per update: {', '.join(said)}")
     for line in adapted:
         table = line.tables[0]
