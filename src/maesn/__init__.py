@@ -73,6 +73,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.runs.contest import Conditions as Conditions
     from maesn.runs.run import Run as Run
     from maesn.runs.storage import RunError as RunError
+    from maesn.runs.test_time import AtTestTime as AtTestTime
     from maesn.trust_region import TrustRegion as TrustRegion
     from maesn.worlds import EpisodeError as EpisodeError
     from maesn.worlds import make_world as make_world
@@ -160,6 +161,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.runs.contest": ("Conditions",),
     "maesn.runs.run": ("Run",),
     "maesn.runs.storage": ("RunError",),
+    "maesn.runs.test_time": ("AtTestTime",),
     "maesn.trust_region": ("TrustRegion",),
     "maesn.worlds": (
         "EpisodeError",
