@@ -268,7 +268,7 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --fine-tune trpo --after -1 --out {0}", "`after` must be at least 0, got -1"),
         ("{1} --step-scales maml 2 --out {0}", "(--step-scales, --full-steps) must be methods of"),
         ("--family point --scratch trpo --max-kl 0 --out {0}", "`max_kl` must be positive, got 0"),
-        ("{1} --curiosity-weight -1 --out {0}", "`curiosity_weight` must be at least 0, got -1"),
+        ("{1} --curiosity-weight -1 --out {0}", "must be finite and at least 0, got -1"),
         ("{1} --step-size inf --out {0}", "`step_size` must be positive, got inf"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
         ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is told the task"),

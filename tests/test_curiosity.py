@@ -215,9 +215,9 @@ def test_the_pool_holds_a_sample_of_all_batches() -> None:
 @pytest.mark.parametrize(
     ("setting", "value", "said"),
     [
-        ("weight", -1.0, "`weight` must be at least 0, got -1.0"),
+        ("weight", -1.0, "`weight` must be finite and at least 0, got -1.0"),
         ("hidden_sizes", (0,), r"`hidden_sizes` must be positive, got \(0,\)"),
-        ("updates", -1, "`updates` must be at least 0, got -1"),
+        ("updates", -1, "`updates` must be finite and at least 0, got -1"),
         *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("samples", "batch_size")],
         *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("pool_size", "pool_additions")],
         ("median_window", 0, "`median_window` must be at least 1, got 0"),

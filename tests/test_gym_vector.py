@@ -105,7 +105,7 @@ def test_tasks_are_chosen_for_all_or_for_each() -> None:
         ({"options": {"reset_mask": np.ones(COUNT)}}, "`reset_mask` must be 3 booleans"),
         ({"options": {"mask": np.ones(COUNT, bool)}}, "`mask` is not an option: .* `reset_mask`"),
         ({"seed": [1, 2]}, "`seed` must be one number or one for each of 3 episodes, got 2"),
-        ({"seed": [4, -1, 5]}, "-1"),
+        ({"seed": [4, -1, 5]}, "Seed must be greater or equal to zero, actual value: -1"),
     ],
 )
 def test_wrong_resets_are_refused_by_name_and_change_nothing(
@@ -114,7 +114,7 @@ def test_wrong_resets_are_refused_by_name_and_change_nothing(
     envs, others = TaskVectorEnv("point", COUNT), TaskVectorEnv("point", COUNT)
     envs.reset(seed=3)
     others.reset(seed=3)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, gymnasium.error.Error), match=message):
         envs.reset(**{"seed": 4} | wrong)
     np.testing.assert_array_equal(envs.reset()[1]["task"], others.reset()[1]["task"])
 

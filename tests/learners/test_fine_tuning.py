@@ -101,7 +101,7 @@ def test_memory_is_refused_at_construction() -> None:
     recurrent = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 40))
     with pytest.raises(ValueError, match="`learner` must be without memory, got RecurrentFastLea"):
         FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3)
-    settings = {"policy": Recurrent(4), "curvature_stride": 1, "meta_batch_size": 2}
+    settings = {"policy": Recurrent(hidden_size=4), "curvature_stride": 1, "meta_batch_size": 2}
     remembers = maesn(**settings)
     gradient = remembers.fast_learner(remembers.init(jax.random.key(0), 2, 2, TASKS))
     for learner in (gradient, CuriousFastLearner(gradient, Curiosity(), 2, 2)):

@@ -54,7 +54,11 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
             "tensor `parameters/context/value` should be absent",
         ),
         (tiny_maesn(context=LatentContext(size=3)), {}, "tensor `parameters/policy/mlp/"),
-        (tiny_maesn(), {"family": "wheeled"}, "`observation_size` 2 as `.*run` has, got 12"),
+        (
+            tiny_maesn(),
+            {"family": "wheeled"},
+            "`observation_size` 2, as this `point` .*, got 12",
+        ),
     ],
 )
 def test_a_source_that_does_not_fit_is_refused(

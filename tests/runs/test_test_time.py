@@ -142,8 +142,8 @@ def test_a_curious_run_is_trained_stored_and_adapted(tmp_path: Path, few: str) -
 
 
 def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="`after` must be at least 0, got -2"):
-        api.adapt(trained, test_time=AtTestTime(fine_tune="trpo", after=-2))
+    with pytest.raises(ValueError, match="`after` must be at least 0, got -2"):
+        AtTestTime(fine_tune="trpo", after=-2)
     settings = tiny_settings()
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)
     with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* without memory"):
