@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import UNEQUAL, Problem, make_problem, stack
 from learning_problems.translation import (
     advantages_of,
@@ -31,7 +30,7 @@ SETTINGS = {
     "reparameterized": Settings(gradient="reparameterized"),
     "theta_as_well": Settings(theta_step=0.1),
 }
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 jitted = eqx.filter_jit(lambda adaptation, *arguments: adaptation(*arguments))
 
 

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import EQUAL, UNEQUAL, make_problem, stack
 from learning_problems.translation import advantages_of
 from reference.advantage import AdvantageSettings, Episode, experience
@@ -14,7 +13,7 @@ from reference.advantage import AdvantageSettings, Episode, experience
 from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.episodes import Episodes
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 REFERENCE, SHORT_SIGHTED = AdvantageSettings(), AdvantageSettings(0.9, 0.5, 0.1)
 
 

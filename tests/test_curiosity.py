@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.transitions import episodes_of, linear_episodes
 
 from maesn.curiosity import Curiosity
@@ -17,7 +16,7 @@ KEY = jax.random.key(0)
 SMALL = Curiosity(hidden_sizes=(4,), pool_size=64, pool_additions=16, updates=20, samples=3)
 # Compiled, as the learners call them.
 pay, learn = (eqx.filter_jit(method) for method in (Curiosity.pay, Curiosity.learn))
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def test_transitions_are_the_steps_one_behind_the_other() -> None:

@@ -5,13 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 
 from maesn.episodes import Episodes, Thinning, concatenate
 from maesn.learners.gradient import step_weights
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def episodes(garbage: float = 0.0) -> Episodes:

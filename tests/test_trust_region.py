@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 
 from maesn.numerics import DiagonalGaussian
 from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
@@ -18,7 +17,7 @@ STD = np.array([0.5, 1.0, 2.0])
 ONE = jnp.ones(1)
 
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def gaussian(parameters: dict[str, Array]) -> DiagonalGaussian:

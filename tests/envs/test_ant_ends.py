@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from playing import agents, assert_same, play
 
 from maesn.axes import Key
@@ -93,7 +92,7 @@ class Replacing:
         return jnp.where(mask, values, self.garbage)
 
 
-@pytest.mark.usefixtures("quick_compilation")
+@pytest.mark.usefixtures("quick_compiler")
 def test_maesn_learns_from_the_ants_that_live() -> None:
     env = Bursting(horizon=HORIZON)
     # Every step counts for the curvature: of an episode that dies at once there is only the first.

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import EQUAL, UNEQUAL, PreparedCollect, Problem, make_problem
 from learning_problems.translation import (
     experience_for,
@@ -96,7 +95,7 @@ def largest(parameters: Parameters) -> float:
 
 
 @every_case
-@pytest.mark.usefixtures("x64", "quick_compilation")
+@pytest.mark.usefixtures("x64", "quick_compiler")
 def test_loss_and_kl_and_gradient(case: str) -> None:
     problem, parameters, tasks = problem_of(case), elsewhere(case), tasks_of(case)
     objective, translated = (
@@ -127,7 +126,7 @@ def test_loss_and_kl_and_gradient_in_single_precision() -> None:
 
 
 @every_case
-@pytest.mark.usefixtures("x64", "quick_compilation")
+@pytest.mark.usefixtures("x64", "quick_compiler")
 def test_curvature_product(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)
     objective = objective_for(learner_for(problem), problem, ROWS)
@@ -140,7 +139,7 @@ def test_curvature_product(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", STEPPED)
-@pytest.mark.usefixtures("x64", "quick_compilation")
+@pytest.mark.usefixtures("x64", "quick_compiler")
 def test_outer_step(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)
     learner, old = learner_for(problem), to_library(problem.parameters)
@@ -159,7 +158,7 @@ def test_outer_step(case: str) -> None:
     assert_parameters_close(after.parameters, expected.parameters, atol=1e-8)
 
 
-@pytest.mark.usefixtures("x64", "quick_compilation")
+@pytest.mark.usefixtures("x64", "quick_compiler")
 def test_a_whole_meta_iteration() -> None:
     """Who plays, in which tasks, and what comes of it, with two inner updates."""
     problem = problem_of("two_inner_updates")

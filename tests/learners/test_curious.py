@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.transitions import linear_episodes
 from playing import keys
 
@@ -33,7 +32,7 @@ from maesn.worlds import make_world
 
 SMALL = Curiosity(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)
 TASKS = 3
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 class Listener(AbstractFastLearner[list[Episodes]]):

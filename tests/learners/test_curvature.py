@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import ACTION, LATENT, OBSERVATION, UNEQUAL, make_problem
 from learning_problems.translation import experience_for
 
@@ -32,7 +31,7 @@ THROUGH_POLICY = [
 CASES = [*((name, {}) for name in METHODS), ("maesn", REPARAMETERIZED)]
 REGION = TrustRegion(damping=1e-3)
 ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(3, 0)
-pytestmark = pytest.mark.usefixtures("x64", "quick_compilation")
+pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
 
 
 def learner_of(method: str, **settings: Any) -> GradientMetaLearner:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import LATENT, UNEQUAL, make_problem, play, stack
 from learning_problems.translation import learner_for, to_library
 from playing import keys
@@ -18,7 +17,7 @@ from maesn.learners import GradientFastLearner, GradientState
 from maesn.learners.presets import latent_space
 
 TASKS = 3
-pytestmark = pytest.mark.usefixtures("x64", "quick_compilation")
+pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
 
 
 def fast_learner(preset: str) -> GradientFastLearner:

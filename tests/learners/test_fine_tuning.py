@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from playing import keys
 
 from maesn.curiosity import Curiosity
@@ -29,7 +28,7 @@ from maesn.rollout import Collector
 from maesn.worlds import make_world
 
 TASKS = 2
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @pytest.fixture(scope="module")

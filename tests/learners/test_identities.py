@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import UNEQUAL, Problem, make_problem
 from learning_problems.translation import experience_for, learner_for, to_library
 from reference.maesn import Settings
@@ -23,7 +22,7 @@ from maesn.learners.presets import POLICY_STEP, latent_space, maesn, maesn_theta
 SEED = 2
 AT_REST = InnerStep(0.0, learned=False)
 ROWS = (1, 4, 2)
-pytestmark = pytest.mark.usefixtures("x64", "quick_compilation")
+pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
 
 
 def settings_of(problem: Problem) -> dict[str, Any]:

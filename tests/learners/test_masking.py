@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import ROWS, UNEQUAL, PreparedCollect, Problem, make_problem
 from learning_problems.translation import META_BATCH, learner_for, to_library
 from reference.maesn import Settings
@@ -20,7 +19,7 @@ from maesn.learners import GradientInfo, GradientState
 from maesn.learners.objective import MetaParameters
 
 KEY = 4
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @cache

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import ACTION, OBSERVATION, SIZES, UNEQUAL, make_problem
 from learning_problems.translation import experience_for
 
@@ -18,7 +17,7 @@ from maesn.policies import GaussianMLP
 ROWS = (3, 0)
 
 
-@pytest.mark.usefixtures("x64", "quick_compilation")
+@pytest.mark.usefixtures("x64", "quick_compiler")
 def test_a_bias_and_learned_step_sizes_of_theta() -> None:
     """Directional derivatives of the outer loss, along directions that move every array."""
     policy = GaussianMLP(SIZES[1:-1])

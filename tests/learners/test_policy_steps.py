@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 
 from maesn.learners import ProximalStep, TrustRegionStep
 from maesn.learners.trials import Trials
@@ -15,7 +14,7 @@ from maesn.policies import PolicyInput, Recurrent, RecurrentPolicy
 from maesn.trust_region import TrustRegion
 
 TRIALS, STEPS, CHOICES, CLIP, ENTROPY = 5, 4, 3, 0.2, 0.1
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def random_trials(logits: np.ndarray | None = None) -> tuple[Trials, np.ndarray]:

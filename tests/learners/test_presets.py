@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import HORIZON
 
 from maesn.agent import Agents
@@ -30,7 +29,7 @@ SMALL = {
 # Those with memory have tests of their own (`test_recurrent`).
 WITHOUT_MEMORY = [name for name in PRESETS if not name.startswith("rl2")]
 every_preset = pytest.mark.parametrize("preset", WITHOUT_MEMORY)
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @contextmanager

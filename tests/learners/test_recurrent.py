@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 
 from maesn.axes import Carry, TaskKeys
 from maesn.context import Latent
@@ -34,7 +33,7 @@ from maesn.worlds import make_world
 
 TASKS, EPISODES, TRIAL = 4, 3, 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def small(**settings: Any) -> RecurrentMetaLearner:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from learning_problems.prepared import UNEQUAL, make_problem, stack
 from learning_problems.transitions import episodes_of
 from learning_problems.translation import policy_to_reference, to_policy
@@ -34,7 +33,7 @@ from maesn.rollout import Collector
 from maesn.trust_region import TrustRegion
 from maesn.worlds import make_world
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 ROWS = (0, 3)
 
 

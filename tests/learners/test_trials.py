@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from playing import keys
 
 from maesn.agent import Agents
@@ -23,7 +22,7 @@ from maesn.worlds import make_world
 
 HORIZON, SLOTS, EPISODES = 6, 2, 3
 LIFETIMES = np.float32([3, 5])
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def mortal() -> Collector:

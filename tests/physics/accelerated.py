@@ -45,7 +45,7 @@ def one_step_errors(
         `[time, simulation]` each, by the name of the reading.
     """
     step = quickly(engine.step)
-    state, readings = jax.vmap(engine.initial)(jnp.asarray(qpos), jnp.asarray(qvel), {})
+    state, readings = quickly(engine.initial)(jnp.asarray(qpos), jnp.asarray(qvel), {})
     models = [load_model(model)] * len(qpos)
     errors: dict[str, list[np.ndarray]] = {name: [] for name in readings}
     for row in control:

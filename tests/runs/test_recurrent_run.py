@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from learning_problems.compiling import quick_compilation as quick_compilation
 from small_runs import create, finish, metrics, outcome, reopened
 
 from maesn import api
@@ -19,7 +18,7 @@ from maesn.runs.serialization import from_json, to_json
 from maesn.runs.storage import RunError
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def tiny() -> RecurrentMetaLearner:
