@@ -48,11 +48,13 @@ def forget_compiled_programs() -> Iterator[None]:
 
 
 @pytest.fixture
-def quick_compiler() -> Iterator[None]:
+def quick_compiler(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A compiler that optimises nothing: it takes half the time, where programs are large.
 
-    For tests whose tolerances do not rest on the order in which sums are taken.
+    In programs that the test starts as well. For tests whose tolerances do not rest on the order
+    in which sums are taken.
     """
+    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)

@@ -14,6 +14,8 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest, from_json, to_json
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 OPTIONS = [
     *("ablation", "--family", "point", "--iterations", "2", "--meta-batch-size", "3"),
     *("--episodes-per-task", "3", "--test-episodes-per-task", "3", "--num-tasks", "3"),

@@ -19,6 +19,8 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=4)
 TINY = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
 

@@ -110,3 +110,50 @@ def test_the_sweep_leaves_out_contacts_of_geoms_that_exist(family: str) -> None:
     geoms = {model.geom(index).name for index in range(model.ngeom)}
     assert untouched
     assert untouched <= geoms
+
+
+def test_every_method_gets_its_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    methods = load_script("benchmarks/methods.py")
+    few = {"tasks": 2, "meta_episodes": 2, "scratch_episodes": 2, "repetitions": 1}
+    methods.main(methods.Settings(methods=("maesn",), scratch=("reinforce",), **few))
+    rows = re.findall(r"^(\w+)((?: +\d+\.\d+){4})$", capsys.readouterr().out, re.MULTILINE)
+    assert [name for name, _ in rows] == ["maesn", "reinforce"]
+    for _, numbers in rows:
+        whole, collections, physics, ratio = map(float, numbers.split())
+        assert whole > collections > 0
+        # Printed with three decimals; both times are far above them.
+        np.testing.assert_allclose(ratio, whole / physics, rtol=0.05)
+
+
+def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    curvature = load_script("benchmarks/curvature.py")
+    monkeypatch.setattr(curvature, "IN_CLOSED_FORM", [curvature.Choice(5, 20, 1)])
+    few = {"iterations": 0, "episodes_per_task": 2, "judged_episodes": 2, "repetitions": 2}
+    curvature.main(curvature.Settings(family="point", **few))
+    title, heading, row = capsys.readouterr().out.splitlines()
+    assert title == "maesn on point, after 0 meta-iterations"
+    assert heading == curvature.HEADING
+    assert row.split()[0] == "5"
+    kl, backtracks = map(float, row.split()[-3:-1])
+    assert 0 < kl <= 10.1  # the bound, 0.01, times 1000
+    assert backtracks >= 0
+
+
+def test_the_chain_is_played_by_every_method_and_tabulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chain = load_script("benchmarks/vime_chain.py")
+    settings = chain.Settings(seeds=1, tasks=2, updates=1, episodes_per_task=2, out=tmp_path)
+    chain.main(settings)
+    printed = capsys.readouterr().out
+    for name in chain.METHODS:
+        assert re.search(
+            rf"^{name} +found the reward in \d of 2 runs, \d of 1 seeds", printed, re.M
+        )
+    rows = (tmp_path / "table.csv").read_text().splitlines()
+    assert [row.split(",")[:3] for row in rows[1:]] == [[name, "0", "2"] for name in chain.METHODS]

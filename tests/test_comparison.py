@@ -25,6 +25,8 @@ from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import AtTestTime
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 FEW = Conditions(num_tasks=4, updates=1, episodes_per_task=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 

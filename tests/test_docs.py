@@ -15,6 +15,8 @@ from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent import RecurrentInfo
 from maesn.trust_region import TrustRegionInfo
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
     page

@@ -75,9 +75,9 @@ def test_a_reward_that_is_not_a_number() -> None:
     right = np.asarray(known.action[2, :, 0, 0]) > 0
     episode = int(np.argmax(right))
     assert episode > 0
-    with failure_of(f"delayed_target, task 1, episode {episode}, step 4: ") as error:
+    where = f"delayed_target, task 1, episode {episode}, step 4"
+    with failure_of(f"{where}: the reward is not finite"):
         play(Unpaid(), tasks, [0, 2, 1], episodes=EPISODES, seed=seed)
-    assert "reward" in str(error.value)
 
 
 class Unseen(DelayedTarget):
@@ -89,7 +89,7 @@ class Unseen(DelayedTarget):
 
 def test_an_observation_that_is_not_a_number() -> None:
     tasks = TaskSet(np.float32([[1, 0], [-1, 0]]))
-    with failure_of("delayed_target, task 1, episode 0, step 2: "):
+    with failure_of("delayed_target, task 1, episode 0, step 2: the observation is not finite"):
         play(Unseen(), tasks, [1], episodes=EPISODES)
 
 
@@ -103,5 +103,5 @@ def test_a_policy_that_is_not_a_number() -> None:
     env = DelayedTarget()
     cast = agents(env, 1)
     cast = eqx.tree_at(lambda x: x.policy.log_std, cast, jnp.full(2, jnp.nan))
-    with failure_of("delayed_target, task 0, episode 0, step 0: "):
+    with failure_of("delayed_target, task 0, episode 0, step 0: the action is not finite"):
         play(env, TaskSet(np.float32([[1, 0]])), [0], episodes=EPISODES, cast=cast)

@@ -42,11 +42,6 @@ class Ablation:
             )
 
     @property
-    def own_family(self) -> str | None:
-        """The family as it has to be given again, if it is the user's own."""
-        return self.settings.family if ":" in self.settings.family else None
-
-    @property
     def radii(self) -> tuple[float | None, ...]:
         """Sparse radii of the new tasks: that of the settings, else those of the published figure.
 
@@ -91,7 +86,7 @@ def ablate(
         RunError: a run in `out` is another one than is asked for, or the oracle is none.
     """
     out = Path(out)
-    told = None if oracle is None else open_oracle(oracle, ablation.own_family)
+    told = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
@@ -120,10 +115,10 @@ def _train(ablation: Ablation, name: str, directory: Path) -> None:
     if not (path / CONFIG).exists():
         api.train(learner, settings, path)
         return
-    run = Run.open(path, ablation.own_family)
+    run = Run.open(path, settings.own_family)
     _check_same(run, learner, settings)
     if run.latest().iteration < settings.iterations:
-        api.resume(path, settings.iterations, ablation.own_family)
+        api.resume(path, settings.iterations, settings.own_family)
 
 
 def _check_same(run: Run, learner: Any, settings: RunSettings) -> None:
@@ -155,7 +150,7 @@ def _entries(ablation: Ablation, directory: Path, ground: Ground) -> list[Entry]
 def _finished(ablation: Ablation, name: str, directory: Path) -> list[Run]:
     """Return the runs of one line that are finished, one per seed."""
     paths = sorted(directory.glob(f"{name}-seed-*/{CONFIG}"))
-    runs = [Run.open(path.parent, ablation.own_family) for path in paths]
+    runs = [Run.open(path.parent, ablation.settings.own_family) for path in paths]
     finished = [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
     return sorted(finished, key=lambda run: run.settings.seed)
 

@@ -215,7 +215,9 @@ def _unlearned(
 
 def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
     """Return the style of a changed method: dashed, unless nothing but its steps is changed."""
-    named = dataclasses.replace(style, label=f"{style.label} ({test_time.label})")
+    # Into parentheses that are there already, as in "MAML (bias only)".
+    opened = f"{style.label[:-1]}; " if style.label.endswith(")") else f"{style.label} ("
+    named = dataclasses.replace(style, label=f"{opened}{test_time.label})")
     if not (test_time.curious or test_time.fine_tune):
         return named
     return dataclasses.replace(named, line=(0, (2.0, 1.0)), marker="d")

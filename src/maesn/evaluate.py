@@ -176,10 +176,11 @@ def _stack_updates(columns: list[Any]) -> Any:
     return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
-def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
+def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, np.float32 | int]]:
     """Yield the curves as rows of a table, task by task.
 
-    `episodes` is the number of episodes per task that the agent has learned from by then.
+    `episodes` is the number of episodes per task that the agent has learned from by then. Measures
+    are in the precision that they were computed in, so that they are written with no more digits.
     """
     curves = adaptation.curves
     num_tasks, num_columns = curves.mean_return.shape
@@ -190,10 +191,10 @@ def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, float | int]]:
                 "task": task,
                 "update": update,
                 "episodes": update * adaptation.episodes_per_update,
-                "mean_return": float(curves.mean_return[task, column]),
-                "goal_return": float(curves.goal_return[task, column]),
-                "success_rate": float(curves.success_rate[task, column]),
-                "final_success_rate": float(curves.final_success_rate[task, column]),
-                "time_in_region": float(curves.time_in_region[task, column]),
-                "solved_at_reset": float(curves.solved_at_reset[task, column]),
+                "mean_return": np.float32(curves.mean_return[task, column]),
+                "goal_return": np.float32(curves.goal_return[task, column]),
+                "success_rate": np.float32(curves.success_rate[task, column]),
+                "final_success_rate": np.float32(curves.final_success_rate[task, column]),
+                "time_in_region": np.float32(curves.time_in_region[task, column]),
+                "solved_at_reset": np.float32(curves.solved_at_reset[task, column]),
             }

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -85,8 +85,7 @@ class Collector:
                 self.world.env.name, task, episode, failure.step, failure.reason
             ) from failure
         episodes, finite = self._finish(actors, trajectory)
-        if not bool(finite.all()):
-            self._refuse(np.asarray(finite), np.asarray(task_index))
+        self._refuse(finite, np.asarray(task_index))
         return episodes, trajectory.readings
 
     def _check_policy(self, agents: Agents) -> None:
@@ -98,15 +97,17 @@ class Collector:
             )
         env.check_shown(agents.policy.observed_reward)
 
-    def _refuse(self, finite: np.ndarray, task_index: np.ndarray) -> None:
-        task_slot, episode, step = np.argwhere(~finite)[0]
-        raise EpisodeError(
-            self.world.env.name,
-            int(task_index[task_slot]),
-            int(episode),
-            int(step),
-            "observation, action or reward is not finite",
-        )
+    def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
+        """Raise an error if something is not finite, about what went wrong first."""
+        found = [
+            (step, task_slot, episode, name)
+            for name, mask in finite._asdict().items()
+            for task_slot, episode, step in np.argwhere(~np.asarray(mask)).tolist()
+        ]
+        if found:
+            step, task_slot, episode, name = min(found, key=lambda one: one[0])
+            task, reason = int(task_index[task_slot]), f"the {name} is not finite"
+            raise EpisodeError(self.world.env.name, task, episode, step, reason)
 
     def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
         """Draw contexts, initial states, and the noise of the actions of all episodes."""
@@ -169,10 +170,8 @@ class Collector:
         )  # fmt: skip
         return Decision(_join_batch_axes(control), *others)
 
-    def _assemble(
-        self, actors: Actors, trajectory: Trajectory
-    ) -> tuple[Episodes, Bool[Array, "task episode time"]]:
-        """Turn what was read and done into episodes; also say which steps are finite."""
+    def _assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
+        """Turn what was read and done into episodes; also say in which steps what is finite."""
         shape = actors.context.shape[:2]
         readings = jax.tree.map(
             lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
@@ -203,9 +202,12 @@ class Collector:
             start=actors.memory,
             observed_reward=observed,
         )
-        finite = jnp.isfinite(reward.total) & jnp.isfinite(action).all(-1)
-        finite &= jnp.isfinite(observation[..., :-1, :]).all(-1)
-        return episodes, finite | ~valid
+        finite = _Finite(
+            jnp.isfinite(observation[..., :-1, :]).all(-1) | ~valid,
+            jnp.isfinite(action).all(-1) | ~valid,
+            jnp.isfinite(reward.total) | ~valid,
+        )
+        return episodes, finite
 
     def _judge(
         self,
@@ -232,6 +234,14 @@ class Collector:
         solved = jax.vmap(lambda r: env.solved(r, task))(readings)
         ended = jnp.cumsum(jax.vmap(partial(_ends, env))(readings)) > 0
         return observation, reward, observed, solved, ended
+
+
+class _Finite(NamedTuple):
+    """Which steps are finite, or over; what depends on what, in this order."""
+
+    observation: Bool[Array, "task episode time"]
+    action: Bool[Array, "task episode time"]
+    reward: Bool[Array, "task episode time"]
 
 
 def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:

@@ -115,6 +115,15 @@ REFUSED = {
     "component 1 reaches from -1.0 to inf: give it finite bounds": Plain(
         BOX, spaces.Box(-1, np.float32([1, np.inf]))
     ),
+    "component 1 reaches from -1.0 to 3.4028": Plain(
+        BOX, spaces.Box(-1, np.float32([1, np.finfo(np.float32).max]))
+    ),
+    "component 0 reaches from -1e+300 to 1e+300": Plain(
+        BOX, spaces.Box(-1e300, 1e300, (1,), np.float64)
+    ),
+    "component 1 of the action space can only be 1.0: leave it out": Plain(
+        BOX, spaces.Box(np.float32([-1, 1]), np.float32([1, 1]))
+    ),
     "must be a bounded `Box` of floating-point numbers or `Discrete`, got MultiDiscrete": Plain(
         BOX, spaces.MultiDiscrete([2, 3])
     ),

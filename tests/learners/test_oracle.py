@@ -20,6 +20,8 @@ from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.worlds import make_world
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from pictures import assert_says_what_to_install, drawn
 
 from maesn.physics import Renderer, RenderingError, View, footprint, load_model
 from maesn.physics.rendering import _Arrangement
@@ -96,10 +97,8 @@ def test_the_footprint_covers_what_moves(bare: Path) -> None:
 
 
 def test_pictures_show_the_goal_where_it_is_or_the_refusal_says_what_to_install() -> None:
-    try:
-        renderer = Renderer("wheeled", VIEW, 300, 200)
-    except RenderingError as error:
-        assert_is_one_helpful_sentence(error)
+    renderer = drawn(lambda: Renderer("wheeled", VIEW, 300, 200))
+    if renderer is None:
         return
     places = []
     for x in (-1.5, 1.5):
@@ -116,12 +115,6 @@ def test_pictures_show_the_goal_where_it_is_or_the_refusal_says_what_to_install(
     renderer.close()
     with pytest.raises(RuntimeError, match="the renderer is closed"):
         renderer.draw(np.zeros(6), np.zeros(2), 0.5, np.zeros(2))
-
-
-def assert_is_one_helpful_sentence(error: RenderingError) -> None:
-    assert "libegl1" in str(error)
-    assert "libosmesa6" in str(error)
-    assert "\n" not in str(error)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +134,7 @@ def test_without_a_library_one_sentence_names_what_to_install(
         monkeypatch.setitem(sys.modules, "mujoco.glfw", None)  # as if it could not be imported
     with pytest.raises(RenderingError, match=why) as caught:
         Renderer("wheeled", VIEW)
-    assert_is_one_helpful_sentence(caught.value)
+    assert_says_what_to_install(str(caught.value))
 
 
 def test_a_wrong_variable_does_not_stop_the_physics() -> None:

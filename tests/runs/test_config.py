@@ -1,16 +1,21 @@
 """What `config.json` says: believed if it is ours, never executed."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from small_runs import create_tiny, tiny_maesn, tiny_settings
 
+from maesn.axes import Readings
 from maesn.context import LatentContext
-from maesn.envs import FAMILIES, TaskFamily
+from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
@@ -141,4 +146,55 @@ def test_a_family_can_be_given_as_an_object(tmp_path: Path) -> None:
 def test_an_unknown_family(tmp_path: Path, own_module: str, name: str, said: str) -> None:
     with pytest.raises(RunError, match=said):
         create_tiny(tmp_path / "run", family=name)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("tasks", [[0.0] * 100, [{"x": 1.0}] * 100, np.zeros(99), np.array(["a"])])
+def test_tasks_must_be_arrays_with_a_row_for_each(tmp_path: Path, tasks: Any) -> None:
+    family: TaskFamily = POINT._replace(name="odd", draw_tasks=lambda stream, size: tasks)
+    with pytest.raises(RunError, match="`draw_tasks` of `odd` must return an array of numbers"):
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
+
+
+def test_tests_that_are_trained_on_are_warned_of(tmp_path: Path) -> None:
+    goals = POINT.task_set("training").tasks
+    family: TaskFamily = POINT._replace(name="fixed", draw_tasks=lambda stream, size: goals[:size])
+    with pytest.warns(UserWarning, match="test tasks of `fixed` are those that are trained on"):
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
+
+
+class Flat(Point):
+    """A point that is seen by half."""
+
+    def observe(self, readings: Readings) -> jax.Array:
+        return readings["qpos"][:1]
+
+
+class Vectorial(Point):
+    """A point that is paid a vector."""
+
+    def reward(self, *arguments: Any) -> Reward:
+        goal, other = super().reward(*arguments)
+        return Reward(goal[None], other)
+
+
+class Strong(Wheeled):
+    """A robot that moves more wheels than it has."""
+
+    def control(self, action: jax.Array) -> jax.Array:
+        return jnp.zeros(3)
+
+
+CONTRADICTIONS = {
+    Flat: "`point`: `observe` must return the shape (2,), got (1,).",
+    Vectorial: "`point`: `reward` must return the shape [(), ()], got [(1,), ()].",
+    Strong: "`wheeled`: `control` must return the shape (2,), got (3,).",
+}
+
+
+@pytest.mark.parametrize("env", CONTRADICTIONS)
+def test_an_environment_that_contradicts_itself_is_refused(env: Any, tmp_path: Path) -> None:
+    family: TaskFamily = POINT._replace(name="odd", make_env=env)
+    with pytest.raises(RunError, match=re.escape(CONTRADICTIONS[env])):
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
     assert not (tmp_path / "run").exists()

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pictures import can_draw, drawn
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
 from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
 
 from maesn.api import adapt, export, plot
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
+from maesn.film import render
 from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.run import Run
@@ -19,6 +21,8 @@ from maesn.runs.storage import RunError
 from maesn.runs.training import train
 from maesn.runtime import Explorer
 from maesn.worlds import EpisodeError
+
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def fragile(health: Path, **settings: Any) -> TaskFamily:
@@ -64,6 +68,10 @@ def test_every_verb_works_on_a_foreign_family(tmp_path: Path) -> None:
     assert outcome.curves.mean_return.shape == (100, 2)
     names = {path.name for path in plot([run.directory], family=family)}
     assert {"exploration.png", "adaptation-curves-test-sparse.png"} <= names
+    few = {"update": [0], "episodes": 1, "episodes_per_task": 2}
+    pictures = drawn(lambda: render(run.directory, family=family, **few)) or []
+    assert all(path.parent == run.directory / "render" for path in pictures)
+    assert len(pictures) == (2 if can_draw() else 0)
     explorer = Explorer.load(export(run.directory, tmp_path / "policy.npz", family=family), seed=0)
     explorer.begin_episode()
     control = explorer.act(np.zeros(10))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pictures import can_draw, drawn
 from scripts import load_script
 from small_runs import Drift, create, finish, tiny_settings
 
@@ -90,11 +91,12 @@ def test_each_can_be_drawn_and_filmed(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    api.adapt(name, updates=1, episodes_per_task=5)
+    api.adapt(name, updates=1, episodes_per_task=2)
     for path in api.plot([name]):
         assert path.parent == Path(f"maesn-{name}") / "figures"
-    pictures = film.render(name, update=[0], episodes=1, episodes_per_task=2)
-    assert {path.parent for path in pictures} == {Path(f"maesn-{name}") / "render"}
+    pictures = drawn(lambda: film.render(name, update=[0], episodes=1, episodes_per_task=2))
+    places = {path.parent for path in pictures or []}
+    assert places == ({Path(f"maesn-{name}") / "render"} if can_draw() else set())
 
 
 @pytest.mark.parametrize("name", POLICIES)

@@ -16,6 +16,8 @@ from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import AtTestTime
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:

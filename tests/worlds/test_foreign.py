@@ -1,11 +1,13 @@
 """Foreign environments: what is played is what a plain loop plays, and failures are named."""
 
+import pickle
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import agents, assert_same, play
+from playing import agents, assert_same, keys, play
 from strange_families import (
     EPISODES,
     SEED,
@@ -22,6 +24,7 @@ from maesn.context import Nothing
 from maesn.envs import RewardKind, TaskSet
 from maesn.episodes import Episodes
 from maesn.policies import CategoricalMLP, Recurrent
+from maesn.rollout import Collector
 from maesn.worlds import make_world
 
 
@@ -123,8 +126,17 @@ def test_discrete_actions_reach_the_environment_as_its_own() -> None:
     np.testing.assert_array_equal(played.solved, right)
 
 
+def test_no_more_processes_are_started_than_there_are_episodes() -> None:
+    world = make_world(walkers.make_env(), tasks(), num_threads=4)
+    for episodes, processes in ((1, 1), (3, 3), (2, 3), (9, 4)):
+        Collector(world, episodes)(keys(1, SEED), agents(world.env, 1), jnp.array([0]))
+        assert len(world._open().process_ids) == processes
+    world.close()
+
+
 def test_a_world_that_is_forgotten_ends_its_processes() -> None:
     world = make_world(walkers.make_env(), tasks(), num_threads=2)
+    world._open().begin([pickle.dumps(tasks()[0])] * 2, [0, 1])
     processes = world._open().process_ids
     assert len(processes) == 2
     assert all(map(is_running, processes))

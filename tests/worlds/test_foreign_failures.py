@@ -3,8 +3,11 @@
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -33,13 +36,16 @@ from maesn.worlds import EpisodeError, make_world
 FAILURES = {
     10: "the observation is not finite: component 9 is nan",
     11: "the reward is not finite: nan",
-    20: "the observation must have 10 components, got 11",
+    20: "the observation['place'] must have the shape (2,) of its space, got (3,)",
     21: "`step` must return (observation, reward, terminated, truncated, info)",
     22: "`terminated` must be a truth value, got array([ True, False])",
     23: "`truncated` must be a truth value, got 'no'",
     24: '`info["success"]` must be a truth value, got array([ True, False])',
     25: "`truncated` must be a truth value, got np.float64(nan)",
     26: "`info` must be a dictionary, got None",
+    27: "the observation['clock'][0] must be a whole number from 0 to 6, got -1",
+    28: "the observation must have the parts clock, place, got place, clock, more",
+    29: "the observation['clock'] must be a tuple of 2 parts, got (",
     30: "`step` raised ValueError: the gears are stuck",
     40: "has not returned within `time_limit`, 2 s",
     41: "the environment has ended its process (exit code 3)",
@@ -128,6 +134,40 @@ def test_ctrl_c_ends_all_processes_and_is_passed_on(collect: Collector) -> None:
         play_tasks(collect, 0, hanging)
     assert not any(map(is_running, processes))
     assert not processes_of(collect)
+
+
+ORPHANS = """
+import sys
+import numpy as np
+from strangers import make_hopeless
+from pathlib import Path
+from functools import partial
+from maesn.foreign import WorkerPool
+recipe = (partial(make_hopeless, "hangs", Path(sys.argv[1])), "dense", None)
+WorkerPool(recipe, 1, 3600.0).describe(b"\\x80\\x04N.")  # None, pickled
+"""
+
+
+def test_a_hanging_environment_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
+    diary = tmp_path / "diary"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", ORPHANS, str(diary)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    wait_until(diary.exists, 120.0)
+    wait_until(lambda: bool(diary.read_text()), 10.0)
+    worker = int(diary.read_text())
+    assert is_running(worker)
+    parent.kill()
+    parent.wait()
+    wait_until(lambda: not is_running(worker), 30.0)
+
+
+def wait_until(is_so: Callable[[], bool], limit: float) -> None:
+    deadline = time.monotonic() + limit
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_an_action_that_is_not_a_number_reaches_no_environment(collect: Collector) -> None:

@@ -27,4 +27,5 @@ def main(arguments: list[str]) -> None:
     options = parse(Options, "resume", arguments)
     enable_compilation_cache()
     run = api.resume(options.run, options.iterations, family=options.family)
-    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}")
+    next_command = f"maesn adapt {run.directory}{run.settings.family_option}"
+    print(f"trained: {run.directory}\nnext:    {next_command}")

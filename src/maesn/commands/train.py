@@ -38,8 +38,8 @@ def main(arguments: list[str]) -> None:
     settings = options.settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
     run = api.train(options.learner, settings, directory, init_from=options.init_from)
-    own = f" --family {settings.family}" if ":" in settings.family else ""
-    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{own}")
+    next_command = f"maesn adapt {run.directory}{settings.family_option}"
+    print(f"trained: {run.directory}\nnext:    {next_command}")
 
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:

@@ -85,4 +85,31 @@ class TaskFamily(NamedTuple):
                 f"`{name}`: give tasks of another kind as an .npz file."
             )
         stream = np.random.default_rng([self.seed, NAMED_SETS.index(name)])
-        return TaskSet(draw(stream, size))
+        return TaskSet(checked_rows(self.name, draw(stream, size), size))
+
+
+def checked_rows(family: str, tasks: Any, size: int) -> Any:
+    """Return tasks as they were drawn.
+
+    Args:
+        family: its name, for the message.
+        tasks: what `draw_tasks` has returned.
+        size: how many were asked for.
+
+    Raises:
+        ValueError: they are not arrays of numbers with one row for each task.
+    """
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(tasks)]
+    kinds = {leaf.dtype.kind for leaf in leaves}
+    shapes = {leaf.shape for leaf in leaves}
+    if not leaves or not kinds <= set("biuf") or any(shape[:1] != (size,) for shape in shapes):
+        raise ValueError(
+            f"`draw_tasks` of `{family}` must return an array of numbers with {size} rows, one for "
+            f"each task, or a pytree of such arrays, got {_short(tasks)}."
+        )
+    return tasks
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from maesn.foreign.interface import Interface, InterfaceError, describe
+from maesn.foreign.observations import fault
 
 # Names under which environments tell of success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
@@ -160,21 +161,13 @@ class HostedEnvironment:
 
     def _flatten(self, observation: Any) -> np.ndarray:
         assert self._env is not None
-        assert self._interface is not None
         space = self._env.observation_space
-        if isinstance(space, spaces.Box) and np.shape(observation) != space.shape:
-            raise HostedError(
-                f"the observation must have the shape {space.shape} of its space, got "
-                f"{np.shape(observation)}"
-            )
+        wrong = _ask("the observation", lambda: fault(space, observation))
+        if wrong is not None:
+            raise HostedError(wrong)
         flat = _ask("the observation", lambda: spaces.flatten(space, observation))
         with np.errstate(over="ignore"):  # what overflows is refused below
             vector = np.asarray(flat, np.float32)
-        if vector.shape != (self._interface.observation_size,):
-            raise HostedError(
-                f"the observation must have {self._interface.observation_size} components, got "
-                f"{vector.size}"
-            )
         if not np.isfinite(vector).all():
             index = int(np.argmin(np.isfinite(vector)))
             raise HostedError(f"the observation is not finite: component {index} is {flat[index]}")

@@ -1,12 +1,14 @@
 """What an environment looks like from outside: the same for every task of a family."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+
+# Of the range of an action; beyond it, bounds are no more than the largest numbers of their type.
+LARGEST_WIDTH = 1e30
 
 
 class InterfaceError(ValueError):
@@ -64,12 +66,24 @@ def _bounds(space: spaces.Space[Any]) -> tuple[tuple[float, ...], tuple[float, .
     lower = tuple(float(bound) for bound in space.low.ravel())
     upper = tuple(float(bound) for bound in space.high.ravel())
     for index, (low, high) in enumerate(zip(lower, upper, strict=True)):
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InterfaceError(
-                f"the action space must be bounded, but component {index} reaches from {low} to "
-                f"{high}: give it finite bounds, as `gymnasium.wrappers.TransformAction` can."
-            )
+        _check_bounds(index, low, high)
     return lower, upper
+
+
+def _check_bounds(index: int, low: float, high: float) -> None:
+    if low == high:
+        raise InterfaceError(
+            f"component {index} of the action space can only be {low}: leave it out, as "
+            "`gymnasium.wrappers.TransformAction` can."
+        )
+    with np.errstate(over="ignore"):
+        width = np.float32(high) - np.float32(low)
+    # Numbers near the largest one stand for no bound; actions are mapped in single precision.
+    if not np.isfinite(width) or width > LARGEST_WIDTH:
+        raise InterfaceError(
+            f"the action space must be bounded, but component {index} reaches from {low} to "
+            f"{high}: give it finite bounds, as `gymnasium.wrappers.TransformAction` can."
+        )
 
 
 def _flat_observation(space: spaces.Space[Any]) -> spaces.Box:

@@ -64,7 +64,7 @@ class WorkerPool:
     Args:
         recipe: arguments of `maesn.foreign.hosted.HostedEnvironment`. Functions in it that cannot
             be imported elsewhere (of a script, or without a name) are sent as they are.
-        num_workers: number of processes.
+        num_workers: number of processes at most; they start when there are simulations for them.
         time_limit: seconds that one call of one environment may take.
 
     Raises:
@@ -72,19 +72,14 @@ class WorkerPool:
     """
 
     def __init__(self, recipe: tuple[Any, ...], num_workers: int, time_limit: float) -> None:
+        self._num_workers = num_workers
         self._time_limit = time_limit
+        self._content = _content(recipe)
         self._workers: list[_Worker] = []
-        content = _content(recipe)
-        try:
-            for _ in range(num_workers):
-                self._workers.append(_Worker(content))
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers."""
+        """Of the workers that have been started."""
         return [worker.process.pid for worker in self._workers]
 
     def describe(self, task: bytes) -> Interface:
@@ -130,35 +125,40 @@ class WorkerPool:
 
     def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
         readings: Readings = {}
-        for first, values in self._ask(request, num_simulations, *columns):
+        for share, values in self._ask(request, num_simulations, *columns):
             for name, value in zip(Reading._fields, values, strict=True):
                 if name not in readings:
                     readings[name] = np.empty((num_simulations, *value.shape[1:]), np.float32)
-                readings[name][first :: len(self._workers)] = value
+                readings[name][share] = value
         return readings
 
     def _ask(
         self, request: str, num_simulations: int, *columns: Any
-    ) -> Iterator[tuple[int, Sequence[Any]]]:
-        """Yield the first simulation of each worker, and its answer, as they come in."""
-        stride = len(self._workers)
-        for first, worker in enumerate(self._workers[:num_simulations]):
+    ) -> Iterator[tuple[slice, Sequence[Any]]]:
+        """Yield the simulations of each worker, and its answer, as they come in."""
+        workers = self._staff(num_simulations)
+        stride = len(workers)
+        for first, worker in enumerate(workers):
             # A worker that is gone already is found out when its answer is missing.
             with contextlib.suppress(OSError):
                 worker.connection.send((request, *(column[first::stride] for column in columns)))
-        pending = {
-            worker.connection: (first, worker)
-            for first, worker in enumerate(self._workers[:num_simulations])
-        }
+        pending = {worker.connection: (first, worker) for first, worker in enumerate(workers)}
         watch = _Watch(self._time_limit)
         while pending:
             ready = wait(list(pending), self._time_limit / _CHECKS_PER_LIMIT)
             for connection in ready:
                 assert isinstance(connection, Connection)
                 first, worker = pending.pop(connection)
-                yield first, _answer(worker, first, stride)
+                yield slice(first, None, stride), _answer(worker, first, stride)
             for first, worker in pending.values():
                 watch.look(worker, first, stride)
+
+    def _staff(self, num_simulations: int) -> "list[_Worker]":
+        """Return the workers of so many simulations, and start those that are missing."""
+        number = min(self._num_workers, num_simulations)
+        while len(self._workers) < number:
+            self._workers.append(_Worker(self._content))
+        return self._workers[:number]
 
 
 class _Worker:
@@ -207,6 +207,7 @@ class _Watch:
 
     def __init__(self, time_limit: float) -> None:
         self._time_limit = time_limit
+        self._start_limit = max(time_limit, START_LIMIT)
         self._seen: dict[int, tuple[int, float]] = {}
 
     def look(self, worker: _Worker, first: int, stride: int) -> None:
@@ -216,10 +217,16 @@ class _Watch:
         seen, since = self._seen.get(first, (-1, now))
         if calls != seen:
             self._seen[first] = (calls, now)
-        elif now - since > (self._time_limit if calls else max(self._time_limit, START_LIMIT)):
+        elif calls and now - since > self._time_limit:
             raise WorkerError(
                 first + stride * environment,
                 f"the environment has not returned within `time_limit`, {self._time_limit:g} s",
+            )
+        elif not calls and now - since > self._start_limit:
+            raise WorkerError(
+                first,
+                "the process of the environment has imported what `make_env` needs for more than "
+                f"{self._start_limit:g} s, and has not called it yet",
             )
 
 

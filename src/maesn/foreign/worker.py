@@ -1,12 +1,17 @@
 """The program of a worker process: hosts a share of the environments and steps them in turn.
 
-It is started by `maesn.foreign.pool`, and ends when its connection does, however that comes about.
+It is started by `maesn.foreign.pool`, and ends when its connection does, however that comes about;
+also if the parent process is killed while an environment hangs.
 """
 
 import contextlib
 import mmap
+import os
 import pickle
+import signal
 import struct
+import threading
+import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -17,6 +22,10 @@ from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading, raised
 
 # What a worker writes before each call of an environment: how many calls so far, and whose.
 MARK = struct.Struct("=Qq")
+
+
+# Seconds between two looks whether the parent process is still there.
+_LOOK_PERIOD = 1.0
 
 
 class Failure(NamedTuple):
@@ -35,6 +44,7 @@ def main(connection_descriptor: int, mark_descriptor: int) -> None:
             requests.
         mark_descriptor: of a file that both processes map.
     """
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     connection = Connection(connection_descriptor)
     with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
         share = _load_share(connection, mark)
@@ -45,6 +55,14 @@ def main(connection_descriptor: int, mark_descriptor: int) -> None:
         finally:
             if share is not None:
                 share.close()
+
+
+def _end_with(parent: int) -> None:
+    """End this process, and those that its environments have started, when the parent is gone."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_PERIOD)
+    time.sleep(_LOOK_PERIOD)  # for environments that can be closed
+    os.killpg(0, signal.SIGKILL)
 
 
 def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from jaxtyping import Array, Bool, Float, Int
 
@@ -144,18 +145,20 @@ class Stepper:
         self._readings, self._steps[rows] = _single(readings), 0
         return Glimpse(*_seen(_look(self.env, self._readings, self._present)))
 
-    def step(
-        self, action: Float[np.ndarray, "episode action"], ended: Bool[np.ndarray, " episode"]
-    ) -> Transition:
+    def step(self, action: np.ndarray, ended: Bool[np.ndarray, " episode"]) -> Transition:
         """Advance all episodes by one step.
 
         Args:
-            action: in the action space; beyond it the actuators saturate.
+            action: `[episode, action]`, in the action space; beyond it the actuators saturate.
             ended: episodes that are over. What happens to them means nothing.
 
         Raises:
-            EpisodeError: the physics of an episode blew up.
+            EpisodeError: the physics of an episode blew up, or it is paid what is no number.
+            ValueError: the action has another shape.
         """
+        shape = (self.num_episodes, self.env.action_size)
+        if action.shape != shape:
+            raise ValueError(f"the actions must have the shape {shape}, got {action.shape}")
         before, action = self._readings, action.astype(np.float32)
         control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
@@ -166,6 +169,9 @@ class Stepper:
         judged = _judge(self.env, before, action, self._readings, self._present)
         glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
+        unpaid = np.flatnonzero(~np.isfinite(total) & ~ended)
+        if unpaid.size:
+            raise self._error(PhysicsError(unpaid.tolist(), "the reward is not finite"))
         out_of_time = (self._steps >= self.env.horizon) | cut
         out_of_time &= ~terminated
         return Transition(Glimpse(*_seen(glimpse)), total, goal, terminated, out_of_time)
@@ -175,7 +181,10 @@ class Stepper:
 
         Raises:
             RenderingError: the system has no library to draw with.
+            ResetNeeded: no episode has begun.
         """
+        if not self._readings:
+            raise ResetNeeded("there is no state to draw yet: call `reset` before `render`.")
         view = arena(self.env, self.tasks.tasks, self._readings)
         return Scene(self.env, view, WIDTH, HEIGHT)
 

@@ -182,7 +182,10 @@ def first_part(table: AdaptationTable, num_tasks: int, updates: int) -> Adaptati
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield one row per method, seed, task and update; `score` is empty if there is none."""
+    """Yield one row per method, seed, task and update; `score` is empty if there is none.
+
+    Measures are in the single precision of the curves, so that they are written with its digits.
+    """
     solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
         steps = comparison.steps(line)
@@ -191,10 +194,10 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
             for task in range(table.num_tasks):
                 for column, update in enumerate(table.updates):
                     values = (
-                        table.mean_return[task, column],
-                        table.goal_return[task, column],
-                        table.success_rate[task, column],
-                        "" if scores is None else scores[task, column],
+                        np.float32(table.mean_return[task, column]),
+                        np.float32(table.goal_return[task, column]),
+                        np.float32(table.success_rate[task, column]),
+                        "" if scores is None else np.float32(scores[task, column]),
                         int(solved[task]),
                     )
                     row = (line.name, seed, task, int(update), int(steps[column]), *values)

@@ -31,7 +31,7 @@ _ENTRIES = {
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
 # Engine -> the packages that it needs beside those.
-_ENGINE_PACKAGES = {"mujoco.mjx": ("mujoco-mjx",)}
+_ENGINE_PACKAGES = {"mujoco.mjx": ("mujoco-mjx",), "gymnasium": ("gymnasium",)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +81,16 @@ class RunSettings:
             raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
         if self.sparse_radius is not None and not self.sparse_radius > 0:
             raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+
+    @property
+    def own_family(self) -> str | None:
+        """The family as it has to be named again, if it is the user's own."""
+        return self.family if ":" in self.family else None
+
+    @property
+    def family_option(self) -> str:
+        """What commands that go on with the run need to be told of its family."""
+        return f" --family {self.own_family}" if self.own_family else ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Episodes of exploration, recorded in a run directory for its figures."""
 
+from contextlib import closing
 from pathlib import Path
 
 import jax
@@ -22,17 +23,17 @@ EXPLORATION = Path("figures") / "exploration.npz"
 def record_exploration(run: Run) -> Path:
     """Play and record what the figures of exploration show."""
     tasks, env = run.task_set("test"), run.env()
-    world, new = run.world(tasks), run.learner.fast_learner(run.untrained_state())
-    collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-    trained = explore(
-        run.learner.fast_learner(run.latest_state()), collect, num_tasks=EXPLORATION_TASKS
-    )
-    untrained = explore(new, collect, num_tasks=EXPLORATION_TASKS)
-    # As many episodes of every task as the trained policy's share of goals is counted among.
-    at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
-    everywhere = Collector(world, EXPLORATION_EPISODES)
-    reach = adapt(new, everywhere, updates=0, chunk_size=at_once).curves
-    world.close()
+    new = run.learner.fast_learner(run.untrained_state())
+    with closing(run.world(tasks)) as world:
+        collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
+        trained = explore(
+            run.learner.fast_learner(run.latest_state()), collect, num_tasks=EXPLORATION_TASKS
+        )
+        untrained = explore(new, collect, num_tasks=EXPLORATION_TASKS)
+        # As many episodes of every task as the trained policy's share of goals is counted among.
+        at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
+        everywhere = Collector(world, EXPLORATION_EPISODES)
+        reach = adapt(new, everywhere, updates=0, chunk_size=at_once).curves
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
     arrays = {
         "training_goals": goal(run.training_tasks.tasks),

@@ -50,6 +50,7 @@ def train_live(
                 last = progress
     except KeyboardInterrupt:
         more = "" if total == run.settings.iterations else f" --iterations {total}"
+        more += run.settings.family_option
         _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:

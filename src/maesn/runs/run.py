@@ -32,7 +32,14 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.serialization import digest
-from maesn.runs.starting import check_batch, check_policy, iteration_key, untrained_state
+from maesn.runs.starting import (
+    check_batch,
+    check_env,
+    check_policy,
+    iteration_key,
+    untrained_state,
+    warn_of_known_tests,
+)
 from maesn.runs.storage import RunError, new_directory
 from maesn.runs.task_sources import (
     TASKS_FILE,
@@ -98,8 +105,12 @@ class Run:
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
-        # Before anything is written: the engine may lack something, or the batches be too small.
+        # Before anything is written: the environment may contradict itself, the engine may lack
+        # something, or the batches be too small.
+        check_env(run.env(), tasks)
         run.world().close()
+        if settings.tasks == "training":
+            warn_of_known_tests(family, tasks)
         check_batch(learner, settings.episodes_per_task)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()

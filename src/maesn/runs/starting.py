@@ -1,5 +1,6 @@
 """Where the random draws of a run come from, and the state that training begins with."""
 
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -7,10 +8,11 @@ import jax
 import numpy as np
 
 from maesn.axes import Key
-from maesn.envs import AnyEnv
+from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL, AbstractPolicy
 from maesn.runs.storage import RunError
+from maesn.worlds import check_sizes
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
 # instead would yield the keys of iterations 0 and 1 a second time.
@@ -64,6 +66,28 @@ def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
         env.check_shown(policy.observed_reward)
     except ValueError as error:
         raise RunError(str(error)) from error
+
+
+def check_env(env: AnyEnv, tasks: TaskSet) -> None:
+    """Refuse an environment whose functions return other shapes than it announces.
+
+    Raises:
+        RunError: one does.
+    """
+    try:
+        check_sizes(env, tasks[0])
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:
+    """Say so if the test tasks are those of training, as where `draw_tasks` ignores its stream."""
+    if family.task_set("test").digest() == tasks.digest():
+        warnings.warn(
+            f"the test tasks of `{family.name}` are those that are trained on: `draw_tasks` draws "
+            "the same whatever its stream, so a result on them says nothing of new tasks.",
+            stacklevel=3,
+        )
 
 
 def check_batch(learner: AbstractMetaLearner[Any, Any], episodes_per_task: int) -> None:

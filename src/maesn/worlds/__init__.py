@@ -23,6 +23,7 @@ from maesn.worlds.scene import Scene as Scene
 from maesn.worlds.scene import arena as arena
 from maesn.worlds.scene import places as places
 from maesn.worlds.simulators import open_simulator as open_simulator
+from maesn.worlds.sizes import check_sizes as check_sizes
 
 
 def _gymnasium_world(*arguments: Any) -> AbstractWorld:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
-from maesn.physics import AbstractSimulator, NativeSimulator
+from maesn.physics import AbstractSimulator, NativeSimulator, PhysicsError
 from maesn.physics.base import ModelFields
 from maesn.physics.base import Readings as SimulatorReadings
 
@@ -72,7 +72,14 @@ class DeviceSimulator(AbstractSimulator):
         control: Float[np.ndarray, "simulation control"],
         abandoned: Bool[np.ndarray, " simulation"] | None = None,
     ) -> SimulatorReadings:
-        """See `AbstractSimulator.step`. Nothing in here can fail: JAX raises no such errors."""
+        """See `AbstractSimulator.step`. JAX raises no errors of its own."""
+        if not self._state:
+            raise RuntimeError("the simulator has no state: make a new one, or `reset` it")
+        bad = ~np.isfinite(control).all(axis=1)
+        if abandoned is not None:
+            bad &= ~abandoned
+        if bad.any():
+            raise PhysicsError(np.flatnonzero(bad).tolist(), "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
         return self._read()

@@ -1,0 +1,34 @@
+"""The guide to a family from Gymnasium, taken at its word: its file, its commands."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from guides import Guide
+
+from maesn.runs.run import Run
+
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
+GUIDE = Guide("own_environment_gymnasium.md", "hidden_gravity")
+VERBS = ("train", "adapt", "plot", "export")
+
+
+def test_its_commands_do_what_they_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert set(VERBS) == GUIDE.verbs
+    GUIDE.write(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # as the guide says, for the processes
+    GUIDE.follow(*VERBS)
+    del sys.modules["hidden_gravity"]
+    run = tmp_path / "runs" / "gravity"
+    assert (run / "adaptation" / "test-sparse.csv").exists()
+    assert (tmp_path / "gravity.npz").exists()
+    # The family has to be named again, which is what the user is told.
+    told = "next:    maesn adapt runs/gravity --family hidden_gravity:family"
+    assert told in capsys.readouterr().out
+    normalized = "runs/maesn-hidden_gravity:family-0"
+    assert Run.open(normalized, "hidden_gravity:family").learner.normalize_observations
