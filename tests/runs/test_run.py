@@ -16,6 +16,7 @@ import pytest
 from small_runs import create as create_drift
 from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
+from maesn import cli
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES
 from maesn.learners import METHODS, maml
@@ -115,6 +116,20 @@ def test_actions_of_another_kind_are_refused_before_there_is_a_directory(tmp_pat
     with pytest.raises(RunError, match=r"`point` needs a policy of continuous .*GaussianMLP"):
         Run.create(directory, discrete, tiny_settings())
     assert Run.create(directory, discrete, tiny_settings(family="bandit")).learner == discrete
+
+
+def test_the_command_gives_policies_that_choose_where_that_is_needed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["--family", "bandit", "--iterations", "0", "--policy.hidden-sizes", "6"]
+    assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "maesn")]) == 0
+    assert Run.open(tmp_path / "maesn").learner.policy == CategoricalMLP((6,))
+    rl2 = ["train", "rl2", "--family", "bandit", "--iterations", "0"]
+    assert cli.run([*rl2, "--run", str(tmp_path / "rl2")]) == 0
+    assert Run.open(tmp_path / "rl2").learner.policy.action_kind == "discrete"
+    deviation = ["--policy.initial-std", "0.5", "--run", str(tmp_path / "refused")]
+    assert cli.run(["train", "maesn", *few, *deviation]) == cli.USAGE_ERROR
+    assert "`bandit` needs a policy of discrete actions" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from maesn import api
 from maesn.commands.options import parse
 from maesn.learners import CURIOUS, METHODS, PRESETS, AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.config import RunSettings
+from maesn.runs.config import RunSettings, make_env
 from maesn.runs.storage import RunError
+from maesn.runs.task_sources import resolve_family
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +38,10 @@ def main(arguments: list[str]) -> None:
     enable_compilation_cache()
     settings = options.settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
-    run = api.train(options.learner, settings, directory, init_from=options.init_from)
+    env = make_env(resolve_family(settings.family), settings)
+    # A choice and not a vector is what some families need, for which there is no option.
+    learner = options.learner.for_actions(env.action_kind)
+    run = api.train(learner, settings, directory, init_from=options.init_from)
     next_command = f"maesn adapt {run.directory}{settings.family_option}"
     print(f"trained: {run.directory}\nnext:    {next_command}")
 

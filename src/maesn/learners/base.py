@@ -13,7 +13,7 @@ import jax
 from jaxtyping import Array, Int
 
 from maesn.agent import Agents
-from maesn.axes import Key, TaskKeys
+from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import AbstractContextValue
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.policies import AbstractPolicy
@@ -139,6 +139,13 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """Return the policy that plays first in a new task."""
         learner, one_task = self.fast_learner(state), jax.random.split(jax.random.key(0), 1)
         return learner.agents(learner.init(one_task)).policy
+
+    def for_actions(self, kind: ActionKind) -> "AbstractMetaLearner[MetaState, Info]":
+        """Return this learner with a policy for actions of a kind, see `maesn.policies.suited`.
+
+        One that holds no settings of a policy is returned as it is.
+        """
+        return self
 
     def check_batch(self, episodes_per_task: int) -> None:
         """Refuse a number of episodes per task that meta-iterations cannot learn from.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.agent import Agents
-from maesn.axes import Key, TaskKeys
+from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.curiosity import Curiosity, CuriosityState
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
@@ -153,6 +153,10 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
 
     def iteration(self, state: CuriousState) -> Int[Array, ""]:
         return self.learner.iteration(state.learner)
+
+    def for_actions(self, kind: ActionKind) -> "CuriousMetaLearner":
+        """See `AbstractMetaLearner.for_actions`."""
+        return dataclasses.replace(self, learner=self.learner.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`."""

@@ -4,6 +4,7 @@ MAML, MAML + bias, LatentSpace and MAESN are this one learner with two slots fil
 the context that it conditions on, and the adaptation that it allows (`maesn.learners.presets`).
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from maesn.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.agent import Agent, Agents
-from maesn.axes import Key
+from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContext
 from maesn.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.learners.base import AbstractMetaLearner
@@ -25,7 +26,7 @@ from maesn.learners.info import GradientInfo, describe_step
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
 from maesn.normalization import ObservationStatistics, no_observations
-from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.policies import AbstractPolicySettings, GaussianMLP, suited
 from maesn.settings import added_later
 from maesn.trust_region import TrustRegion
 
@@ -114,6 +115,10 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     def iteration(self, state: GradientState) -> Int[Array, ""]:
         return state.iteration
+
+    def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
+        """See `AbstractMetaLearner.for_actions`."""
+        return replace(self, policy=suited(self.policy, kind))
 
     def slots(self) -> tuple[Any, ...]:
         """Return the context, the parts that an inner step changes, and if training has one."""

@@ -5,6 +5,7 @@ kept. Meta-training improves the policy on whole trials, so that it pays to find
 episode what the others need. In a new task nothing is updated but the memory.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.agent import Agents
-from maesn.axes import Key
+from maesn.axes import ActionKind, Key
 from maesn.context import Nothing
 from maesn.episodes import Collect, Episodes
 from maesn.learners.base import AbstractMetaLearner
@@ -23,7 +24,7 @@ from maesn.learners.recurrent_fast import RecurrentFastLearner
 from maesn.learners.recurrent_value import RecurrentValue, ValueState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import masked_mean, standardize, trial_advantages
-from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
+from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent, suited
 
 
 class RecurrentState(eqx.Module):
@@ -114,6 +115,10 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
     def slots(self) -> tuple[Any, ...]:
         """Return how the policy is improved."""
         return (type(self), type(self.policy_step))
+
+    def for_actions(self, kind: ActionKind) -> "RecurrentMetaLearner":
+        """See `AbstractMetaLearner.for_actions`."""
+        return replace(self, policy=suited(self.policy, kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""

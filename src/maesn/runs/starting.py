@@ -51,8 +51,8 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
         raise RunError(
             f"`{env.name}` needs a policy of {wanted} actions, but that of `{method}` chooses "
             f"{kind} ones: give the learner another, as in "
-            f'maesn.PRESETS["maesn"](policy=maesn.{usual}()), or train `rl2` with '
-            f"--policy.action-kind {wanted}."
+            f'maesn.PRESETS["maesn"](policy=maesn.{usual}()); for `rl2` and its like, '
+            f'maesn.Recurrent(action_kind="{wanted}").'
         )
 
 
