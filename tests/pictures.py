@@ -1,5 +1,6 @@
 """Whether pictures can be drawn on this machine, as MuJoCo's own renderer finds, not ours."""
 
+import ctypes.util
 import functools
 import os
 import subprocess
@@ -21,14 +22,10 @@ mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
 
 @functools.cache
 def can_draw() -> bool:
-    """Whether MuJoCo draws with the first of the libraries that we would take."""
-    asked = (os.environ["MUJOCO_GL"],) if "MUJOCO_GL" in os.environ else ("egl", "osmesa")
-    return any(_draws_with(library) for library in asked)
-
-
-def _draws_with(library: str) -> bool:
+    """Whether MuJoCo draws with EGL, or with OSMesa where there is no EGL, or as MUJOCO_GL says."""
+    there = "egl" if ctypes.util.find_library("EGL") else "osmesa"
+    environment = {"MUJOCO_GL": there} | os.environ
     command = [sys.executable, "-c", _DRAW]
-    environment = os.environ | {"MUJOCO_GL": library}
     return not subprocess.run(command, env=environment, capture_output=True, check=False).returncode
 
 

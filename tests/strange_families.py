@@ -1,6 +1,7 @@
 """Families of the environments in `strangers`."""
 
 import os
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -41,8 +42,11 @@ def seeds(num_tasks: int) -> np.ndarray:
 
 
 def is_running(process: int) -> bool:
+    """Whether a process is there and has not ended; who should, may not have been told yet."""
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
+        status = Path(f"/proc/{process}/stat")  # of Linux
+        state = status.read_text().rpartition(")")[2].split()[0] if status.exists() else ""
+    except (FileNotFoundError, ProcessLookupError):
         return False
-    return True
+    return state != "Z"

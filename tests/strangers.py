@@ -4,6 +4,7 @@ Worker processes import this file, so it imports no JAX: they start in a fractio
 """
 
 import os
+import subprocess
 import time
 from pathlib import Path
 from typing import Any
@@ -228,6 +229,15 @@ def make_hopeless(how: str, diary: Path, task: np.ndarray, reward: str) -> Any:
     if how == "exits":
         os._exit(3)
     return gymnasium.Env() if how == "has no spaces" else None
+
+
+def make_parent(how: str, diary: Path, task: np.ndarray, reward: str) -> Walker:
+    """Start a process, as simulators do, and write down which."""
+    child = subprocess.Popen(["sleep", "3600"])
+    diary.write_text(f"{os.getpid()} {child.pid}\n")
+    if how == "hangs":
+        time.sleep(3600)
+    return Walker(task)
 
 
 def make_fragile(health: Path, task: np.ndarray, reward: str) -> Fragile:

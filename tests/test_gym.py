@@ -232,7 +232,7 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
     env = TaskEnv(family, task=4)
     env.reset(seed=0)
     for action in (0.5, np.zeros(3), np.zeros((1, 2))):
-        with pytest.raises(ValueError, match=r"the actions must have the shape \(1, 2\), got"):
+        with pytest.raises(ValueError, match=r"`action` must have the shape \(2,\), got"):
             env.step(action)
     with pytest.raises(EpisodeError, match=rf"{family}, task 4, episode 0, step 0: .*finite"):
         env.step(np.array([0.0, np.nan]))
@@ -241,18 +241,35 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
         env.step(np.zeros(2))
 
 
-def test_a_reward_that_is_no_number_is_an_error_that_says_where() -> None:
-    class Unpaid(Point):
-        """A point that is paid NaN where it has gone right."""
+class Unpaid(Point):
+    """A point that is paid NaN where it has gone right."""
 
-        def reward(self, readings: Any, action: Any, next_readings: Any, task: Any) -> Reward:
-            goal, other = super().reward(readings, action, next_readings, task)
-            return Reward(jnp.where(next_readings["qpos"][0] > 0.15, jnp.nan, goal), other)
+    def reward(self, readings: Any, action: Any, next_readings: Any, task: Any) -> Reward:
+        goal, other = super().reward(readings, action, next_readings, task)
+        return Reward(jnp.where(next_readings["qpos"][0] > 0.3, jnp.nan, goal), other)
 
-    env = TaskEnv(point._replace(make_env=Unpaid), task=1)
-    env.reset(seed=0)
-    with pytest.raises(EpisodeError, match=r"task 1, episode 0, step \d+: the reward is not fin"):
-        collections.deque((env.step(np.ones(2)) for _ in range(20)), maxlen=0)
+
+class Unseeing(Point):
+    """A point that sees NaN where it has gone right."""
+
+    def observe(self, readings: Any) -> jax.Array:
+        return jnp.where(readings["qpos"] > 0.3, jnp.nan, readings["qpos"])
+
+
+@pytest.mark.parametrize(("env", "what"), [(Unpaid, "reward"), (Unseeing, "observation")])
+def test_what_is_no_number_is_an_error_that_says_where(env: Any, what: str) -> None:
+    family = point._replace(make_env=env)
+    known = TaskEnv("point", task=1)
+    places = [known.reset(seed=0)[0]] + [known.step(np.ones(2))[0] for _ in range(20)]
+    first = int(np.argmax([place[0] > 0.3 for place in places])) - 1
+    assert first > 0
+    broken = TaskEnv(family, task=1)
+    broken.reset(seed=0)
+    for _ in range(first):
+        broken.step(np.ones(2))
+    where = f"point, task 1, episode 0, step {first}: the {what} is not finite"
+    with pytest.raises(EpisodeError, match=where):
+        broken.step(np.ones(2))
 
 
 def family_on_rails(directory: Path, actuator: str) -> TaskFamily:

@@ -13,11 +13,12 @@ from maesn.entries import Entry, entry_of_runs
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.report.comparison import Comparison
 from maesn.report.style import MethodStyle, series_styles
-from maesn.runs.config import CONFIG, RunSettings
+from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.contest import Conditions, Ground, Say
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.storage import RunError
+from maesn.runs.task_sources import resolve_family
 
 RUNS = "runs"
 
@@ -110,7 +111,9 @@ def radius_label(radius: float | None) -> str:
 def _train(ablation: Ablation, name: str, directory: Path) -> None:
     """Begin or go on with the run of one line, unless it is finished."""
     settings = ablation.settings
-    learner = ABLATION[name].make(settings.iterations, **ablation.learner)
+    env = make_env(resolve_family(settings.family), settings)
+    made = ABLATION[name].make(settings.iterations, **ablation.learner)
+    learner = made.for_actions(env.action_kind)
     path = directory / f"{name}-seed-{settings.seed}"
     if not (path / CONFIG).exists():
         api.train(learner, settings, path)

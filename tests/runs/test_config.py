@@ -7,18 +7,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_runs import create_tiny, tiny_maesn, tiny_settings
 
-from maesn.axes import Readings
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
+from maesn.worlds import check_promises
 
 POINT = FAMILIES["point"]
 
@@ -163,38 +162,68 @@ def test_tests_that_are_trained_on_are_warned_of(tmp_path: Path) -> None:
         Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
 
 
-class Flat(Point):
-    """A point that is seen by half."""
-
-    def observe(self, readings: Readings) -> jax.Array:
-        return readings["qpos"][:1]
-
-
-class Vectorial(Point):
-    """A point that is paid a vector."""
-
-    def reward(self, *arguments: Any) -> Reward:
-        goal, other = super().reward(*arguments)
-        return Reward(goal[None], other)
-
-
-class Strong(Wheeled):
-    """A robot that moves more wheels than it has."""
-
-    def control(self, action: jax.Array) -> jax.Array:
-        return jnp.zeros(3)
+def with_method(kind: Any, **methods: Any) -> Any:
+    """An environment with other functions: `self` and all arguments are theirs."""
+    return type(kind.__name__, (kind,), methods)
 
 
 CONTRADICTIONS = {
-    Flat: "`point`: `observe` must return the shape (2,), got (1,).",
-    Vectorial: "`point`: `reward` must return the shape [(), ()], got [(1,), ()].",
-    Strong: "`wheeled`: `control` must return the shape (2,), got (3,).",
+    "advance` must return the shape {'qpos': (2,), 'qvel': (2,)}, got {'qpos'": with_method(
+        Point, advance=lambda self, readings, control: {"qpos": readings["qpos"]}
+    ),
+    "initial` must return the shape ((6,), (6,)), got ((6,), (5,)).": with_method(
+        Wheeled, initial=lambda self, key, task: (jnp.zeros(6), jnp.zeros(5))
+    ),
+    "model_fields` must return the shape {'body_mass': (5,)}, got {'body_mass': ()}.": with_method(
+        Wheeled, model_fields=lambda self, task: {"body_mass": jnp.ones(())}
+    ),
+    "control` must return the shape (2,), got (3,).": with_method(
+        Wheeled, control=lambda self, action: jnp.zeros(3)
+    ),
+    "instruction` must return the shape (1,), got ().": with_method(
+        Point, instruction=lambda self, task: jnp.zeros(())
+    ),
+    "observe` must return the shape (2,), got (1,).": with_method(
+        Point, observe=lambda self, readings: readings["qpos"][:1]
+    ),
+    "reward` must return the shape [(), ()], got [(1,), ()].": with_method(
+        Point, reward=lambda self, *_: Reward(jnp.zeros(1), jnp.zeros(()))
+    ),
+    "terminated` must return the shape (), got (2,).": with_method(
+        Point, terminated=lambda self, readings: readings["qpos"] > 0
+    ),
+    "truncated` must return the shape (), got (2,).": with_method(
+        Point, truncated=lambda self, readings: readings["qpos"] > 0
+    ),
+    "solved` must return the shape (), got (2,).": with_method(
+        Point, solved=lambda self, readings, task: readings["qpos"] > 0
+    ),
+    "position` must return the shape (2,), got (1,).": with_method(
+        Point,
+        position=lambda self, observation: observation[:1],
+        judged_position=lambda self, readings, task: readings["qpos"],
+    ),
+    "goal` must return the shape (2,), got (3,).": with_method(
+        Point, goal=lambda self, task: jnp.zeros(3)
+    ),
 }
 
 
-@pytest.mark.parametrize("env", CONTRADICTIONS)
-def test_an_environment_that_contradicts_itself_is_refused(env: Any, tmp_path: Path) -> None:
-    family: TaskFamily = POINT._replace(name="odd", make_env=env)
-    with pytest.raises(RunError, match=re.escape(CONTRADICTIONS[env])):
+@pytest.mark.parametrize("said", CONTRADICTIONS)
+def test_an_environment_that_contradicts_itself_is_refused(said: str, tmp_path: Path) -> None:
+    family: TaskFamily = POINT._replace(name="odd", make_env=CONTRADICTIONS[said])
+    with pytest.raises(RunError, match=re.escape(f"`{said}")):
         Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+@pytest.mark.parametrize("variant", ["reference", "paper"])
+def test_the_librarys_own_environments_keep_their_word(family: TaskFamily, variant: str) -> None:
+    check_promises(family.make_env(variant=variant), family.task_set("test")[0])
+
+
+def test_what_a_function_raises_is_not_hidden(tmp_path: Path) -> None:
+    broken = with_method(Point, observe=lambda self, readings: jnp.ones(2) @ jnp.ones(3))
+    with pytest.raises(TypeError, match="contracting"):
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), POINT._replace(make_env=broken))

@@ -130,6 +130,9 @@ def test_the_command_gives_policies_that_choose_where_that_is_needed(
     deviation = ["--policy.initial-std", "0.5", "--run", str(tmp_path / "refused")]
     assert cli.run(["train", "maesn", *few, *deviation]) == cli.USAGE_ERROR
     assert "`bandit` needs a policy of discrete actions" in capsys.readouterr().err
+    choosing = ["--family", "point", "--policy.action-kind", "discrete", *deviation[2:]]
+    assert cli.run(["train", "rl2", *choosing]) == cli.USAGE_ERROR
+    assert "`point` needs a policy of continuous actions" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

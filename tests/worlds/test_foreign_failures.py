@@ -137,30 +137,33 @@ def test_ctrl_c_ends_all_processes_and_is_passed_on(collect: Collector) -> None:
 
 
 ORPHANS = """
-import sys
-import numpy as np
-from strangers import make_hopeless
-from pathlib import Path
+import pickle, sys, time
 from functools import partial
+from pathlib import Path
+from strangers import make_parent
 from maesn.foreign import WorkerPool
-recipe = (partial(make_hopeless, "hangs", Path(sys.argv[1])), "dense", None)
-WorkerPool(recipe, 1, 3600.0).describe(b"\\x80\\x04N.")  # None, pickled
+pool = WorkerPool((partial(make_parent, sys.argv[1], Path(sys.argv[2])), "dense", None), 1, 3600.0)
+pool.describe(pickle.dumps(None))
+time.sleep(3600)
 """
 
 
-def test_a_hanging_environment_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["hangs", "is idle"])
+def test_no_environment_outlives_a_parent_that_is_killed(how: str, tmp_path: Path) -> None:
     diary = tmp_path / "diary"
     parent = subprocess.Popen(
-        [sys.executable, "-c", ORPHANS, str(diary)],
+        [sys.executable, "-c", ORPHANS, how, str(diary)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )
-    wait_until(diary.exists, 120.0)
-    wait_until(lambda: bool(diary.read_text()), 10.0)
-    worker = int(diary.read_text())
-    assert is_running(worker)
-    parent.kill()
-    parent.wait()
-    wait_until(lambda: not is_running(worker), 30.0)
+    try:
+        wait_until(lambda: diary.exists() and diary.read_text().count("\n") == 1, 120.0)
+        worker, child = map(int, diary.read_text().split())
+        assert is_running(worker)
+        assert is_running(child)
+    finally:
+        parent.kill()
+        parent.wait()
+    wait_until(lambda: not is_running(worker) and not is_running(child), 30.0)
 
 
 def wait_until(is_so: Callable[[], bool], limit: float) -> None:

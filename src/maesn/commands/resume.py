@@ -27,5 +27,7 @@ def main(arguments: list[str]) -> None:
     options = parse(Options, "resume", arguments)
     enable_compilation_cache()
     run = api.resume(options.run, options.iterations, family=options.family)
-    next_command = f"maesn adapt {run.directory}{run.settings.family_option}"
+    # Of a run that was begun in Python, the command alone knows where the family is.
+    own = f" --family {options.family}" if options.family else run.settings.family_option
+    next_command = f"maesn adapt {run.directory}{own}"
     print(f"trained: {run.directory}\nnext:    {next_command}")

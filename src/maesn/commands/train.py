@@ -39,7 +39,7 @@ def main(arguments: list[str]) -> None:
     settings = options.settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
     env = make_env(resolve_family(settings.family), settings)
-    # A choice and not a vector is what some families need, for which there is no option.
+    # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
     run = api.train(learner, settings, directory, init_from=options.init_from)
     next_command = f"maesn adapt {run.directory}{settings.family_option}"

@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
-from maesn.envs.tasks import SET_SIZE, TaskFamily, checked_rows
+from maesn.envs.tasks import TaskFamily
 from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool
 
 # Seconds. Making an environment can take long on a machine that does much else.
@@ -182,8 +182,7 @@ def gymnasium_family(
 
     @cache
     def family_class() -> type[AbstractGymnasiumEnv]:
-        tasks = draw_tasks(np.random.default_rng([seed, 0]), SET_SIZE)
-        found = _look_at(name, recipe, task_row(checked_rows(name, tasks, SET_SIZE), 0))
+        found = _look_at(name, recipe, task_row(family.task_set("training").tasks, 0))
         return _family_class(name, found, recipe, control_period)
 
     def make(
@@ -195,7 +194,8 @@ def gymnasium_family(
         _refuse_settings(name, variant, sparse_radius)
         return _instance(family_class(), horizon, reward_kind)
 
-    return TaskFamily(name, make, draw_tasks, task_names, seed)
+    family = TaskFamily(name, make, draw_tasks, task_names, seed)
+    return family
 
 
 def _refuse_settings(name: str, variant: Variant, sparse_radius: float) -> None:

@@ -76,38 +76,30 @@ class TaskFamily(NamedTuple):
         """Return one of the family's disjoint sets, the same in every process.
 
         Raises:
-            ValueError: the family has no tasks out of distribution.
+            ValueError: the family has no tasks out of distribution, or draws no tasks.
         """
-        draw = self.draw_ood_tasks if name == OUT_OF_DISTRIBUTION else self.draw_tasks
+        function = "draw_ood_tasks" if name == OUT_OF_DISTRIBUTION else "draw_tasks"
+        draw = getattr(self, function)
         if draw is None:
             raise ValueError(
                 f"family `{self.name}` has the task sets {', '.join(SETS)}, but none called "
                 f"`{name}`: give tasks of another kind as an .npz file."
             )
         stream = np.random.default_rng([self.seed, NAMED_SETS.index(name)])
-        return TaskSet(checked_rows(self.name, draw(stream, size), size))
+        tasks = draw(stream, size)
+        if not _has_rows(tasks, size):
+            raise ValueError(
+                f"`{function}` of `{self.name}` must return an array of numbers with {size} rows, "
+                f"one for each task, or a pytree of such arrays, got {_short(tasks)}."
+            )
+        return TaskSet(tasks)
 
 
-def checked_rows(family: str, tasks: Any, size: int) -> Any:
-    """Return tasks as they were drawn.
-
-    Args:
-        family: its name, for the message.
-        tasks: what `draw_tasks` has returned.
-        size: how many were asked for.
-
-    Raises:
-        ValueError: they are not arrays of numbers with one row for each task.
-    """
+def _has_rows(tasks: Any, size: int) -> bool:
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(tasks)]
     kinds = {leaf.dtype.kind for leaf in leaves}
     shapes = {leaf.shape for leaf in leaves}
-    if not leaves or not kinds <= set("biuf") or any(shape[:1] != (size,) for shape in shapes):
-        raise ValueError(
-            f"`draw_tasks` of `{family}` must return an array of numbers with {size} rows, one for "
-            f"each task, or a pytree of such arrays, got {_short(tasks)}."
-        )
-    return tasks
+    return bool(leaves) and kinds <= set("biuf") and all(x[:1] == (size,) for x in shapes)
 
 
 def _short(value: Any) -> str:

@@ -161,6 +161,7 @@ class HostedEnvironment:
 
     def _flatten(self, observation: Any) -> np.ndarray:
         assert self._env is not None
+        assert self._interface is not None
         space = self._env.observation_space
         wrong = _ask("the observation", lambda: fault(space, observation))
         if wrong is not None:
@@ -168,6 +169,11 @@ class HostedEnvironment:
         flat = _ask("the observation", lambda: spaces.flatten(space, observation))
         with np.errstate(over="ignore"):  # what overflows is refused below
             vector = np.asarray(flat, np.float32)
+        if vector.shape != (self._interface.observation_size,):
+            raise HostedError(
+                f"the observation must have {self._interface.observation_size} components, got "
+                f"{vector.size}"
+            )
         if not np.isfinite(vector).all():
             index = int(np.argmin(np.isfinite(vector)))
             raise HostedError(f"the observation is not finite: component {index} is {flat[index]}")

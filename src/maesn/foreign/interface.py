@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 # Of the range of an action; beyond it, bounds are no more than the largest numbers of their type.
-LARGEST_WIDTH = 1e30
+_LARGEST_WIDTH = 1e30
 
 
 class InterfaceError(ValueError):
@@ -71,15 +71,14 @@ def _bounds(space: spaces.Space[Any]) -> tuple[tuple[float, ...], tuple[float, .
 
 
 def _check_bounds(index: int, low: float, high: float) -> None:
-    if low == high:
+    with np.errstate(over="ignore", invalid="ignore"):
+        width = np.float32(high) - np.float32(low)  # actions are mapped in single precision
+    if width <= 0:
         raise InterfaceError(
             f"component {index} of the action space can only be {low}: leave it out, as "
             "`gymnasium.wrappers.TransformAction` can."
         )
-    with np.errstate(over="ignore"):
-        width = np.float32(high) - np.float32(low)
-    # Numbers near the largest one stand for no bound; actions are mapped in single precision.
-    if not np.isfinite(width) or width > LARGEST_WIDTH:
+    if not width <= _LARGEST_WIDTH:  # nor NaN, of two infinite bounds
         raise InterfaceError(
             f"the action space must be bounded, but component {index} reaches from {low} to "
             f"{high}: give it finite bounds, as `gymnasium.wrappers.TransformAction` can."

@@ -40,7 +40,7 @@ _CHECKS_PER_LIMIT = 10
 # With the parent's path, so that whatever could be imported there can be imported here.
 _PROGRAM = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from maesn.foreign.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+    "from maesn.foreign.worker import main; main(*map(int, sys.argv[2:]))"
 )
 
 
@@ -172,8 +172,9 @@ class _Worker:
             shared.truncate(MARK.size)
             self._mark = mmap.mmap(shared.fileno(), MARK.size)
             descriptors = (theirs.fileno(), shared.fileno())
+            numbers = map(str, (*descriptors, os.getpid()))
             self.process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *map(str, descriptors)],
+                [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *numbers],
                 pass_fds=descriptors,
                 # JAX may be imported by a user's module; the accelerator is not the workers'.
                 env=os.environ | {"JAX_PLATFORMS": "cpu"},

@@ -36,15 +36,16 @@ class Failure(NamedTuple):
     reason: str
 
 
-def main(connection_descriptor: int, mark_descriptor: int) -> None:
+def main(connection_descriptor: int, mark_descriptor: int, parent: int) -> None:
     """Serve the parent process until it closes the connection.
 
     Args:
         connection_descriptor: of a socket to the parent, which sends first the recipe and then
             requests.
         mark_descriptor: of a file that both processes map.
+        parent: its process.
     """
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     connection = Connection(connection_descriptor)
     with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
         share = _load_share(connection, mark)
@@ -55,10 +56,15 @@ def main(connection_descriptor: int, mark_descriptor: int) -> None:
         finally:
             if share is not None:
                 share.close()
+    if os.getppid() != parent:  # otherwise it is the parent that ends the group
+        os.killpg(0, signal.SIGKILL)
 
 
 def _end_with(parent: int) -> None:
-    """End this process, and those that its environments have started, when the parent is gone."""
+    """End this process, and those that its environments have started, when the parent is gone.
+
+    An environment that hangs in compiled code without ever letting Python run is not ended.
+    """
     while os.getppid() == parent:
         time.sleep(_LOOK_PERIOD)
     time.sleep(_LOOK_PERIOD)  # for environments that can be closed

@@ -6,7 +6,12 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
-from maesn.gym.settings import RENDER_MODES, checked_render_mode, refuse_unknown
+from maesn.gym.settings import (
+    RENDER_MODES,
+    checked_action,
+    checked_render_mode,
+    refuse_unknown,
+)
 from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
 from maesn.worlds import Scene
 
@@ -76,11 +81,15 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         Returns:
             Observation, reward, whether the episode has terminated, whether it has run out of
             time, and information: `task`, `is_success`, `goal_reward`.
+
+        Raises:
+            EpisodeError: the physics blew up, or something is no number.
+            ValueError: the action has another shape than its space.
         """
         if self._ended:
             raise gymnasium.error.ResetNeeded("no episode is running: call `reset` before `step`.")
-        rows = np.asarray(action, np.float32)[None]
-        after = self._stepper.step(rows, np.zeros(1, bool))
+        action = checked_action(action, self.action_space)
+        after = self._stepper.step(action[None], np.zeros(1, bool))
         reward = float(after.reward[0])
         terminated, truncated = bool(after.terminated[0]), bool(after.truncated[0])
         self._ended = terminated or truncated

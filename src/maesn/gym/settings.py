@@ -1,9 +1,10 @@
 """What can be asked of the Gymnasium environments. What cannot is refused by its own name."""
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from gymnasium import Space
 from jaxtyping import Int
 
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
@@ -55,6 +56,18 @@ def make_steppable(
             f"`{family.name}` are {env.action_kind}: play it with `maesn.Collector`."
         )
     return env
+
+
+def checked_action(action: Any, space: Space[Any]) -> np.ndarray:
+    """Return an action, or those of several episodes, in single precision.
+
+    Raises:
+        ValueError: it has another shape than its space.
+    """
+    action = np.asarray(action, np.float32)
+    if action.shape != space.shape:
+        raise ValueError(f"`action` must have the shape {space.shape}, got {action.shape}.")
+    return action
 
 
 def checked_task(

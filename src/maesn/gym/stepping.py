@@ -145,33 +145,32 @@ class Stepper:
         self._readings, self._steps[rows] = _single(readings), 0
         return Glimpse(*_seen(_look(self.env, self._readings, self._present)))
 
-    def step(self, action: np.ndarray, ended: Bool[np.ndarray, " episode"]) -> Transition:
+    def step(
+        self, action: Float[np.ndarray, "episode action"], ended: Bool[np.ndarray, " episode"]
+    ) -> Transition:
         """Advance all episodes by one step.
 
         Args:
-            action: `[episode, action]`, in the action space; beyond it the actuators saturate.
+            action: in the action space; beyond it the actuators saturate.
             ended: episodes that are over. What happens to them means nothing.
 
         Raises:
-            EpisodeError: the physics of an episode blew up, or it is paid what is no number.
-            ValueError: the action has another shape.
+            EpisodeError: the physics of an episode blew up, or it sees or is paid what is no
+                number.
         """
-        shape = (self.num_episodes, self.env.action_size)
-        if action.shape != shape:
-            raise ValueError(f"the actions must have the shape {shape}, got {action.shape}")
         before, action = self._readings, action.astype(np.float32)
         control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
             self._readings = _single(self._simulator.step(control, ended))
         except PhysicsError as error:
             raise self._error(error) from error
-        self._steps += 1
         judged = _judge(self.env, before, action, self._readings, self._present)
         glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
-        unpaid = np.flatnonzero(~np.isfinite(total) & ~ended)
-        if unpaid.size:
-            raise self._error(PhysicsError(unpaid.tolist(), "the reward is not finite"))
+        # What is seen at an end by nature may be anything: nobody acts on it.
+        self._refuse("observation", np.isfinite(glimpse[0]).all(1) | ended | terminated)
+        self._refuse("reward", np.isfinite(total) | ended)
+        self._steps += 1
         out_of_time = (self._steps >= self.env.horizon) | cut
         out_of_time &= ~terminated
         return Transition(Glimpse(*_seen(glimpse)), total, goal, terminated, out_of_time)
@@ -196,6 +195,11 @@ class Stepper:
     def close(self) -> None:
         """Release the engine's threads and memory; may be called twice."""
         self._simulator.close()
+
+    def _refuse(self, what: str, sound: Bool[np.ndarray, " episode"]) -> None:
+        if not sound.all():
+            rows = np.flatnonzero(~sound).tolist()
+            raise self._error(PhysicsError(rows, f"the {what} is not finite"))
 
     def _error(self, error: PhysicsError) -> EpisodeError:
         row = error.simulations[0]

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float, Int
 
 from maesn.gym.env import metadata_of
-from maesn.gym.settings import checked_render_mode, refuse_unknown
+from maesn.gym.settings import checked_action, checked_render_mode, refuse_unknown
 from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
 from maesn.worlds import Scene
 
@@ -111,10 +111,14 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         Returns:
             Observations, rewards, which episodes have terminated, which have run out of time, and
             information: `task`, `is_success`, `goal_reward`.
+
+        Raises:
+            EpisodeError: the physics of an episode blew up, or something is no number.
+            ValueError: the actions have another shape than their space.
         """
         over = self._ended
         self._refuse_step(over)
-        after = self._stepper.step(np.asarray(actions, np.float32), over)
+        after = self._stepper.step(checked_action(actions, self.action_space), over)
         glimpse = after.glimpse
         if over.any():
             glimpse = self._stepper.begin(

@@ -17,16 +17,18 @@ USUAL: dict[ActionKind, AbstractPolicySettings] = {
 def suited(policy: AbstractPolicySettings, kind: ActionKind) -> AbstractPolicySettings:
     """Return a policy's settings for actions of a kind.
 
-    Where something was set that has no meaning for that kind, as the standard deviation of a
-    choice, they are returned as they are: whoever plays the policy refuses it by name.
+    Only what was not said otherwise is changed. A policy of choices stays one, and so does one
+    with a standard deviation of its own, which choices do not have: whoever plays them where that
+    does not fit refuses them by name.
 
     Args:
         policy: settings for actions of any kind.
         kind: of the actions that are needed.
     """
+    if kind == "continuous" or not isinstance(policy, GaussianMLP | Recurrent):
+        return policy
+    if policy.initial_std != type(policy)().initial_std:
+        return policy
     if isinstance(policy, Recurrent):
         return dataclasses.replace(policy, action_kind=kind)
-    if isinstance(policy, GaussianMLP) and kind == "discrete":
-        same_size = CategoricalMLP(policy.hidden_sizes)
-        return same_size if policy == GaussianMLP(policy.hidden_sizes) else policy
-    return policy
+    return CategoricalMLP(policy.hidden_sizes)

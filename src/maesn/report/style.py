@@ -90,7 +90,7 @@ METHOD_STYLES = {
     "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, _DOTS, "P"),
     "rl2": MethodStyle("RL²", BLACK, _SHORT_DASH, "X"),
     "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, _DOTS, "p"),
-    "vime": MethodStyle("VIME", BLUE, _DOTS, "h"),
+    "vime": MethodStyle("VIME", ORANGE, _SHORT_DASH, "h"),
     "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),
     "reinforce": MethodStyle("REINFORCE", GREY, _DOTS, ">"),
     "oracle": MethodStyle("oracle", DARK_GREY, "-", "*"),

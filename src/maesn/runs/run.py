@@ -105,10 +105,10 @@ class Run:
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
-        # Before anything is written: the environment may contradict itself, the engine may lack
-        # something, or the batches be too small.
-        check_env(run.env(), tasks)
+        # Before anything is written: the engine may lack something, the environment contradict
+        # itself, or the batches be too small.
         run.world().close()
+        check_env(run.env(), tasks)
         if settings.tasks == "training":
             warn_of_known_tests(family, tasks)
         check_batch(learner, settings.episodes_per_task)

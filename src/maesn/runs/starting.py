@@ -12,7 +12,7 @@ from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL, AbstractPolicy
 from maesn.runs.storage import RunError
-from maesn.worlds import check_sizes
+from maesn.worlds import BrokenPromiseError, check_promises
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
 # instead would yield the keys of iterations 0 and 1 a second time.
@@ -75,8 +75,8 @@ def check_env(env: AnyEnv, tasks: TaskSet) -> None:
         RunError: one does.
     """
     try:
-        check_sizes(env, tasks[0])
-    except ValueError as error:
+        check_promises(env, tasks[0])
+    except BrokenPromiseError as error:
         raise RunError(str(error)) from error
 
 

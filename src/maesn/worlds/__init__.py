@@ -19,11 +19,12 @@ from maesn.worlds.base import Trajectory as Trajectory
 from maesn.worlds.device import DeviceWorld as DeviceWorld
 from maesn.worlds.mjx import MjxWorld as MjxWorld
 from maesn.worlds.native import NativeWorld as NativeWorld
+from maesn.worlds.promises import BrokenPromiseError as BrokenPromiseError
+from maesn.worlds.promises import check_promises as check_promises
 from maesn.worlds.scene import Scene as Scene
 from maesn.worlds.scene import arena as arena
 from maesn.worlds.scene import places as places
 from maesn.worlds.simulators import open_simulator as open_simulator
-from maesn.worlds.sizes import check_sizes as check_sizes
 
 
 def _gymnasium_world(*arguments: Any) -> AbstractWorld:

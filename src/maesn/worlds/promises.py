@@ -5,38 +5,40 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array
 
-from maesn.axes import Readings
 from maesn.envs.base import (
     AbstractMujocoEnv,
     AbstractPureEnv,
     AbstractSimulatedEnv,
     AnyEnv,
 )
-from maesn.physics import load_model
-from maesn.worlds.simulators import native_simulator
+from maesn.physics import field_values, load_model, resting_readings
 
 
-def check_sizes(env: AnyEnv, task: Any) -> None:
+class BrokenPromiseError(ValueError):
+    """A function of an environment returns another shape than the environment announces."""
+
+
+def check_promises(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it announces.
 
     JAX works out the shapes; no episode is played. Foreign environments are looked at where they
-    are hosted, in `maesn.foreign`.
+    are hosted, in `maesn.foreign`. What a function raises is passed on.
 
     Args:
         env: of whatever family.
         task: one of its tasks.
 
     Raises:
-        ValueError: a function returns something that does not fit; the message names it.
+        BrokenPromiseError: a function returns something that does not fit; the message names it.
     """
     if not isinstance(env, AbstractSimulatedEnv):
         return
     for function, found, wanted in _promises(env, task):
         shapes = jax.tree.map(jnp.shape, found)
         if shapes != wanted:
-            raise ValueError(
+            raise BrokenPromiseError(
                 f"`{env.name}`: `{function}` must return the shape {wanted}, got {shapes}."
             )
 
@@ -53,27 +55,31 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "advance", moved, jax.tree.map(jnp.shape, readings)
     if isinstance(env, AbstractMujocoEnv):
         model = load_model(env.model)
+        readings = _single(resting_readings(model, env.readings))
+        fields = _single(field_values(model, tuple(start.model_fields)))
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
+        yield "model_fields", start.model_fields, jax.tree.map(jnp.shape, fields)
         yield "control", control, (model.nu,)
-        readings = _readings(env)
     told = jax.eval_shape(env.instruction, task)
     yield "instruction", told, (told.size,)
     seen = jax.eval_shape(env.observe, readings)
     yield "observe", seen, (env.observation_size - told.size,)
+    yield from _judgements(env, readings, action, task)
+    if env.planar:
+        yield "position", jax.eval_shape(env.position, seen), (2,)
+        yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
+        yield "goal", jax.eval_shape(env.goal, task), (2,)
+
+
+def _judgements(
+    env: AbstractSimulatedEnv[Any], readings: Any, action: Array, task: Any
+) -> Iterator[tuple[str, Any, Any]]:
     paid = jax.eval_shape(env.reward, readings, action, readings, task)
     yield "reward", jax.tree.leaves(paid), [(), ()]  # its two parts
     for name in ("terminated", "truncated"):
         yield name, jax.eval_shape(getattr(env, name), readings), ()
     yield "solved", jax.eval_shape(env.solved, readings, task), ()
-    if env.planar:
-        yield "position", jax.eval_shape(env.position, seen), (2,)
-        yield "goal", jax.eval_shape(env.goal, task), (2,)
 
 
-def _readings(env: AbstractMujocoEnv[Any]) -> Readings:
-    """Return what the engine reads of the model as it is at rest."""
-    model = load_model(env.model)
-    simulator = native_simulator(env, 1, num_threads=1)
-    read = simulator.reset(model.qpos0[None], np.zeros((1, model.nv)))
-    simulator.close()
-    return {name: jnp.asarray(value[0], jnp.float32) for name, value in read.items()}
+def _single(values: Any) -> Any:
+    return {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
