@@ -253,7 +253,7 @@ class Unseeing(Point):
     """A point that sees NaN where it has gone right."""
 
     def observe(self, readings: Any) -> jax.Array:
-        return jnp.where(readings["qpos"] > 0.3, jnp.nan, readings["qpos"])
+        return jnp.where(readings["qpos"][0] > 0.3, jnp.nan, readings["qpos"])
 
 
 @pytest.mark.parametrize(("env", "what"), [(Unpaid, "reward"), (Unseeing, "observation")])
