@@ -133,7 +133,8 @@ def test_tables_of_adapt_are_used_where_they_fit(
         done = compare([runs["maesn"]], out=tmp_path, conditions=FEW)
     assert played == 2 * [[0, 1], [2, 3]]  # floor alone
     curves = done.lines[0].tables[0].mean_return
-    np.testing.assert_array_equal(curves, outcome.curves.mean_return[:4, :2])
+    # Tables have the digits of single precision.
+    np.testing.assert_array_equal(np.float32(curves), outcome.curves.mean_return[:4, :2])
     style = METHOD_STYLES["maesn"]
     table = runs["maesn"] / "adaptation" / "test-sparse.csv"
     with closing(ground_of(RunSettings(family="point"), FEW)) as ground:

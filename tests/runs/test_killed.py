@@ -8,12 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
 from small_runs import create, metrics, outcome, tiny_maesn
 
 from maesn.runs.run import Run
-
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 KILLED = """
 import sys

@@ -127,8 +127,8 @@ def test_discrete_actions_reach_the_environment_as_its_own() -> None:
 
 
 def test_no_more_processes_are_started_than_there_are_episodes() -> None:
-    world = make_world(walkers.make_env(), tasks(), num_threads=4)
-    for episodes, processes in ((1, 1), (3, 3), (2, 3), (9, 4), (3, 4)):
+    world = make_world(walkers.make_env(), tasks(), num_threads=2)
+    for episodes, processes in ((1, 1), (3, 2), (1, 2)):
         played = Collector(world, episodes)(keys(1, SEED), agents(world.env, 1), jnp.array([0]))
         assert len(world._open().process_ids) == processes
         alone = play(walkers.make_env(), tasks(), [0], episodes=episodes, seed=SEED, num_threads=1)
