@@ -14,6 +14,7 @@ from maesn.learners.curious import CuriousMetaLearner
 from maesn.learners.gradient import GradientMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent import RecurrentMetaLearner
+from maesn.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
@@ -21,6 +22,9 @@ POLICY_STEP = 0.1
 BIAS_STEP = 0.5
 # Where an inner step runs through the policy; results/curvature has what it was chosen by.
 HESSIAN_STRIDE = 4
+# Of a bias that is adapted alone, chosen there as well.
+BIAS_HESSIAN_STRIDE = 10
+BIAS_CG_STEPS = 10
 
 
 def maesn(**settings: Any) -> GradientMetaLearner:
@@ -83,7 +87,11 @@ def maml_bias_only(**settings: Any) -> GradientMetaLearner:
     """
     adaptation = Adaptation(context=InnerStep(BIAS_STEP))
     return _fill(
-        settings, context=BiasContext(), adaptation=adaptation, hessian_stride=HESSIAN_STRIDE
+        settings,
+        context=BiasContext(),
+        adaptation=adaptation,
+        hessian_stride=BIAS_HESSIAN_STRIDE,
+        trust_region=TrustRegion(cg_steps=BIAS_CG_STEPS),
     )
 
 
