@@ -4,6 +4,7 @@ It is started by `maesn.foreign.pool`, and ends when its connection does, howeve
 also if the parent process is killed while an environment hangs.
 """
 
+import atexit
 import contextlib
 import mmap
 import os
@@ -45,6 +46,9 @@ def main(connection_descriptor: int, mark_descriptor: int, parent: int) -> None:
         mark_descriptor: of a file that both processes map.
         parent: its process.
     """
+    connection_over = threading.Event()
+    # The first to be registered is the last to be called: libraries may tidy up before it.
+    atexit.register(_end_group_after, connection_over)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     connection = Connection(connection_descriptor)
     with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
@@ -56,7 +60,16 @@ def main(connection_descriptor: int, mark_descriptor: int, parent: int) -> None:
         finally:
             if share is not None:
                 share.close()
-    if os.getppid() != parent:  # otherwise it is the parent that ends the group
+    connection_over.set()
+
+
+def _end_group_after(connection_over: threading.Event) -> None:
+    """End what the environments have started; their own `sys.exit` keeps its exit code.
+
+    The parent would do it as well, unless it is being killed: then its descriptors are closed
+    before its children can tell that it is gone.
+    """
+    if connection_over.is_set():
         os.killpg(0, signal.SIGKILL)
 
 
