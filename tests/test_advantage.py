@@ -1,6 +1,6 @@
 """Advantages against the reference: a linear baseline per task, and GAE."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -83,7 +83,7 @@ def test_one_episode_alone_teaches_its_steps() -> None:
 
 
 def test_equal_pay_teaches_nothing() -> None:
-    # Here the library leaves the reference, which would standardise the errors of its baseline.
+    # Here the library leaves the reference, which standardises what its baseline misses.
     episodes = stack(batch_of(EQUAL))
     equal = jnp.broadcast_to(episodes.reward[:, :1], episodes.reward.shape)
     advantages = estimate(REFERENCE, eqx.tree_at(lambda e: e.reward, episodes, equal))
@@ -94,6 +94,17 @@ def test_equal_pay_teaches_nothing() -> None:
     advantages = estimate(REFERENCE, eqx.tree_at(lambda e: e.reward, episodes, better))
     np.testing.assert_allclose(jnp.std(advantages.step, axis=(1, 2)), [1, 0, 0], atol=1e-4)
     np.testing.assert_allclose(jnp.std(advantages.episode, axis=1), [1, 0, 0], atol=1e-4)
+
+
+@pytest.mark.usefixtures("x64")
+def test_equal_pay_drifts_as_in_the_reference_if_asked_to() -> None:
+    batch = [
+        [replace(episode, reward=episodes[0].reward) for episode in episodes]
+        for episodes in batch_of(EQUAL)
+    ]
+    advantages = advantages_of(AdvantageEstimator(drifts=True), stack(batch))
+    assert_equal_to_reference(advantages, batch, REFERENCE, atol=1e-9)
+    np.testing.assert_allclose(jnp.std(advantages.step, axis=(1, 2)), 1.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize("setting", ["discount", "trace"])

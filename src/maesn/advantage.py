@@ -13,6 +13,7 @@ from maesn.numerics import (
     ridge_regression,
     standardize,
 )
+from maesn.settings import added_later
 
 # Range that observations are clipped to and time that t is divided by, from the reference's
 # linear feature baseline.
@@ -49,6 +50,10 @@ class AdvantageEstimator(eqx.Module):
     """lambda of generalised advantage estimation; 1 is return minus baseline."""
     ridge: float = 1e-5
     """Weight of the squared coefficients in the fit of the baseline."""
+    drifts: bool = added_later(False)
+    """Whether episodes that are all paid the same count as if they were not, as in the reference:
+    what the baseline misses of them is scaled like any other advantage, and a step of bounded KL
+    divergence goes as far as ever, in a direction at random."""
 
     def __check_init__(self) -> None:
         for name, value in (("discount", self.discount), ("trace", self.trace)):
@@ -63,9 +68,8 @@ class AdvantageEstimator(eqx.Module):
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
         Where several episodes are all paid the same, as without control costs on sparse reward
-        before the goal is found, there is nothing to learn and all advantages are 0. (The
-        reference blows the rounding errors of the baseline up to standard deviation 1, and its
-        latents take a random step.)
+        before the goal is found, there is nothing to learn and all advantages are 0, unless it
+        `drifts`.
 
         Args:
             episodes: episodes of one task, `[episode, time, ...]`.
@@ -80,10 +84,10 @@ class AdvantageEstimator(eqx.Module):
             reward, value, jnp.zeros(()), episodes.valid, self.discount, self.trace
         )
         first = returns[:, 0] - value[:, 0]
-        differs = _rewards_differ(reward)
+        counts = self.drifts | _rewards_differ(reward)
         return Advantages(
-            step=jnp.where(differs, standardize(raw, episodes.valid), 0.0),
-            episode=jnp.where(differs, standardize(first, jnp.ones_like(first, dtype=bool)), 0.0),
+            step=jnp.where(counts, standardize(raw, episodes.valid), 0.0),
+            episode=jnp.where(counts, standardize(first, jnp.ones_like(first, dtype=bool)), 0.0),
         )
 
     def of_tasks(self, episodes: Episodes) -> Advantages:

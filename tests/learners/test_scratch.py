@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import UNEQUAL, make_problem, stack
 from learning_problems.transitions import episodes_of
 from learning_problems.translation import policy_to_reference, to_policy
@@ -165,14 +166,21 @@ def test_tasks_start_with_different_weights_that_the_seed_says() -> None:
         assert (first != third).any()
 
 
-def test_no_reward_no_step() -> None:
-    learner = small("trpo")
-    state = learner.init(keys(2))
-    empty = episodes_of(np.ones((2, 3, 5, 2)), np.ones((2, 3, 4, 2)))
-    after = learner.update(state, empty)
-    for old, new in zip(*map(jax.tree.leaves, (state.agents, after.agents)), strict=True):
-        np.testing.assert_array_equal(old, new)
-    assert int(after.update) == 1
+def flat(policy: GaussianMLPPolicy) -> jax.Array:
+    return ravel_pytree(policy)[0]
+
+
+@pytest.mark.parametrize(("name", "drifts"), [("trpo", True), ("reinforce", False)])
+def test_equal_pay_moves_who_drifts(name: str, drifts: bool, collect: Collector) -> None:
+    learner = small(name)
+    state = learner.init(keys(5))
+    played = collect(keys(5), learner.agents(state), jnp.arange(5))
+    for paid, moves in ((0.0, False), (-1.0, drifts)):
+        equal = replace(played, reward=jnp.full_like(played.reward, paid))
+        after = learner.update(state, equal)
+        old, new = (jax.vmap(flat)(one.agents.policy) for one in (state, after))
+        np.testing.assert_array_equal(jnp.any(old != new, axis=1), moves)
+        assert int(after.update) == 1
 
 
 def test_vpg_is_reinforce() -> None:

@@ -148,7 +148,11 @@ def trpo(
     max_kl: float = TrustRegionRule().trust_region.max_kl,
     **settings: Any,
 ) -> PolicyGradient:
-    """TRPO (Schulman et al. 2015).
+    """TRPO (Schulman et al. 2015) that drifts where nothing tells its episodes apart.
+
+    A family without control costs pays all episodes the same until one reaches the goal. Steps in
+    random directions are then a search of policies, which finds goals that the noise of actions
+    alone does not (docs/methods/scratch.md). The published runs drifted, by their implementation.
 
     Args:
         observation_size: components of an observation.
@@ -156,10 +160,7 @@ def trpo(
         max_kl: bound on the mean KL divergence of an update. Published: 0.01.
         settings: others of `PolicyGradient`.
     """
-    rule = TrustRegionRule()
-    improvement = PolicyImprovement(
-        replace(rule, trust_region=replace(rule.trust_region, max_kl=max_kl))
-    )
+    improvement = PolicyImprovement(_bounded(max_kl), AdvantageEstimator(drifts=True))
     return PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
 
 
@@ -171,7 +172,7 @@ def vime(
     curiosity: Curiosity | None = None,
     **settings: Any,
 ) -> CuriousFastLearner:
-    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out.
+    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out, and never drifts.
 
     Args:
         observation_size: components of an observation.
@@ -180,9 +181,16 @@ def vime(
         curiosity: what it is paid; None for the usual.
         settings: others of `PolicyGradient`.
     """
-    learner = trpo(observation_size, action_size, max_kl=max_kl, **settings)
+    improvement = PolicyImprovement(_bounded(max_kl))
+    learner = PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
     paid = Curiosity() if curiosity is None else curiosity
     return CuriousFastLearner(learner, paid, observation_size, action_size)
+
+
+def _bounded(max_kl: float) -> TrustRegionRule:
+    """Return TRPO's rule with a bound on the mean KL divergence."""
+    rule = TrustRegionRule()
+    return replace(rule, trust_region=replace(rule.trust_region, max_kl=max_kl))
 
 
 SCRATCH: dict[str, Callable[..., AbstractFastLearner[Any]]] = {

@@ -7,6 +7,7 @@ from maesn.rollout import DRAWS
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
+from maesn.settings import is_left_out
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
 
@@ -69,9 +70,16 @@ def identity_of_run(run: Run, added: str = "") -> Identity:
 
 
 def written_out(settings: Any) -> str:
-    """Write settings out in full: defaults as well, which may be others in a later version."""
+    """Write settings out in full: defaults as well, which may be others in a later version.
+
+    Only fields that were `added_later` are left out while they do what was done before them.
+    """
     if not dataclasses.is_dataclass(settings):
         return repr(settings)
-    fields = dataclasses.fields(settings)
-    values = (f"{field.name}={written_out(getattr(settings, field.name))}" for field in fields)
+    fields = [(field, getattr(settings, field.name)) for field in dataclasses.fields(settings)]
+    values = (
+        f"{field.name}={written_out(value)}"
+        for field, value in fields
+        if not is_left_out(field, value)
+    )
     return f"{type(settings).__name__}({', '.join(values)})"
