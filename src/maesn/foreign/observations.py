@@ -21,6 +21,8 @@ def fault(space: spaces.Space[Any], value: Any, where: str = "the observation") 
         value: what the environment has returned.
         where: what the sentence calls the observation.
     """
+    if isinstance(space, spaces.Box | spaces.MultiBinary):
+        return _fault_of_numbers(space, value, where)
     if isinstance(space, spaces.Dict):
         return _fault_of_dictionary(space.spaces, value, where)
     if isinstance(space, spaces.Tuple):
@@ -29,8 +31,6 @@ def fault(space: spaces.Space[Any], value: Any, where: str = "the observation") 
         return _fault_of_choices(space, np.asarray(space.n), value, where)
     if isinstance(space, spaces.MultiDiscrete):
         return _fault_of_choices(space, space.nvec, value, where)
-    if isinstance(space, spaces.Box | spaces.MultiBinary):
-        return _fault_of_numbers(space, value, where)
     return None
 
 
