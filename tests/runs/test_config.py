@@ -177,6 +177,12 @@ CONTRADICTIONS = {
     "model_fields` must return the shape {'body_mass': (5,)}, got {'body_mass': ()}.": with_method(
         Wheeled, model_fields=lambda self, task: {"body_mass": jnp.ones(())}
     ),
+    "model_fields` must name fields of `mujoco.MjModel`": with_method(
+        Wheeled, model_fields=lambda self, task: {"body_weight": jnp.ones(5)}
+    ),
+    "readings` must name fields of `mujoco.MjData`, got 'xspeed'.": with_method(
+        Wheeled, readings=("qpos", "qvel", "xspeed")
+    ),
     "control` must return the shape (2,), got (3,).": with_method(
         Wheeled, control=lambda self, action: jnp.zeros(3)
     ),

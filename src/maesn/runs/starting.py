@@ -69,10 +69,10 @@ def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
 
 
 def check_env(env: AnyEnv, tasks: TaskSet) -> None:
-    """Refuse an environment whose functions return other shapes than it announces.
+    """Refuse an environment that is not what it says; see `maesn.worlds.check_promises`.
 
     Raises:
-        RunError: one does.
+        RunError: it is not.
     """
     try:
         check_promises(env, tasks[0])

@@ -1,6 +1,7 @@
 """Whether the functions of an environment return what it announces, before it is played."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -17,11 +18,13 @@ from maesn.physics import field_values, load_model, resting_readings
 
 
 class BrokenPromiseError(ValueError):
-    """A function of an environment returns another shape than the environment announces."""
+    """An environment is not what it says; the message names it, and what does not fit."""
 
 
 def check_promises(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it announces.
+
+    Names of readings and of fields of the model must be those of MuJoCo.
 
     JAX works out the shapes; no episode is played. Foreign environments are looked at where they
     are hosted, in `maesn.foreign`. What a function raises is passed on.
@@ -31,7 +34,8 @@ def check_promises(env: AnyEnv, task: Any) -> None:
         task: one of its tasks.
 
     Raises:
-        BrokenPromiseError: a function returns something that does not fit; the message names it.
+        BrokenPromiseError: a function returns something that does not fit, or there is no field of
+            a name; the message names it.
     """
     if not isinstance(env, AbstractSimulatedEnv):
         return
@@ -55,8 +59,9 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "advance", moved, jax.tree.map(jnp.shape, readings)
     if isinstance(env, AbstractMujocoEnv):
         model = load_model(env.model)
-        readings = _single(resting_readings(model, env.readings))
-        fields = _single(field_values(model, tuple(start.model_fields)))
+        with _told_of(env):
+            readings = _single(resting_readings(model, env.readings))
+            fields = _single(field_values(model, tuple(start.model_fields)))
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
         yield "model_fields", start.model_fields, jax.tree.map(jnp.shape, fields)
         yield "control", control, (model.nu,)
@@ -69,6 +74,15 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "position", jax.eval_shape(env.position, seen), (2,)
         yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
         yield "goal", jax.eval_shape(env.goal, task), (2,)
+
+
+@contextmanager
+def _told_of(env: AnyEnv) -> Iterator[None]:
+    """Name the environment in what is said of the names that it uses."""
+    try:
+        yield
+    except ValueError as error:
+        raise BrokenPromiseError(f"`{env.name}`: {error}.") from error
 
 
 def _judgements(
