@@ -5,6 +5,7 @@ Worker processes import this file, so it imports no JAX: they start in a fractio
 
 import os
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -228,6 +229,8 @@ def make_hopeless(how: str, diary: Path, task: np.ndarray, reward: str) -> Any:
         time.sleep(3600)
     if how == "exits":
         os._exit(3)
+    if how == "quits":
+        sys.exit(4)
     return gymnasium.Env() if how == "has no spaces" else None
 
 

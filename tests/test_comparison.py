@@ -166,6 +166,9 @@ def test_what_decides_the_curves_of_a_method_from_scratch_is_written_out_in_full
     assert "damping=0.1" in records[0]["learner"]
     assert "Curiosity(" in records[1]["learner"]
     assert "GradientRule(step_size=0.1" in records[2]["learner"]
+    assert "drifts=True" in records[0]["learner"]
+    # Left out, so that curves from before there was such a setting are recognised.
+    assert not any("drifts" in record["learner"] for record in records[1:3])
     assert records[3] == records[0] | {"seed": 1}
 
 

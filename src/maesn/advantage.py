@@ -53,7 +53,8 @@ class AdvantageEstimator(eqx.Module):
     drifts: bool = added_later(False)
     """Whether episodes that are all paid the same count as if they were not, as in the reference:
     what the baseline misses of them is scaled like any other advantage, and a step of bounded KL
-    divergence goes as far as ever, in a direction at random."""
+    divergence goes as far as ever, in a direction at random. Of no reward at all it misses nothing,
+    and nothing moves."""
 
     def __check_init__(self) -> None:
         for name, value in (("discount", self.discount), ("trace", self.trace)):

@@ -25,9 +25,9 @@ def check_choice(name: str, value: str, choices: Any) -> None:
 def added_later(default: Any) -> Any:
     """Return a field of settings that did not exist when files were first written.
 
-    At its default it is left out of files and digests, so what was written before it existed still
-    says the same, and is still recognised. Its default therefore has to be what was done before,
-    and must never change.
+    At its default it is left out of files, digests and records of curves, so what was written
+    before it existed still says the same, and is still recognised. Its default therefore has to be
+    what was done before, and must never change.
 
     Args:
         default: of the field.

@@ -151,6 +151,7 @@ HOPELESS = {
     "has no spaces": "the environment raised AttributeError: ",
     "hangs": "the environment has not returned within `time_limit`, 1 s",
     "exits": "the environment has ended its process (exit code 3)",
+    "quits": "the environment has ended its process (exit code 4)",
 }
 
 

@@ -177,7 +177,8 @@ CONTRADICTIONS = {
     "model_fields` must return the shape {'body_mass': (5,)}, got {'body_mass': ()}.": with_method(
         Wheeled, model_fields=lambda self, task: {"body_mass": jnp.ones(())}
     ),
-    "model_fields` must name fields of `mujoco.MjModel`": with_method(
+    'model_fields` must name fields of `mujoco.MjModel`, or of its options as "opt.<field>", got '
+    "'body_weight'.": with_method(
         Wheeled, model_fields=lambda self, task: {"body_weight": jnp.ones(5)}
     ),
     "readings` must name fields of `mujoco.MjData`, got 'xspeed'.": with_method(
@@ -218,7 +219,8 @@ CONTRADICTIONS = {
 @pytest.mark.parametrize("said", CONTRADICTIONS)
 def test_an_environment_that_contradicts_itself_is_refused(said: str, tmp_path: Path) -> None:
     family: TaskFamily = POINT._replace(name="odd", make_env=CONTRADICTIONS[said])
-    with pytest.raises(RunError, match=re.escape(f"`{said}")):
+    name = CONTRADICTIONS[said]().name
+    with pytest.raises(RunError, match=re.escape(f"`{name}`: `{said}")):
         Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
     assert not (tmp_path / "run").exists()
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from runtime.robot import fast_learner, policy_file
 
 from maesn.adaptation import Adaptation, InnerStep
+from maesn.advantage import AdvantageEstimator
 from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
 from maesn.learners import PRESETS
@@ -79,6 +80,7 @@ def test_the_floor_of_the_standard_deviation_holds() -> None:
             "by the reparameterized gradient",
         ),
         (lambda: preset("maesn", adaptation=Adaptation()), "adapts nothing"),
+        (lambda: preset("maesn", advantage=AdvantageEstimator(drifts=True)), "drifts where all"),
     ],
 )
 def test_what_has_no_closed_form_is_refused(tmp_path: Path, learner: Any, message: str) -> None:

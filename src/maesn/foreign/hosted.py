@@ -14,8 +14,9 @@ from maesn.foreign.observations import fault
 
 # Names under which environments tell of success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
-# Numbers beyond it are infinite in the single precision of the policies.
-_LARGEST = float(np.finfo(np.float32).max)
+# Numbers beyond it are infinite in the single precision of the policies. Of double precision, to
+# which numbers that it is compared with are raised: in half precision it would be infinite itself.
+_LARGEST = np.float64(np.finfo(np.float32).max)
 
 
 class Reading(NamedTuple):
@@ -52,7 +53,7 @@ class HostedEnvironment:
         self._reward = reward
         self._interface = interface
         self._env: gymnasium.Env[Any, Any] | None = None
-        # Those of the environment, which looks them up through all its wrappers.
+        # Read once per task: every look-up goes through all wrappers.
         self._action_space: spaces.Space[Any] | None = None
         self._observation_space: spaces.Space[Any] | None = None
         self._task: bytes | None = None
@@ -100,6 +101,7 @@ class HostedEnvironment:
             HostedError: the environment raised, or what it returned cannot be used.
         """
         assert self._env is not None
+        assert self._action_space is not None
         assert self._last is not None
         if self._last.terminated or self._last.truncated:
             self._last = self._last._replace(reward=0.0)
@@ -139,10 +141,10 @@ class HostedEnvironment:
         else:
             self.close()
             self._env = self._made(value)
-        self._task = task
         self._check_interface(self._env)
         self._action_space = self._env.action_space
         self._observation_space = self._env.observation_space
+        self._task = task
         return self._env
 
     def _made(self, task: Any) -> gymnasium.Env[Any, Any]:
@@ -203,12 +205,12 @@ def raised(error: Exception) -> str:
     return f"raised {type(error).__name__}: {error} ({frame.filename}, line {frame.lineno})"
 
 
-def _action(space: spaces.Space[Any] | None, control: np.ndarray) -> Any:
+def _action(space: spaces.Space[Any], control: np.ndarray) -> Any:
     if isinstance(space, spaces.Discrete):
         return space.start + int(np.argmax(control))
     assert isinstance(space, spaces.Box)
     action = control.astype(space.dtype).reshape(space.shape)
-    # Bounds may not be numbers of single precision. `np.clip` takes three times as long.
+    # Bounds may not be numbers of single precision. (`np.clip` is slower on so few numbers.)
     return np.minimum(np.maximum(action, space.low), space.high)
 
 

@@ -11,6 +11,7 @@ import os
 import pickle
 import signal
 import struct
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -47,29 +48,39 @@ def main(connection_descriptor: int, mark_descriptor: int, parent: int) -> None:
         parent: its process.
     """
     connection_over = threading.Event()
-    # The first to be registered is the last to be called: libraries may tidy up before it.
+    # Registered before an environment can be: whatever those want done at the end is done first.
     atexit.register(_end_group_after, connection_over)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     connection = Connection(connection_descriptor)
-    with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
-        share = _load_share(connection, mark)
+    with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(OSError):
         try:
-            while share is not None:
-                request, *columns = connection.recv()
-                connection.send(share.answer(request, columns))
-        finally:
-            if share is not None:
-                share.close()
-    connection_over.set()
+            _serve(connection, mark)
+        except (EOFError, ConnectionError):
+            connection_over.set()
+
+
+def _serve(connection: Connection, mark: mmap.mmap) -> None:
+    share = _load_share(connection, mark)
+    if share is None:
+        return
+    try:
+        while True:
+            request, *columns = connection.recv()
+            connection.send(share.answer(request, columns))
+    finally:
+        share.close()
 
 
 def _end_group_after(connection_over: threading.Event) -> None:
-    """End what the environments have started; their own `sys.exit` keeps its exit code.
+    """End what the environments have started; a `sys.exit` of their own keeps its exit code.
 
-    The parent would do it as well, unless it is being killed: then its descriptors are closed
-    before its children can tell that it is gone.
+    The parent does it as well, unless it is being killed. Its descriptors are closed then while it
+    still counts as the parent, so that `os.getppid` would not tell.
     """
     if connection_over.is_set():
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
         os.killpg(0, signal.SIGKILL)
 
 

@@ -148,7 +148,7 @@ def trpo(
     max_kl: float = TrustRegionRule().trust_region.max_kl,
     **settings: Any,
 ) -> PolicyGradient:
-    """TRPO (Schulman et al. 2015) that drifts where nothing tells its episodes apart.
+    """TRPO (Schulman et al. 2015) that drifts where all episodes are paid the same.
 
     A family without control costs pays all episodes the same until one reaches the goal. Steps in
     random directions are then a search of policies, which finds goals that the noise of actions
@@ -172,7 +172,9 @@ def vime(
     curiosity: Curiosity | None = None,
     **settings: Any,
 ) -> CuriousFastLearner:
-    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out, and never drifts.
+    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out.
+
+    With a bonus no two episodes are paid the same, so whether it drifts makes no difference.
 
     Args:
         observation_size: components of an observation.

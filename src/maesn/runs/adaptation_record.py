@@ -72,7 +72,8 @@ def identity_of_run(run: Run, added: str = "") -> Identity:
 def written_out(settings: Any) -> str:
     """Write settings out in full: defaults as well, which may be others in a later version.
 
-    Only fields that were `added_later` are left out while they do what was done before them.
+    Fields that were `added_later` are left out at their default, at which they do what was done
+    before they existed.
     """
     if not dataclasses.is_dataclass(settings):
         return repr(settings)

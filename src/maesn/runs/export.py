@@ -123,6 +123,11 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
     if not learner.learns_from_reward:
         raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
+    if learner.advantage.drifts:
+        raise ValueError(
+            "`learner` drifts where all episodes are paid the same, which the runtime does not: "
+            "train it without `advantage.drifts`."
+        )
     if not isinstance(learner.context, LatentContext):
         raise ValueError(
             f"`learner` has the context {type(learner.context).__name__}, whose update needs the "

@@ -1,4 +1,4 @@
-"""Whether the functions of an environment return what it announces, before it is played."""
+"""Whether an environment is what it announces, before it is played."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ class BrokenPromiseError(ValueError):
 def check_promises(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it announces.
 
-    Names of readings and of fields of the model must be those of MuJoCo.
+    Or one that reads or sets what MuJoCo does not have.
 
     JAX works out the shapes; no episode is played. Foreign environments are looked at where they
     are hosted, in `maesn.foreign`. What a function raises is passed on.
@@ -59,7 +59,7 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "advance", moved, jax.tree.map(jnp.shape, readings)
     if isinstance(env, AbstractMujocoEnv):
         model = load_model(env.model)
-        with _told_of(env):
+        with _naming(env):
             readings = _single(resting_readings(model, env.readings))
             fields = _single(field_values(model, tuple(start.model_fields)))
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
@@ -77,7 +77,7 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
 
 
 @contextmanager
-def _told_of(env: AnyEnv) -> Iterator[None]:
+def _naming(env: AnyEnv) -> Iterator[None]:
     """Name the environment in what is said of the names that it uses."""
     try:
         yield
