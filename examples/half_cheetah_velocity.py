@@ -5,7 +5,8 @@ paper). A whole meta-learning run, from the directory of the repository:
 
     pip install -e '.[gym]' 'gymnasium[mujoco]'
     export PYTHONPATH=examples
-    maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah
+    maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah \\
+        --normalize-observations True --trust-region.damping 0.1
     maesn adapt runs/cheetah --family half_cheetah_velocity:family
 
 Dense reward is minus the distance from the target speed, minus the environment's own control cost.
