@@ -1,11 +1,11 @@
-"""A family of tasks in an environment that others wrote: Gymnasium's `HalfCheetah-v5`.
+r"""A family of tasks in an environment that others wrote: Gymnasium's `HalfCheetah-v5`.
 
 The cheetah has to run at a speed that it is not told, between 0 and 2 m/s (the task of the MAML
 paper). A whole meta-learning run, from the directory of the repository:
 
     pip install -e '.[gym]' 'gymnasium[mujoco]'
     export PYTHONPATH=examples
-    maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah \\
+    maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah \
         --normalize-observations True --trust-region.damping 0.1
     maesn adapt runs/cheetah --family half_cheetah_velocity:family
 
