@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from small_runs import tensors
 
-from maesn import cli
+from maesn import api, cli
 from maesn.ablation import Ablation
 from maesn.experiments import ABLATION, ablation_radii
 from maesn.learners import AbstractMetaLearner, maesn, maml, method_name
@@ -132,3 +132,25 @@ def test_a_run_of_other_settings_is_refused(
     assert "was begun with `episodes_per_task` 3, but 4 is asked for" in capsys.readouterr().err
     assert cli.run([*short, "--meta-batch-size", "4"]) == cli.USAGE_ERROR
     assert "other settings of its learner" in capsys.readouterr().err
+
+
+def test_seeds_that_would_join_must_have_been_trained_alike(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maesn"]
+    assert cli.run([*short, "--seed", "1", "--meta-batch-size", "4"]) == 0
+    capsys.readouterr()
+    assert cli.run(short) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert "maesn-seed-1` was begun with other settings of its learner" in error
+
+
+def test_a_run_that_was_trained_for_longer_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maml_bias_only"]
+    assert cli.run(short) == 0
+    api.resume(tmp_path / "runs" / "maml_bias_only-seed-0", 1)
+    capsys.readouterr()
+    assert cli.run(short) == cli.USAGE_ERROR
+    assert "was trained on to 1 meta-iterations" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from maesn.admission import check_world, open_oracle
 from maesn.comparison import compare_entries, ground_of, silent
 from maesn.entries import Entry, entry_of_runs
 from maesn.experiments import ABLATION, ablation_radii
+from maesn.learners import AbstractMetaLearner
 from maesn.report.comparison import Comparison
 from maesn.report.style import MethodStyle, series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
@@ -111,34 +112,45 @@ def radius_label(radius: float | None) -> str:
 def _train(ablation: Ablation, name: str, directory: Path) -> None:
     """Begin or go on with the run of one line, unless it is finished."""
     settings = ablation.settings
-    env = make_env(resolve_family(settings.family), settings)
-    made = ABLATION[name].make(settings.iterations, **ablation.learner)
-    learner = made.for_actions(env.action_kind)
     path = directory / f"{name}-seed-{settings.seed}"
     if not (path / CONFIG).exists():
-        api.train(learner, settings, path)
+        api.train(_learner(ablation, name), settings, path)
         return
     run = Run.open(path, settings.own_family)
-    _check_same(run, learner, settings)
+    _check_same(run, ablation, name, settings.seed)
     if run.latest().iteration < settings.iterations:
         api.resume(path, settings.iterations, settings.own_family)
 
 
-def _check_same(run: Run, learner: Any, settings: RunSettings) -> None:
-    """Refuse a run that was begun with other settings."""
+def _learner(ablation: Ablation, name: str) -> AbstractMetaLearner[Any, Any]:
+    """Return what the run of one line trains."""
+    settings = ablation.settings
+    env = make_env(resolve_family(settings.family), settings)
+    made = ABLATION[name].make(settings.iterations, **ablation.learner)
+    return made.for_actions(env.action_kind)
+
+
+def _check_same(run: Run, ablation: Ablation, name: str, seed: int) -> None:
+    """Refuse a run that is not what its line trains."""
+    wanted = dataclasses.replace(ablation.settings, seed=seed)
     free = ("method", "num_threads", "checkpoint_every")
     for field in dataclasses.fields(RunSettings):
-        found, wanted = (getattr(one, field.name) for one in (run.settings, settings))
-        same = found == wanted or field.name in free
-        if not same:
+        found, asked = (getattr(one, field.name) for one in (run.settings, wanted))
+        if found != asked and field.name not in free:
             raise RunError(
-                f"`{run.directory}` was begun with `{field.name}` {found}, but {wanted} is asked "
+                f"`{run.directory}` was begun with `{field.name}` {found}, but {asked} is asked "
                 "for: give the same again, or another --out."
             )
-    if digest(run.learner) != digest(learner):
+    if digest(run.learner) != digest(_learner(ablation, name)):
         raise RunError(
             f"`{run.directory}` was begun with other settings of its learner than are asked for: "
             "give the same again, or another --out."
+        )
+    done = run.latest().iteration
+    if done > wanted.iterations:
+        raise RunError(
+            f"`{run.directory}` was trained on to {done} meta-iterations, but the figure compares "
+            f"runs after {wanted.iterations}: move it away, or give another --out."
         )
 
 
@@ -154,6 +166,8 @@ def _finished(ablation: Ablation, name: str, directory: Path) -> list[Run]:
     """Return the runs of one line that are finished, one per seed."""
     paths = sorted(directory.glob(f"{name}-seed-*/{CONFIG}"))
     runs = [Run.open(path.parent, ablation.settings.own_family) for path in paths]
+    for run in runs:
+        _check_same(run, ablation, name, run.settings.seed)
     finished = [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
     return sorted(finished, key=lambda run: run.settings.seed)
 

@@ -233,4 +233,4 @@ def _line(entry: Entry, ground: Ground, directory: Path, say: Say) -> Line:
         for table in tables
     )
     seeds = tuple(contestant.seed for contestant in entry.contestants)
-    return Line(entry.name, entry.style, seeds, tuple(named))
+    return Line(entry.name, entry.style, seeds, tuple(named), entry.training_steps)

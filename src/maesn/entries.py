@@ -40,6 +40,8 @@ class Entry:
     """One per seed."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if there is no such limit."""
+    training_steps: int | None = None
+    """Environment steps that meta-training took, the most of any seed; None without any."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,9 +118,11 @@ def entry_of_runs(
     tuned = test_time.fine_tune is not None
     number = conditions.updates_of_runs(tuned=tuned) if updates is None else updates
     suffix = test_time.suffix + engine_suffix(engine)
-    contestants, trial_episodes = [], None
+    contestants, trial_episodes, training_steps = [], None, 0
     for run in runs:
-        learner = run.learner.fast_learner(run.latest_state())
+        trained = run.latest()
+        training_steps = max(training_steps, trained.environment_steps)
+        learner = run.learner.fast_learner(trained.state)
         learner = test_time.add_to(learner, run, ground.env)
         trial_episodes = learner.trial_episodes
         contestants.append(
@@ -136,7 +140,7 @@ def entry_of_runs(
             )
         )
     drawn = _tuned(style, test_time) if test_time.suffix else style
-    return Entry(name + test_time.suffix, drawn, tuple(contestants), trial_episodes)
+    return Entry(name + test_time.suffix, drawn, tuple(contestants), trial_episodes, training_steps)
 
 
 def entry_of_scratch(name: str, num_tasks: int | None, scratch: Scratch, ground: Ground) -> Entry:

@@ -81,7 +81,9 @@ def test_methods_without_a_score_are_named_where_others_have_one() -> None:
     )
     lines = named("maesn", adaptation_table()), named("vime", adaptation_table(4))
     told = dataclasses.replace(comparison(*lines), oracle=named("oracle", uneven))
-    assert "No score of VIME: on these tasks" in summary_tables(told)[0].to_markdown()
+    everything, first, _ = (table.to_markdown() for table in summary_tables(told))
+    assert "No score of VIME: on these tasks" in everything
+    assert "No score: the oracle's mean return -400.0 is not above" in first
     scores = {row["method"] for row in tidy_rows(told) if row["score"] == ""}
     assert scores == {"vime"}
 
@@ -143,6 +145,20 @@ def test_the_summary_says_what_it_resamples(tmp_path: Path) -> None:
     assert f"{last:.1f} [" in shown
 
 
+def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None:
+    trained = dataclasses.replace(named("maesn", adaptation_table()), training_steps=48_000_000)
+    everything, common, _ = summary_tables(comparison(trained, named("vime", adaptation_table(5))))
+    assert [row[3] for row in everything.rows[:2]] == ["8", "5"]
+    assert [row[3] for row in common.rows] == ["5"] * 5
+    assert common.title == f"{everything.title}, the first 5 alone"
+    maesn, vime = common.rows[:2]
+    assert maesn[6].startswith(f"{adaptation_table().mean_return[:5, -1].mean():.1f} [")
+    assert vime[1:] == everything.rows[1][1:]
+    assert [row[1] for row in everything.rows] == ["48", "", "", "", ""]
+    alike = comparison(trained, named("trpo", adaptation_table()))
+    assert len(summary_tables(alike)) == 2
+
+
 def with_solved(solved: list[int], line: Line) -> Line:
     """The same line, where all episodes of some tasks start in the goal region."""
     tables = []
@@ -164,19 +180,19 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     with (tmp_path / "table.csv").open(newline="") as file:
         marked = {row["task"] for row in csv.DictReader(file) if int(row["solved_at_reset"])}
     assert marked == {"1", "6"}
-    everything, others, _ = summary_tables(compared)
+    everything, _, others, _ = summary_tables(compared)
     assert "2 of the 8 tasks are solved at reset." in everything.notes
     assert others.title == f"{everything.title}, without tasks solved at reset"
     rest = np.delete(adaptation_table().mean_return[:, -1], [1, 6])
     (maesn, trpo, *_) = others.rows
-    assert maesn[2] == "6"
-    assert maesn[5].startswith(f"{rest.mean():.1f} [")
-    assert trpo[2] == "4"
+    assert maesn[3] == "6"
+    assert maesn[6].startswith(f"{rest.mean():.1f} [")
+    assert trpo[3] == "4"
     solved_alone = dataclasses.replace(
         compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
     )
     floor = tuple(with_solved([0], line) for line in some.floor)
-    _, others, _ = summary_tables(dataclasses.replace(solved_alone, floor=floor))
+    _, _, others, _ = summary_tables(dataclasses.replace(solved_alone, floor=floor))
     assert others.rows[0][0] == "MAESN"
     nobody = dataclasses.replace(solved_alone, floor=floor, lines=solved_alone.lines[:1])
     assert len(summary_tables(nobody)) == 1

@@ -13,6 +13,7 @@ from maesn.report.statistics import (
     interquartile_mean_interval,
     mean_interval,
     mean_intervals,
+    score_interval,
 )
 
 # Relative standard error of a standard deviation that is estimated from R normal draws.
@@ -188,6 +189,42 @@ def test_the_probability_of_improvement_of_one_seed_is_a_mean_of_coins() -> None
     interval = improvement_interval(first, second)
     assert interval.mean == pytest.approx(coins.mean())
     assert interval.standard_error == pytest.approx(coins.std() / 10, rel=TOLERANCE)
+
+
+def test_the_score_of_the_floor_is_0_and_of_the_oracle_1_whatever_is_drawn() -> None:
+    tasks = 30.0 * draw(1, 40)
+    idle, busy, oracle = tasks, tasks - 20.0, tasks + 100.0 + draw(1, 40, seed=1)
+    for values, score in ((idle, 0.0), (oracle, 1.0)):
+        found = score_interval(values, [idle, busy], oracle)
+        assert (found.mean, found.low, found.high) == pytest.approx((score,) * 3, abs=1e-12)
+
+
+def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks() -> None:
+    num_tasks = 400
+    floor, oracle, values = (
+        offset + spread * draw(1, num_tasks, seed=seed)
+        for seed, (offset, spread) in enumerate(((-400.0, 10.0), (-300.0, 20.0), (-360.0, 15.0)))
+    )
+    found = score_interval(values, [floor], oracle)
+    gain, range_ = (values - floor)[0], (oracle - floor)[0]
+    score = gain.mean() / range_.mean()
+    assert found.mean == pytest.approx(score)
+    # The delta method: a ratio of means is linear in them to first order.
+    error = np.std(gain - score * range_) / range_.mean() / np.sqrt(num_tasks)
+    assert found.standard_error == pytest.approx(error, rel=TOLERANCE)
+    assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
+    assert "of the score, resampling 400 tasks" in found.label
+
+
+def test_a_score_has_no_interval_if_the_oracle_may_be_no_better_than_the_floor() -> None:
+    found = score_interval(draw(1, 8), [np.zeros((1, 8))], np.eye(1, 8))
+    assert found.mean == pytest.approx(8 * draw(1, 8).mean())
+    assert not found.is_known
+
+
+def test_a_score_is_of_the_same_tasks() -> None:
+    with pytest.raises(ValueError, match="must hold the same tasks, got 9 and 8"):
+        score_interval(draw(1, 9), [draw(1, 9)], draw(1, 8))
 
 
 def test_improvement_is_judged_on_the_same_tasks() -> None:

@@ -41,6 +41,8 @@ class Line:
     seeds: tuple[int, ...]
     tables: tuple[AdaptationTable, ...]
     """One per seed, all of the first so many tasks and with as many updates."""
+    training_steps: int | None = None
+    """Environment steps of meta-training; None without any."""
 
     @property
     def label(self) -> str:
@@ -152,6 +154,10 @@ class Comparison:
             floor=tuple(line.of_tasks(chosen) for line in self.floor),
             oracle=None if self.oracle is None else self.oracle.of_tasks(chosen),
         )
+
+    def of_first(self, number: int) -> "Comparison":
+        """Return the comparison over the first so many tasks."""
+        return self.of_tasks(np.arange(self.floor[0].num_tasks) < number)
 
     @property
     def everyone(self) -> tuple[Line, ...]:

@@ -1,6 +1,6 @@
 """What a comparison comes to, as tables: where the methods end, and who beats whom."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -16,11 +16,16 @@ from maesn.report.statistics import (
     improvement_interval,
     interquartile_mean_interval,
     mean_interval,
+    score_interval,
 )
 from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, markdown_row, note_on_solved
 
 _SCORE = Unit("score", digits=2)
-_SCORE_INTERVAL = "The score's interval is the return's: floor and oracle are taken as known."
+_SCORE_INTERVAL = (
+    "The score's interval draws the same tasks for method, floor and oracle; there is none if in "
+    "some of the draws the oracle is not above the floor."
+)
+_MILLION = 1e6
 _PROBABILITY = Unit("probability", digits=2)
 
 
@@ -54,9 +59,13 @@ class TextTable:
 def summary_tables(comparison: Comparison) -> list[TextTable]:
     """Return where each method ends and, if there are several, who beats whom.
 
-    Where some tasks are solved at reset, it is said where the methods end in the others alone.
+    Where some methods were adapted to the first tasks alone, it is said where all end in these;
+    where some tasks are solved at reset, where the methods end in the others.
     """
     tables = [_ends(comparison)]
+    counts = {line.num_tasks for line in comparison.lines}
+    if len(counts) > 1:
+        tables.append(_ends(comparison.of_first(min(counts)), f"the first {min(counts)} alone"))
     unsolved = ~comparison.is_solved_at_reset
     others = comparison.of_tasks(unsolved)
     if others.lines and not unsolved.all():
@@ -93,6 +102,7 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
 def _ends(comparison: Comparison, addition: str = "") -> TextTable:
     headings = (
         "method",
+        "trained on (million steps)",
         "seeds",
         "tasks",
         "updates",
@@ -127,6 +137,7 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
     labels += [returns.label, middle.label]
     return (
         line.label,
+        "" if line.training_steps is None else f"{line.training_steps / _MILLION:g}",
         str(len(line.seeds)),
         str(line.num_tasks),
         str(int(line.tables[0].updates[-1])),
@@ -134,18 +145,20 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
         _text(returns, UNITS["mean_return"]),
         _text(middle, UNITS["mean_return"]),
         _text(success, UNITS["success_rate"]),
-        _score(comparison, line, returns),
+        _score(comparison, line),
     )
 
 
-def _score(comparison: Comparison, line: Line, returns: Interval) -> str:
-    """Return the score with its interval, in which floor and oracle stay as they are."""
-    ends = np.array([returns.mean, returns.low, returns.high])
-    scores = comparison.score(ends, line.num_tasks)
-    if scores is None:
+def _score(comparison: Comparison, line: Line) -> str:
+    """Return the score of the last point with its interval; empty if there is no score."""
+    if comparison.oracle is None or comparison.score(np.zeros(1), line.num_tasks) is None:
         return ""
-    mean, low, high = map(float, scores)
-    return _text(replace(returns, mean=mean, low=low, high=high), _SCORE)
+    oracle, *floors = (
+        one.measure("mean_return")[:, : line.num_tasks, 0]
+        for one in (comparison.oracle, *comparison.floor)
+    )
+    last = line.measure("mean_return")[..., -1]
+    return _text(score_interval(last, floors, oracle), _SCORE)
 
 
 def _scoreless(comparison: Comparison) -> str:

@@ -7,6 +7,7 @@ Annals of Applied Statistics 1(2), 2007). Drawing tasks afresh within every seed
 task as several lucky ones and make the interval too narrow.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -132,6 +133,34 @@ def difference_interval(
     return _interval([first, second], _difference, " of the paired difference", confidence)
 
 
+def score_interval(
+    values: SeedTaskValues,
+    floors: Sequence[Float[np.ndarray, "floor_seed floor_task"]],
+    oracle: Float[np.ndarray, "oracle_seed oracle_task"],
+    *,
+    confidence: float = CONFIDENCE_LEVEL,
+) -> Interval:
+    """Return the normalised score with its interval.
+
+        score = (m(x) - f) / (m(o) - f),   f the largest m of the floors, m as in `mean_interval`
+
+    One resample takes the same tasks for all: floor and oracle are as uncertain as the method. If
+    in any of them the oracle is not above the floor, the ratio has no interval.
+
+    Args:
+        values: x, one value per seed and task.
+        floors: of the agents that learn nothing, in the same tasks in the same order.
+        oracle: o, of the agent that is told the task, as well.
+        confidence: probability that the interval covers the truth.
+
+    Raises:
+        ValueError: if the numbers of tasks differ.
+    """
+    for other in (*floors, oracle):
+        _check_paired(values, other)
+    return _interval([values, oracle, *floors], _score, " of the score", confidence)
+
+
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
     """Return one interval per update. All draw the same resamples, so that curves are smooth."""
     return [mean_interval(values[..., update]) for update in range(values.shape[-1])]
@@ -164,6 +193,12 @@ def _improvement(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
 
 
+def _score(x: np.ndarray, oracle: np.ndarray, *floors: np.ndarray) -> np.ndarray:
+    floor = np.max([_mean(one) for one in floors], axis=0)
+    above = _mean(oracle) - floor
+    return np.asarray((_mean(x) - floor) / np.where(above > 0, above, np.nan))
+
+
 def _draw(values: SeedTaskValues, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
     """Return `[*resample, seed, task]`, what one resample after the other draws."""
     rows, columns = seeds.astype(int), tasks.astype(int)
@@ -192,16 +227,19 @@ def _interval(
     label = _label(sizes[0], sizes[1:], what, confidence)
     if not resampled:
         return Interval(value, np.nan, np.nan, np.nan, label)
-    result = scipy.stats.bootstrap(
-        [np.arange(sizes[factor], dtype=float) for factor in resampled],
-        of_indices,
-        n_resamples=NUM_RESAMPLES,
-        batch=_BATCH,
-        vectorized=True,
-        confidence_level=confidence,
-        method="percentile",
-        rng=np.random.default_rng(0),  # the same numbers in every table and figure
-    )
+    with warnings.catch_warnings():
+        # An interval without ends is told by `is_known`.
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
+        result = scipy.stats.bootstrap(
+            [np.arange(sizes[factor], dtype=float) for factor in resampled],
+            of_indices,
+            n_resamples=NUM_RESAMPLES,
+            batch=_BATCH,
+            vectorized=True,
+            confidence_level=confidence,
+            method="percentile",
+            rng=np.random.default_rng(0),  # the same numbers in every table and figure
+        )
     ends = result.confidence_interval
     return Interval(value, float(ends.low), float(ends.high), float(result.standard_error), label)
 
