@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -190,14 +191,15 @@ def test_runs_whose_steps_stand_still_may_end_earlier(
 ) -> None:
     options = "--num-tasks 2 --updates 3 --run-updates 1 --episodes-per-task 3 --fine-tune trpo"
     command = ["compare", str(runs["maesn"]), *options.split(), "--after", "1"]
-    only = ["--scratch", "reinforce", "--fine-tune-only", "maesn", "--out", str(tmp_path)]
+    only = ["--scratch", "reinforce", "--twice", "maesn", "--out", str(tmp_path)]
     assert cli.run([*command, *only]) == 0
     last = {row["method"]: int(row["update"]) for row in table(tmp_path)}
     assert last["maesn"] == 1
     assert last["maesn-1-then-trpo"] == last["reinforce"] == 3
     cells = (tmp_path / "summary.md").read_text().replace(" ", "")
-    assert "|MAESN|1|2|1|" in cells  # one seed, two tasks, one update
-    assert "|REINFORCE|1|2|3|" in cells
+    # One seed, two tasks, one update, after meta-training; or three, after nothing.
+    assert re.search(r"\|MAESN\|[0-9.e-]+\|1\|2\|1\|", cells)
+    assert "|REINFORCE||1|2|3|" in cells
 
 
 def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -212,6 +214,17 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
     assert len(plain) == len(tuned) == 2 * 3
     # After 0 and 1 updates the same, after 2 not.
     assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
+
+
+def test_runs_can_take_part_a_second_time_curious(runs: dict[str, Path], tmp_path: Path) -> None:
+    options = "--num-tasks 2 --updates 1 --episodes-per-task 3 --curious True --curiosity-weight 10"
+    command = ["compare", str(runs["maesn"]), "--out", str(tmp_path), *options.split()]
+    assert cli.run(command) == 0
+    methods = {row["method"]: row for row in table(tmp_path)}
+    (curious,) = (name for name in methods if name.startswith("maesn-curious"))
+    # What is paid for is learned from, but not part of the return.
+    assert methods[curious]["mean_return"] != methods["maesn"]["mean_return"]
+    assert "| MAESN (curious) |" in (tmp_path / "summary.md").read_text()
 
 
 PACES = {"maesn": AtTestTime(step_scale=2.0, full_steps=3)}
@@ -265,10 +278,10 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --updates -1 --out {0}", "`updates` must be at least 0"),
         ("{1} --run-updates -1 --out {0}", "`run_updates` must be at least 0"),
         (
-            "{1} --fine-tune trpo --fine-tune-only maml --out {0}",
-            "(--fine-tune-only) must be methods of the runs, maesn; got maml",
+            "{1} --fine-tune trpo --twice maml --out {0}",
+            "(--twice) must be methods of the runs, maesn; got maml",
         ),
-        ("{1} --fine-tune-only maesn --out {0}", "say how with --fine-tune"),
+        ("{1} --twice maesn --out {0}", "say what with --fine-tune or --curious"),
         ("{1} --step-scales maesn 0 --out {0}", "`step_scale` must be positive, got 0"),
         ("{1} --full-steps maesn 0 --out {0}", "`full_steps` must be at least 1, got 0"),
         ("{1} --fine-tune trpo --after -1 --out {0}", "`after` must be at least 0, got -1"),

@@ -17,13 +17,13 @@ class Changes(NamedTuple):
     """What is changed about whom in the new tasks."""
 
     test_time: AtTestTime
-    tuned_methods: Sequence[str]
+    twice: Sequence[str]
     paces: Mapping[str, AtTestTime]
 
     def of(self, method: str) -> tuple[AtTestTime, AtTestTime | None]:
         """Return how a method takes part, and how a second time; None if it does not."""
         pace = self.paces.get(method, NOTHING_ADDED)
-        if not self.test_time.suffix or (self.tuned_methods and method not in self.tuned_methods):
+        if not self.test_time.suffix or (self.twice and method not in self.twice):
             return pace, None
         tuned = self.test_time
         if pace.suffix:

@@ -93,7 +93,7 @@ def compare(
     conditions: Conditions = USUAL,
     oracle: str | Path | None = None,
     test_time: AtTestTime = NOTHING_ADDED,
-    tuned_methods: Sequence[str] = (),
+    twice: Sequence[str] = (),
     paces: Mapping[str, AtTestTime] = AS_TRAINED,
     say: Say = silent,
 ) -> Comparison:
@@ -112,7 +112,7 @@ def compare(
         conditions: tasks, reward, updates, episodes.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
         test_time: if it changes anything, runs take part a second time, changed like this.
-        tuned_methods: runs of which methods do; empty for all that can be changed.
+        twice: runs of which methods do; empty for all that can be changed.
         paces: step sizes of all runs of a method, by its name; those that are not named keep their
             own.
         say: is told what goes on.
@@ -124,12 +124,12 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else open_oracle(oracle, own)
     settings = place.settings(runs)
-    check_methods("tuned_methods", "--fine-tune-only", tuned_methods, runs)
+    check_methods("twice", "--twice", twice, runs)
     check_methods("paces", "--step-scales, --full-steps", paces, runs)
-    if tuned_methods and not test_time.suffix:
+    if twice and not test_time.suffix:
         raise RunError(
-            "`tuned_methods` (--fine-tune-only) says whose policy is fine-tuned, but nothing is: "
-            "say how with --fine-tune."
+            "`twice` (--twice) says which runs take part a second time, but nothing is changed "
+            "about them: say what with --fine-tune or --curious."
         )
     test_time.check_reached(conditions.updates)
     if told and any(run.settings.method == told.settings.method for run in runs):
@@ -138,7 +138,7 @@ def compare(
         )
     with closing(ground_of(settings, conditions)) as ground:
         check_world([*runs, *([told] if told else [])], ground)
-        changes = Changes(test_time, tuned_methods, paces)
+        changes = Changes(test_time, twice, paces)
         entries = _entries(runs, ground, place.engine, changes, say)
         entries += scratch_entries(scratch, ground)
         if not entries:

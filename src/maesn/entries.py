@@ -59,7 +59,8 @@ class Scratch:
     """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
     0.01."""
     curiosity_weight: float = Curiosity().weight
-    """Of vime: what a transition of typical information gain is paid. Published: 1e-4."""
+    """Of vime, and of runs that are made curious: what a transition of typical information gain is
+    paid. Published: 1e-4."""
 
     def __post_init__(self) -> None:
         for name in ("step_size", "max_kl"):

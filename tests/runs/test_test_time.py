@@ -1,5 +1,6 @@
 """What is added to a learner in new tasks, from the command line to the table."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from maesn.policies import GaussianMLP
 from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
-from maesn.runs.test_time import AtTestTime
+from maesn.runs.test_time import AtTestTime, FineTuneRule
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
@@ -146,6 +147,10 @@ def test_a_curious_run_is_trained_stored_and_adapted(tmp_path: Path, few: str) -
 def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="`after` must be at least 0, got -2"):
         AtTestTime(fine_tune="trpo", after=-2)
+    with pytest.raises(ValueError, match="`fine_tune_size` means nothing without `fine_tune`"):
+        AtTestTime(fine_tune_size=0.1)
+    with pytest.raises(ValueError, match="`fine_tune_size` must be positive, got 0"):
+        AtTestTime(fine_tune="trpo", fine_tune_size=0.0)
     settings = tiny_settings()
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)
     with pytest.raises(RunError, match=r"`rl2` cannot be adapted like this: .* without memory"):
@@ -161,3 +166,17 @@ def test_a_label_says_what_is_changed() -> None:
     assert AtTestTime(step_scale=2.0, full_steps=10).label == "steps × 2; 10 full steps"
     tuned = AtTestTime(fine_tune="trpo", curious=True)
     assert tuned.label == "curious; 10 updates then TRPO"
+    assert dataclasses.replace(tuned, fine_tune_size=0.05).label == f"{tuned.label} of 0.05"
+
+
+@pytest.mark.parametrize(("name", "usual"), [("trpo", 0.01), ("reinforce", 0.1)])
+def test_the_size_of_what_fine_tunes_reaches_its_rule(
+    trained: Path, few: str, name: FineTuneRule, usual: float
+) -> None:
+    paths = {}
+    for size in (None, usual, 3 * usual):
+        tuning = AtTestTime(fine_tune=name, after=1, fine_tune_size=size)
+        api.adapt(trained, tasks=few, updates=2, episodes_per_task=3, test_time=tuning)
+        paths[size] = trained / "adaptation" / f"file-few-sparse{tuning.suffix}.csv"
+    assert len(set(paths.values())) == 3
+    assert paths[usual].read_text() == paths[None].read_text() != paths[3 * usual].read_text()

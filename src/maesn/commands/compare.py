@@ -8,6 +8,7 @@ import tyro
 
 from maesn.commands.options import parse
 from maesn.comparison import ANYWHERE, NOBODY, USUAL, Place, compare
+from maesn.curiosity import Curiosity
 from maesn.entries import Scratch
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
@@ -31,11 +32,17 @@ class Options:
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
     fine_tune: FineTuneRule | None = None
     """Every run takes part a second time, its policy fine-tuned like this in the updates beyond
-    --after; None: it does not."""
-    fine_tune_only: tuple[str, ...] = ()
-    """Methods of which the runs are fine-tuned, as in `maesn maml`; none: all that can be."""
+    --after; None: it is not."""
+    fine_tune_size: float | None = None
+    """Of the updates that fine-tune: trpo's bound on the mean KL divergence, or reinforce's step
+    size; None: the usual, 0.01 and 0.1."""
     after: int = 10
     """Updates of a run's own learner before its policy is fine-tuned."""
+    curious: bool = False
+    """Every run takes part a second time, paid for what it finds out as well, by
+    --curiosity-weight. With --fine-tune the same second time is both."""
+    twice: tuple[str, ...] = ()
+    """Methods of which the runs take part a second time, as in `maesn maml`; none: all that can."""
     step_scales: dict[str, float] = dataclasses.field(default_factory=dict)
     """METHOD NUMBER ...: multiplies the sizes of all steps that the runs of a method take in the
     new tasks, as in `maml 2`."""
@@ -58,7 +65,7 @@ def main(arguments: list[str]) -> None:
             conditions=options.conditions,
             oracle=options.oracle,
             test_time=test_time,
-            tuned_methods=options.fine_tune_only,
+            twice=options.twice,
             paces=paces,
             say=print,
         )
@@ -69,7 +76,13 @@ def _changes(options: Options) -> tuple[AtTestTime, dict[str, AtTestTime]]:
     """Return what is changed for the second lines of all runs, and the steps of single methods."""
     scales, steps = options.step_scales, options.full_steps
     try:
-        test_time = AtTestTime(fine_tune=options.fine_tune, after=options.after)
+        test_time = AtTestTime(
+            fine_tune=options.fine_tune,
+            fine_tune_size=options.fine_tune_size,
+            after=options.after,
+            curious=options.curious,
+            curiosity=Curiosity(options.scratch.curiosity_weight),
+        )
         paces = {
             method: AtTestTime(step_scale=scales.get(method, 1.0), full_steps=steps.get(method))
             for method in {**scales, **steps}

@@ -25,6 +25,10 @@ class AbstractWeightRule(eqx.Module):
     """A step of the policy's weights, for one task. The context that they are fed stays."""
 
     @abstractmethod
+    def sized(self, size: float) -> "AbstractWeightRule":
+        """Return the rule with another size of its steps, in the rule's own measure."""
+
+    @abstractmethod
     def init(self, policy: AbstractPolicy) -> Any:
         """Return what the rule remembers between steps, before the first one."""
 
@@ -58,6 +62,10 @@ class GradientRule(AbstractWeightRule):
         check_choice("scaling", self.scaling, Scaling)
         if not self.step_size > 0:
             raise ValueError(f"`step_size` must be positive, got {self.step_size}.")
+
+    def sized(self, size: float) -> "GradientRule":
+        """Return the rule with another `step_size`."""
+        return replace(self, step_size=size)
 
     @property
     def _optimizer(self) -> optax.GradientTransformation:
@@ -93,6 +101,10 @@ class TrustRegionRule(AbstractWeightRule):
     def __check_init__(self) -> None:
         if self.curvature_stride < 1:
             raise ValueError(f"`curvature_stride` must be at least 1, got {self.curvature_stride}.")
+
+    def sized(self, size: float) -> "TrustRegionRule":
+        """Return the rule with another bound on the mean KL divergence, `trust_region.max_kl`."""
+        return replace(self, trust_region=replace(self.trust_region, max_kl=size))
 
     def init(self, policy: AbstractPolicy) -> None:
         return None

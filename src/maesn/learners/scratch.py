@@ -160,7 +160,8 @@ def trpo(
         max_kl: bound on the mean KL divergence of an update. Published: 0.01.
         settings: others of `PolicyGradient`.
     """
-    improvement = PolicyImprovement(_bounded(max_kl), AdvantageEstimator(drifts=True))
+    rule = TrustRegionRule().sized(max_kl)
+    improvement = PolicyImprovement(rule, AdvantageEstimator(drifts=True))
     return PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
 
 
@@ -183,16 +184,10 @@ def vime(
         curiosity: what it is paid; None for the usual.
         settings: others of `PolicyGradient`.
     """
-    improvement = PolicyImprovement(_bounded(max_kl))
+    improvement = PolicyImprovement(TrustRegionRule().sized(max_kl))
     learner = PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
     paid = Curiosity() if curiosity is None else curiosity
     return CuriousFastLearner(learner, paid, observation_size, action_size)
-
-
-def _bounded(max_kl: float) -> TrustRegionRule:
-    """Return TRPO's rule with a bound on the mean KL divergence."""
-    rule = TrustRegionRule()
-    return replace(rule, trust_region=replace(rule.trust_region, max_kl=max_kl))
 
 
 SCRATCH: dict[str, Callable[..., AbstractFastLearner[Any]]] = {

@@ -12,6 +12,7 @@ from maesn.learners import (
     AbstractFastLearner,
     CuriousFastLearner,
     FineTuning,
+    PolicyImprovement,
 )
 from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
@@ -28,6 +29,9 @@ class AtTestTime:
 
     fine_tune: FineTuneRule | None = None
     """How the policy's weights go on in the updates beyond --after; None: they do not."""
+    fine_tune_size: float | None = None
+    """Of the updates that fine-tune: trpo's bound on the mean KL divergence, or reinforce's step
+    size; None: the usual, 0.01 and 0.1."""
     after: int = 10
     """Updates of the learner before its policy is fine-tuned."""
     curious: bool = False
@@ -43,6 +47,11 @@ class AtTestTime:
     def __post_init__(self) -> None:
         if self.fine_tune is not None:
             check_choice("fine_tune", self.fine_tune, FineTuneRule)
+        if self.fine_tune_size is not None:
+            if self.fine_tune is None:
+                raise ValueError("`fine_tune_size` means nothing without `fine_tune`: give both.")
+            if not 0 < self.fine_tune_size < math.inf:
+                raise ValueError(f"`fine_tune_size` must be positive, got {self.fine_tune_size}.")
         if self.after < 0:
             raise ValueError(f"`after` must be at least 0, got {self.after}.")
         if not 0 < self.step_scale < math.inf:
@@ -69,11 +78,12 @@ class AtTestTime:
     def label(self) -> str:
         """What is changed, as it stands behind a method's name in figures; empty for nothing."""
         updates = "1 update" if self.after == 1 else f"{self.after} updates"
+        size = "" if self.fine_tune_size is None else f" of {self.fine_tune_size:g}"
         parts = {
             f"steps × {self.step_scale:g}": self.step_scale != 1,
             f"{self.full_steps} full steps": self.full_steps is not None,
             "curious": self.curious,
-            f"{updates} then {str(self.fine_tune).upper()}": self.fine_tune is not None,
+            f"{updates} then {str(self.fine_tune).upper()}{size}": self.fine_tune is not None,
         }
         return "; ".join(text for text, is_so in parts.items() if is_so)
 
@@ -81,18 +91,28 @@ class AtTestTime:
     def suffix(self) -> str:
         """What is appended to the name of a table of adaptation curves."""
         tuned = "" if self.fine_tune is None else f"-{self.after}-then-{self.fine_tune}"
+        sized = "" if self.fine_tune_size is None else f"-{self.fine_tune_size}"
         # All digits, since earlier curves are recognised by this name.
         scale = str(self.step_scale).removesuffix(".0")
         scaled = "" if self.step_scale == 1 else f"-steps-x{scale}"
         paced = "" if self.full_steps is None else f"-{self.full_steps}-full-steps"
-        return scaled + paced + self._curious_suffix + tuned
+        return scaled + paced + self._curious_suffix + tuned + sized
 
     @property
     def written(self) -> str:
         """What is added to a learner, written out in full for the record of its curves."""
-        tuned = "" if self.fine_tune is None else f" {written_out(IMPROVEMENTS[self.fine_tune])}"
+        tuned = "" if self.fine_tune is None else f" {written_out(self._improvement)}"
         curious = f" {written_out(self.curiosity)}" if self.curious else ""
         return self.suffix + curious + tuned
+
+    @property
+    def _improvement(self) -> PolicyImprovement:
+        """How the weights go on."""
+        assert self.fine_tune is not None
+        usual = IMPROVEMENTS[self.fine_tune]
+        if self.fine_tune_size is None:
+            return usual
+        return dataclasses.replace(usual, rule=usual.rule.sized(self.fine_tune_size))
 
     @property
     def _curious_suffix(self) -> str:
@@ -127,7 +147,7 @@ class AtTestTime:
             sizes = env.observation_size, env.action_size
             learner = CuriousFastLearner(learner, self.curiosity, *sizes)
         if self.fine_tune is not None:
-            learner = FineTuning(learner, IMPROVEMENTS[self.fine_tune], self.after)
+            learner = FineTuning(learner, self._improvement, self.after)
         return learner
 
 
