@@ -49,7 +49,7 @@ def test_far_from_the_goal_what_is_shown_does_not_depend_on_the_task(
     name: str, variant: str
 ) -> None:
     if (name, variant) == ("blockpush", "paper"):
-        variant = "reference"  # the paper's tells its goal, so that episodes differ
+        pytest.skip("it shows its goal to every policy, so that episodes differ")
     env = EVERY[name].make_env(reward_kind="sparse", variant=variant, horizon=12)
     one, other = (play_in(env, index) for index in two_tasks(name))
     far = np.asarray(one.valid & other.valid & ~one.solved & ~other.solved)

@@ -24,7 +24,7 @@ from maesn.learners import (
     method_name,
     rl2,
 )
-from maesn.learners.trials import join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.policies import GaussianMLP, Recurrent
 from maesn.rollout import Collector
@@ -121,16 +121,19 @@ def test_advantages_span_the_trial() -> None:
     assert not actual[~np.asarray(trials.valid)].any()
 
 
-def test_the_value_function_learns_what_is_paid() -> None:
-    """On episodes that are paid 1 a step, the trial's returns are known from the time alone."""
-    descent = MinibatchDescent(1e-2, epochs=150, minibatches=1)
-    value = RecurrentValue((), 8, (8,), descent)
+def trials_of_unequal_length() -> Trials:
     collect = Watching(
         Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([20, 30, 20, 30]))), EPISODES)
     )
     learner = small()
     learner.step(jax.random.key(1), start(learner), collect)
-    trials = join_episodes(collect.played)
+    return join_episodes(collect.played)
+
+
+def test_the_value_function_learns_what_is_paid() -> None:
+    """On episodes that are paid 1 a step, the trial's returns are known from the time alone."""
+    value = RecurrentValue((), 8, (8,), MinibatchDescent(1e-2, epochs=150, minibatches=1))
+    trials = trials_of_unequal_length()
     length = trials.valid.shape[1]
     to_go = jnp.arange(length, 0, -1, dtype=float)
     returns = jnp.broadcast_to(100.0 * to_go, trials.valid.shape)
@@ -139,6 +142,17 @@ def test_the_value_function_learns_what_is_paid() -> None:
     after = value.fit(jax.random.key(1), before, trials, returns)
     error = np.abs(np.asarray(value.values(after, trials)) - np.asarray(returns))
     assert error.mean() < 0.1 * np.asarray(returns).std()
+
+
+def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was() -> None:
+    value = RecurrentValue((), 4, (), MinibatchDescent(minibatches=1))
+    trials = trials_of_unequal_length()
+    before = value.init(jax.random.key(0), 1, 1)
+    returns = jnp.ones(trials.valid.shape)
+    broken = value.fit(jax.random.key(1), before, trials, returns.at[0, 0].set(jnp.nan))
+    jax.tree.map(np.testing.assert_array_equal, broken, before)
+    after = value.fit(jax.random.key(1), broken, trials, returns)
+    assert after.moments[0] > 0
 
 
 @pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])

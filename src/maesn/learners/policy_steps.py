@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.learners.trials import Trials
-from maesn.numerics import AbstractDistribution, MinibatchDescent, masked_mean
+from maesn.numerics import AbstractDistribution, MinibatchDescent, if_finite, masked_mean
 from maesn.policies import AbstractPolicy
 from maesn.trust_region import Evaluation, TrustRegion, TrustRegionInfo
 
@@ -103,11 +103,7 @@ class ProximalStep(AbstractPolicyStep):
             return self.loss(batch[0].distributions(varied), *batch)
 
         improved, new_state, info = self.descent.run(key, policy, state, loss, (trials, advantages))
-        finite = jax.tree.map(lambda x: jnp.isfinite(x).all(), jax.tree.leaves(improved))
-        accepted = jnp.stack(finite).all()
-        improved, state = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old), (improved, new_state), (policy, state)
-        )
+        (improved, state), accepted = if_finite((improved, new_state), (policy, state))
         return improved, state, eqx.tree_at(lambda told: told.accepted, info, accepted)
 
     def loss(

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from maesn.axes import Key
 from maesn.learners.trials import Trials
 from maesn.networks import RecurrentNetwork, init_recurrent_network
-from maesn.numerics import MinibatchDescent, masked_mean
+from maesn.numerics import MinibatchDescent, if_finite, masked_mean
 from maesn.policies import input_features, input_size
 
 # Ours: weight of the past in the running mean and standard deviation of returns, which then follow
@@ -68,7 +68,10 @@ class RecurrentValue(eqx.Module):
     def fit(
         self, key: Key, state: ValueState, trials: Trials, returns: Float[Array, "trial time"]
     ) -> ValueState:
-        """Return a value function that has been fitted to returns."""
+        """Return a value function that has been fitted to returns.
+
+        It stays as it is if the fit does not end in numbers: the next one may.
+        """
         moments = _moments_after(state.moments, trials, returns)
         mean, std = _mean_and_std(moments)
 
@@ -81,7 +84,7 @@ class RecurrentValue(eqx.Module):
         network, optimizer, _ = self.descent.run(
             key, state.network, state.optimizer, loss, (trials, (returns - mean) / std)
         )
-        return ValueState(network, optimizer, moments)
+        return if_finite(ValueState(network, optimizer, moments), state)[0]
 
 
 def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial time"]:

@@ -5,6 +5,7 @@ from maesn.numerics.conjugate_gradient import CGSolution as CGSolution
 from maesn.numerics.conjugate_gradient import conjugate_gradient as conjugate_gradient
 from maesn.numerics.distribution import AbstractDistribution as AbstractDistribution
 from maesn.numerics.first_order import first_order_step as first_order_step
+from maesn.numerics.first_order import if_finite as if_finite
 from maesn.numerics.gaussian import DiagonalGaussian as DiagonalGaussian
 from maesn.numerics.minibatch_descent import MinibatchDescent as MinibatchDescent
 from maesn.numerics.products import multiply as multiply

@@ -1,11 +1,14 @@
-"""One step of an optimiser from Optax."""
+"""One step of an optimiser from Optax, and what to do with steps that end beyond all numbers."""
 
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 import optax
+from jaxtyping import Array, Bool
 
 Parameters = TypeVar("Parameters")
+Improved = TypeVar("Improved")
 
 
 def first_order_step(
@@ -27,3 +30,15 @@ def first_order_step(
         change, memory = optimizer.update(gradient, memory, parameters)
         moved = optax.apply_updates(parameters, change)
     return moved, memory
+
+
+def if_finite(new: Improved, old: Improved) -> tuple[Improved, Bool[Array, ""]]:
+    """Return `new` if all of its numbers are finite, else `old`; and whether it was `new`.
+
+    Args:
+        new: a pytree of arrays.
+        old: another one of the same shapes.
+    """
+    finite = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new)]
+    accepted = jnp.stack(finite).all()
+    return jax.tree.map(lambda one, other: jnp.where(accepted, one, other), new, old), accepted
