@@ -38,6 +38,8 @@ class Settings:
     """Updates per run."""
     episodes_per_task: int = 10
     """Episodes of 50 steps per update."""
+    pay_elsewhere: float = 0.0
+    """What a step is paid that does not reach the goal. Where it is not 0, TRPO drifts."""
     bonus: float = Curiosity().weight
     """What VIME pays for a transition of typical information gain."""
     out: Path | None = None
@@ -70,9 +72,8 @@ def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int |
 def main(settings: Settings) -> None:
     """Play all methods and seeds, and print one line for each."""
     tasks = chain.task_set("test", size=settings.tasks)
-    collect = Collector(
-        make_world(chain.make_env(reward_kind="sparse"), tasks), settings.episodes_per_task
-    )
+    env = chain.make_env(reward_kind="sparse", pay_elsewhere=settings.pay_elsewhere)
+    collect = Collector(make_world(env, tasks), settings.episodes_per_task)
     rows = []
     for name in METHODS:
         for seed in range(settings.seeds):
@@ -97,7 +98,10 @@ def main(settings: Settings) -> None:
 
 def summarise(rows: list[dict[str, str | int | float]], settings: Settings) -> None:
     """Print what the seeds of each method come to."""
-    print(f"\nsparse chain, {settings.updates} updates of {settings.episodes_per_task} episodes")
+    print(
+        f"\nsparse chain, paid {settings.pay_elsewhere:g} elsewhere, {settings.updates} updates of "
+        f"{settings.episodes_per_task} episodes"
+    )
     for name in METHODS:
         mine = [row for row in rows if row["method"] == name]
         found, runs = (sum(int(row[key]) for row in mine) for key in ("found", "runs"))

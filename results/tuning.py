@@ -131,7 +131,9 @@ def main() -> None:
             print(row, flush=True)
     print(
         "\nAfter the last update (of `rl2`, the last that its trials had); ± one standard error "
-        "over tasks, of one seed; share of episodes. Bold: chosen; the first is the default."
+        "over tasks, of one seed; share of episodes. Bold: chosen. The first is the default, which "
+        "stays unless the best is better by more than a standard error of their difference, task "
+        "by task."
     )
 
 

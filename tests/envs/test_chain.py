@@ -45,3 +45,14 @@ def test_figures_show_position_and_goal_on_one_axis() -> None:
     env = Chain()
     np.testing.assert_array_equal(env.position(jnp.full(1, 0.5)), [15.0, 0.0])
     np.testing.assert_array_equal(env.goal(jnp.float32(29.0)), [29.0, 0.0])
+
+
+def test_elsewhere_another_number_may_be_paid_the_same_everywhere() -> None:
+    env = Chain(reward_kind="sparse", pay_elsewhere=-1.0)
+    straight = constant_agents(env, len(GOALS), 3.0, 1e-3)
+    found = play(env, TASKS, range(len(GOALS)), cast=straight).undiscounted_return[:, 0]
+    steps = np.ceil(GOALS)  # the last of them is the first that is paid
+    np.testing.assert_allclose(found, (env.horizon - steps + 1) - (steps - 1), rtol=1e-6)
+    lost = play(env, TASKS, [0], episodes=20, cast=constant_agents(env, 1, 0.0, 1.0))
+    np.testing.assert_array_equal(lost.reward, -1.0)
+    np.testing.assert_array_equal(lost.observed_reward, -1.0)

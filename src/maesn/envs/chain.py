@@ -28,7 +28,7 @@ class Chain(AbstractProbe[Distance]):
     28 to 30:
 
         dense:   r_t = (x_{t+1} - x_t) / g                          the return is x_T / g
-        sparse:  r_t = 1 where x_{t+1} >= g - sparse_radius, else 0
+        sparse:  r_t = 1 where x_{t+1} >= g - sparse_radius, else `pay_elsewhere`
 
     Steps drawn from N(0, 1) reach about 12 in an episode, and a reward is as good as never found
     by chance: the sparse chain is for agents that look for it. (Houthooft et al. 2016 use sparse
@@ -40,6 +40,8 @@ class Chain(AbstractProbe[Distance]):
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
     sparse_radius: float = 0.0
+    pay_elsewhere: float = 0.0
+    """Sparse reward of the other steps, the same everywhere."""
     horizon: int = 50
     observation_size: int = 1
     action_size: int = 1
@@ -65,11 +67,15 @@ class Chain(AbstractProbe[Distance]):
         task: Distance,
     ) -> Reward:
         step = (next_readings["qpos"][0] - readings["qpos"][0]) / task
-        reached = self.solved(next_readings, task).astype(step.dtype)
-        return Reward(step if self.reward_kind == "dense" else reached, jnp.zeros(()))
+        paid = jnp.where(self.solved(next_readings, task), 1.0, self.pay_elsewhere)
+        return Reward(step if self.reward_kind == "dense" else paid, jnp.zeros(()))
 
     def solved(self, readings: Readings, task: Distance) -> Bool[Array, ""]:
         return readings["qpos"][0] >= task - self.sparse_radius
+
+    @property
+    def uninformative_reward(self) -> float:
+        return self.pay_elsewhere
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return jnp.append(LENGTH * observation, 0.0)

@@ -141,9 +141,10 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         return learner.agents(learner.init(one_task)).policy
 
     def for_actions(self, kind: ActionKind) -> "AbstractMetaLearner[MetaState, Info]":
-        """Return this learner with a policy for actions of a kind, see `maesn.policies.suited`.
+        """Return this learner with its policy made for actions of a kind.
 
-        One that holds no settings of a policy is returned as it is.
+        See `AbstractPolicySettings.for_actions`. A learner that holds no settings of a policy is
+        returned as it is.
         """
         return self
 

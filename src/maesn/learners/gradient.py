@@ -26,7 +26,7 @@ from maesn.learners.info import GradientInfo, describe_step
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
 from maesn.normalization import ObservationStatistics, no_observations
-from maesn.policies import AbstractPolicySettings, GaussianMLP, suited
+from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import added_later
 from maesn.trust_region import TrustRegion
 
@@ -118,7 +118,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
         """See `AbstractMetaLearner.for_actions`."""
-        return replace(self, policy=suited(self.policy, kind))
+        return replace(self, policy=self.policy.for_actions(kind))
 
     def slots(self) -> tuple[Any, ...]:
         """Return the context, the parts that an inner step changes, and if training has one."""

@@ -24,7 +24,7 @@ from maesn.learners.recurrent_fast import RecurrentFastLearner
 from maesn.learners.recurrent_value import RecurrentValue, ValueState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import masked_mean, standardize, trial_advantages
-from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent, suited
+from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
 class RecurrentState(eqx.Module):
@@ -118,7 +118,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
 
     def for_actions(self, kind: ActionKind) -> "RecurrentMetaLearner":
         """See `AbstractMetaLearner.for_actions`."""
-        return replace(self, policy=suited(self.policy, kind))
+        return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""

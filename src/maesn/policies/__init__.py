@@ -12,4 +12,3 @@ from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy
 from maesn.policies.recurrent import input_features as input_features
 from maesn.policies.recurrent import input_size as input_size
 from maesn.policies.usual import USUAL as USUAL
-from maesn.policies.usual import suited as suited

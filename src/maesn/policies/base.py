@@ -81,6 +81,18 @@ class AbstractPolicySettings(eqx.Module):
         """Whether the policy remembers earlier steps."""
         return False
 
+    def for_actions(self, kind: ActionKind) -> "AbstractPolicySettings":
+        """Return the settings of such a policy for actions of a kind.
+
+        Only what was not said otherwise is changed. A policy of choices stays one, and so does one
+        with a standard deviation of its own, which choices do not have: whoever plays them where
+        that does not fit refuses them by name.
+
+        Args:
+            kind: of the actions that are needed.
+        """
+        return self
+
     @abstractmethod
     def init(
         self, key: Key, observation_size: int, action_size: int, context_size: int

@@ -5,10 +5,11 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Carry, Key
+from maesn.axes import ActionKind, Carry, Key
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
+from maesn.policies.categorical_mlp import CategoricalMLP
 
 # Floor of the action's standard deviation, from the reference's policy.
 MINIMUM_STD = 1e-6
@@ -43,6 +44,11 @@ class GaussianMLP(AbstractPolicySettings):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
         if self.initial_std <= 0:
             raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
+
+    def for_actions(self, kind: ActionKind) -> AbstractPolicySettings:
+        if kind == "continuous" or self.initial_std != GaussianMLP.initial_std:
+            return self
+        return CategoricalMLP(self.hidden_sizes)
 
     def init(
         self, key: Key, observation_size: int, action_size: int, context_size: int

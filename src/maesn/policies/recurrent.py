@@ -1,5 +1,7 @@
 """Policies that learn by remembering: RL2 (Duan et al. 2016, section 2.2)."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -84,6 +86,11 @@ class Recurrent(AbstractPolicySettings):
     @property
     def has_memory(self) -> bool:
         return True
+
+    def for_actions(self, kind: ActionKind) -> "Recurrent":
+        if kind == "continuous" or self.initial_std != Recurrent.initial_std:
+            return self
+        return replace(self, action_kind=kind)
 
     def init(
         self, key: Key, observation_size: int, action_size: int, context_size: int
