@@ -4,7 +4,8 @@
 
 Every seed plays several tasks, each with weights and random draws of its own. A run has found the
 reward at the first update before which some episode was paid. Policies, batches and the step of
-TRPO are the same for all three.
+TRPO are the same for all. `random_bonus` is VIME with random numbers in the place of information
+gains: what it finds, steps in random directions find.
 """
 
 import csv
@@ -12,18 +13,25 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
+from jaxtyping import Array, Float
 
+from maesn.axes import Key
 from maesn.curiosity import Curiosity
 from maesn.envs import chain
 from maesn.evaluate import AdaptationCurves, adapt
 from maesn.learners import SCRATCH, AbstractFastLearner
+from maesn.networks import BayesianNetwork
 from maesn.policies import GaussianMLP
 from maesn.rollout import Collector
+from maesn.transitions import Scale, Transitions
 from maesn.worlds import make_world
 
-METHODS = ("trpo", "reinforce", "vime")
+METHODS = ("trpo", "reinforce", "random_bonus", "vime")
+EARLY = 20  # updates
 
 
 @dataclass(frozen=True)
@@ -46,12 +54,25 @@ class Settings:
     """Directory for the table; None: it is printed alone."""
 
 
+class RandomBonus(Curiosity):
+    """Pays random numbers, exponentially distributed, by the same rule as information gains."""
+
+    def information_gains(
+        self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
+    ) -> Float[Array, " transition"]:
+        """Return random numbers; 0 where invalid."""
+        return jnp.where(seen.valid, jax.random.exponential(key, seen.valid.shape), 0.0)
+
+
 def learner(name: str, settings: Settings) -> AbstractFastLearner:
     """Return a method for the chain's one observation and one action."""
-    options = {"policy": GaussianMLP(hidden_sizes=(32,))}
-    if name == "vime":
-        options["curiosity"] = Curiosity(weight=settings.bonus)
-    return SCRATCH[name](1, 1, **options)
+    bonuses = {
+        "vime": Curiosity(weight=settings.bonus),
+        "random_bonus": RandomBonus(weight=settings.bonus, updates=0),
+    }
+    paid = {"curiosity": bonuses[name]} if name in bonuses else {}
+    method = "vime" if paid else name
+    return SCRATCH[method](1, 1, policy=GaussianMLP(hidden_sizes=(32,)), **paid)
 
 
 def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int | float]:
@@ -63,6 +84,7 @@ def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int |
         "seed": seed,
         "runs": len(paid),
         "found": int(paid.any(axis=1).sum()),
+        "found_early": int(paid[:, : EARLY + 1].any(axis=1).sum()),
         "median_first_update": float(np.median(first)),
         "final_success_rate": round(float(curves.success_rate[:, -1].mean()), 3),
         "final_return": round(float(curves.mean_return[:, -1].mean()), 3),
@@ -104,12 +126,15 @@ def summarise(rows: list[dict[str, str | int | float]], settings: Settings) -> N
     )
     for name in METHODS:
         mine = [row for row in rows if row["method"] == name]
-        found, runs = (sum(int(row[key]) for row in mine) for key in ("found", "runs"))
+        found, early, runs = (
+            sum(int(row[key]) for row in mine) for key in ("found", "found_early", "runs")
+        )
         seeds = sum(int(row["found"]) > 0 for row in mine)
         success = np.mean([float(row["final_success_rate"]) for row in mine])
         print(
-            f"{name:10s} found the reward in {found} of {runs} runs, {seeds} of {len(mine)} seeds; "
-            f"success rate at the end {success:.2f}"
+            f"{name:12s} found the reward in {found} of {runs} runs, in {early} of them within "
+            f"{EARLY} updates, in {seeds} of {len(mine)} seeds; success rate at the end "
+            f"{success:.2f}"
         )
 
 

@@ -153,7 +153,10 @@ def test_the_chain_is_played_by_every_method_and_tabulated(
     printed = capsys.readouterr().out
     for name in chain.METHODS:
         assert re.search(
-            rf"^{name} +found the reward in \d of 2 runs, \d of 1 seeds", printed, re.M
+            rf"^{name} +found the reward in \d of 2 runs, in \d of them within 20 updates, "
+            r"in \d of 1 seeds",
+            printed,
+            re.M,
         )
     rows = (tmp_path / "table.csv").read_text().splitlines()
     assert [row.split(",")[:3] for row in rows[1:]] == [[name, "0", "2"] for name in chain.METHODS]

@@ -198,7 +198,7 @@ def test_runs_whose_steps_stand_still_may_end_earlier(
     assert last["maesn-1-then-trpo"] == last["reinforce"] == 3
     cells = (tmp_path / "summary.md").read_text().replace(" ", "")
     # One seed, two tasks, one update, after meta-training; or three, after nothing.
-    assert re.search(r"\|MAESN\|[0-9.e-]+\|1\|2\|1\|", cells)
+    assert re.search(r"\|MAESN\|[0-9.e-]+M\|1\|2\|1\|", cells)
     assert "|REINFORCE||1|2|3|" in cells
 
 

@@ -42,8 +42,8 @@ class TextTable:
         """Return the table for a terminal."""
         table = Table(title=self.title, caption="\n".join(self.notes), box=None)
         for column, heading in enumerate(self.headings):
-            widths = [len(row[column]) for row in self.rows]
-            # A heading may be broken into lines, a number may not.
+            # A heading may be broken between words, a number may not be broken.
+            widths = [len(row[column]) for row in self.rows] + [*map(len, heading.split())]
             table.add_column(heading, justify="right" if column else "left", min_width=max(widths))
         for row in self.rows:
             table.add_row(*map(Text, row))
@@ -102,7 +102,7 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
 def _ends(comparison: Comparison, addition: str = "") -> TextTable:
     headings = (
         "method",
-        "trained on (million steps)",
+        "trained on",
         "seeds",
         "tasks",
         "updates",
@@ -119,6 +119,7 @@ def _ends(comparison: Comparison, addition: str = "") -> TextTable:
         if comparison.lines[0].tables[0].reward == "sparse"
         else "Mean and interquartile mean (IQM) of the dense-reward curves' last points.",
         f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
+        "Trained on: environment steps of meta-training." if _is_trained(comparison) else "",
         note_on_solved(comparison.is_solved_at_reset),
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
         comparison.why_no_score or _SCORE_INTERVAL,
@@ -129,6 +130,10 @@ def _ends(comparison: Comparison, addition: str = "") -> TextTable:
     return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
 
 
+def _is_trained(comparison: Comparison) -> bool:
+    return any(line.training_steps is not None for line in comparison.everyone)
+
+
 def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ...]:
     """Return one method's row; what its intervals resample is added to the labels."""
     last = line.measure("mean_return")[..., -1]
@@ -137,7 +142,7 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
     labels += [returns.label, middle.label]
     return (
         line.label,
-        "" if line.training_steps is None else f"{line.training_steps / _MILLION:g}",
+        "" if line.training_steps is None else f"{line.training_steps / _MILLION:g} M",
         str(len(line.seeds)),
         str(line.num_tasks),
         str(int(line.tables[0].updates[-1])),
