@@ -15,7 +15,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["MPLBACKEND"] = "Agg"
 # Tests compile far more than they compute. Without XLA's fusion emitters compiling takes half as
 # long, and what is compiled runs about a fifth slower, so production keeps them.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 # XLA has aborted the process while it read back a program that the tests had stored.
 os.environ["MAESN_CACHE"] = "off"
 

@@ -143,6 +143,8 @@ def test_seeds_that_would_join_must_have_been_trained_alike(
     assert cli.run(short) == cli.USAGE_ERROR
     error = capsys.readouterr().err
     assert "maesn-seed-1` was begun with other settings of its learner" in error
+    # It is said before anything is trained.
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["maesn-seed-1"]
 
 
 def test_a_run_that_was_trained_for_longer_is_refused(
@@ -152,5 +154,7 @@ def test_a_run_that_was_trained_for_longer_is_refused(
     assert cli.run(short) == 0
     api.resume(tmp_path / "runs" / "maml_bias_only-seed-0", 1)
     capsys.readouterr()
-    assert cli.run(short) == cli.USAGE_ERROR
-    assert "was trained on to 1 meta-iterations" in capsys.readouterr().err
+    for seed in ("0", "1"):
+        assert cli.run([*short, "--seed", seed]) == cli.USAGE_ERROR
+        error = capsys.readouterr().err
+        assert "seed-0` has gone on to meta-iteration 1, but the figure compares runs" in error

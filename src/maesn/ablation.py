@@ -89,6 +89,9 @@ def ablate(
     """
     out = Path(out)
     told = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
+    for name in ablation.names:
+        for run in _runs(ablation, name, out / RUNS):
+            _check_same(run, ablation, name)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
@@ -117,7 +120,6 @@ def _train(ablation: Ablation, name: str, directory: Path) -> None:
         api.train(_learner(ablation, name), settings, path)
         return
     run = Run.open(path, settings.own_family)
-    _check_same(run, ablation, name, settings.seed)
     if run.latest().iteration < settings.iterations:
         api.resume(path, settings.iterations, settings.own_family)
 
@@ -130,27 +132,35 @@ def _learner(ablation: Ablation, name: str) -> AbstractMetaLearner[Any, Any]:
     return made.for_actions(env.action_kind)
 
 
-def _check_same(run: Run, ablation: Ablation, name: str, seed: int) -> None:
-    """Refuse a run that is not what its line trains."""
-    wanted = dataclasses.replace(ablation.settings, seed=seed)
+def _runs(ablation: Ablation, name: str, directory: Path) -> list[Run]:
+    """Return the runs of one line that there are, one per seed, in the order of the seeds."""
+    paths = directory.glob(f"{name}-seed-*/{CONFIG}")
+    runs = [Run.open(path.parent, ablation.settings.own_family) for path in paths]
+    return sorted(runs, key=lambda run: run.settings.seed)
+
+
+def _check_same(run: Run, ablation: Ablation, name: str) -> None:
+    """Refuse a run that is not what its line trains with the run's seed."""
+    wanted = dataclasses.replace(ablation.settings, seed=run.settings.seed)
+    remedy = "give the same again, move the run away, or give another --out."
     free = ("method", "num_threads", "checkpoint_every")
     for field in dataclasses.fields(RunSettings):
         found, asked = (getattr(one, field.name) for one in (run.settings, wanted))
         if found != asked and field.name not in free:
             raise RunError(
                 f"`{run.directory}` was begun with `{field.name}` {found}, but {asked} is asked "
-                "for: give the same again, or another --out."
+                f"for: {remedy}"
             )
     if digest(run.learner) != digest(_learner(ablation, name)):
         raise RunError(
             f"`{run.directory}` was begun with other settings of its learner than are asked for: "
-            "give the same again, or another --out."
+            f"{remedy}"
         )
     done = run.latest().iteration
     if done > wanted.iterations:
         raise RunError(
-            f"`{run.directory}` was trained on to {done} meta-iterations, but the figure compares "
-            f"runs after {wanted.iterations}: move it away, or give another --out."
+            f"`{run.directory}` has gone on to meta-iteration {done}, but the figure compares runs "
+            f"after {wanted.iterations}: move it away, or give another --out."
         )
 
 
@@ -163,13 +173,9 @@ def _entries(ablation: Ablation, directory: Path, ground: Ground) -> list[Entry]
 
 
 def _finished(ablation: Ablation, name: str, directory: Path) -> list[Run]:
-    """Return the runs of one line that are finished, one per seed."""
-    paths = sorted(directory.glob(f"{name}-seed-*/{CONFIG}"))
-    runs = [Run.open(path.parent, ablation.settings.own_family) for path in paths]
-    for run in runs:
-        _check_same(run, ablation, name, run.settings.seed)
-    finished = [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
-    return sorted(finished, key=lambda run: run.settings.seed)
+    """Return the runs of one line that are finished."""
+    runs = _runs(ablation, name, directory)
+    return [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
 
 
 def _styles(names: Sequence[str]) -> dict[str, MethodStyle]:

@@ -209,6 +209,8 @@ def _entries(
             try:
                 entries.append(entry(test_time=tuned))
             except RunError as error:
+                if members[0].settings.method in changes.twice:
+                    raise
                 say(f"{series.label} takes part as it is: {error}")
     return entries
 

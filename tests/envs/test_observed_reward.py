@@ -3,6 +3,7 @@
 The same episodes are played with the same random numbers in two tasks, as in `test_leaks`.
 """
 
+import itertools
 from typing import Any
 
 import jax
@@ -43,13 +44,14 @@ def play_in(env: AnyEnv, index: int) -> Episodes:
     return play(env, EVERY[env.name].task_set("test"), [index, index], cast=agents(env, 2))
 
 
-@pytest.mark.parametrize("variant", ["reference", "paper"])
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    # The paper's block pushing shows its goal to every policy, so that episodes differ.
+    sorted(set(itertools.product(EVERY, ("reference", "paper"))) - {("blockpush", "paper")}),
+)
 def test_far_from_the_goal_what_is_shown_does_not_depend_on_the_task(
     name: str, variant: str
 ) -> None:
-    if (name, variant) == ("blockpush", "paper"):
-        pytest.skip("it shows its goal to every policy, so that episodes differ")
     env = EVERY[name].make_env(reward_kind="sparse", variant=variant, horizon=12)
     one, other = (play_in(env, index) for index in two_tasks(name))
     far = np.asarray(one.valid & other.valid & ~one.solved & ~other.solved)

@@ -155,6 +155,8 @@ def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None
     assert maesn[6].startswith(f"{adaptation_table().mean_return[:5, -1].mean():.1f} [")
     assert vime[1:] == everything.rows[1][1:]
     assert [row[1] for row in everything.rows] == ["48 M", "", "", "", ""]
+    # Also where floor and oracle alone have more of them.
+    assert len(summary_tables(comparison(named("vime", adaptation_table(5))))) == 2
     alike = comparison(trained, named("trpo", adaptation_table()))
     assert len(summary_tables(alike)) == 2
 

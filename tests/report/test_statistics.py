@@ -216,6 +216,35 @@ def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks
     assert "of the score, resampling 400 tasks" in found.label
 
 
+def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> None:
+    num_tasks, seeds = 12, {"values": 3, "first": 1, "second": 2, "oracle": 4}
+    stream = np.random.default_rng(1)
+    drawn = {
+        name: stream.normal(size=(count, num_tasks)) + 2.0 * stream.normal(size=(count, 1))
+        for name, count in seeds.items()
+    }
+    drawn["oracle"] += 20.0  # which of the two floors is above differs between resamples
+    found = score_interval(drawn["values"], [drawn["first"], drawn["second"]], drawn["oracle"])
+
+    def score(means: dict[str, float]) -> float:
+        floor = max(means["first"], means["second"])
+        return (means["values"] - floor) / (means["oracle"] - floor)
+
+    scores, highest = [], set()
+    for _ in range(NUM_RESAMPLES):
+        tasks = stream.integers(num_tasks, size=num_tasks)
+        means = {
+            name: float(x[stream.integers(len(x), size=len(x))][:, tasks].mean())
+            for name, x in drawn.items()
+        }
+        scores.append(score(means))
+        highest.add(max(("first", "second"), key=means.__getitem__))
+    assert highest == {"first", "second"}
+    assert found.mean == pytest.approx(score({name: x.mean() for name, x in drawn.items()}))
+    # Two standard deviations from as many draws, each with its relative error.
+    assert found.standard_error == pytest.approx(np.std(scores), rel=math.sqrt(2) * TOLERANCE)
+
+
 def test_a_score_has_no_interval_if_the_oracle_may_be_no_better_than_the_floor() -> None:
     found = score_interval(draw(1, 8), [np.zeros((1, 8))], np.eye(1, 8))
     assert found.mean == pytest.approx(8 * draw(1, 8).mean())

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from small_runs import create, metrics, outcome, tiny_maesn
 
 from maesn.runs.run import Run
@@ -57,7 +58,10 @@ class Killer:
         return process.wait(timeout=60)
 
 
-def test_a_killed_process_resumes_bit_for_bit(tmp_path: Path) -> None:
+def test_a_killed_process_resumes_bit_for_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XLA_FLAGS")  # compiled as in production
     runs = [
         create(tmp_path / name, tiny_maesn(), iterations=60, checkpoint_every=3)
         for name in ("whole", "killed")

@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from maesn.agent import Agents
 from maesn.axes import ActionKind, Key
@@ -52,6 +52,8 @@ class RecurrentInfo(eqx.Module):
     """Mean entropy of the action distributions, in nats."""
     explained_variance: Float[Array, ""]
     """Share of the variance of the returns that the value function knew before it was fitted."""
+    value_accepted: Bool[Array, ""]
+    """False if the fit of the value function did not end in numbers: it stays as it was."""
     policy_step: Any
     """What the step of the policy says."""
 
@@ -168,8 +170,9 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
             trials,
             standardize(advantages, trials.valid),
         )
-        value = self.value.fit(value_key, state.value, trials, advantages + expected)
-        info = _describe(episodes, trials, advantages, expected, told)
+        returns = advantages + expected
+        value, accepted = self.value.fit(value_key, state.value, trials, returns)
+        info = _describe(episodes, trials, advantages, expected, accepted, told)
         return RecurrentState(policy, optimizer, value, state.iteration + 1), info
 
     def advantages(
@@ -191,6 +194,7 @@ def _describe(
     trials: Trials,
     advantages: Float[Array, "trial time"],
     expected: Float[Array, "trial time"],
+    value_accepted: Bool[Array, ""],
     told: Any,
 ) -> RecurrentInfo:
     first, last = episodes[0], episodes[-1]
@@ -204,6 +208,7 @@ def _describe(
         action_std=masked_mean(behaviour.std().mean(-1), valid),
         entropy=masked_mean(behaviour.entropy(), valid),
         explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
+        value_accepted=value_accepted,
         policy_step=told,
     )
 

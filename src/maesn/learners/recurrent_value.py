@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.learners.trials import Trials
@@ -67,8 +67,8 @@ class RecurrentValue(eqx.Module):
 
     def fit(
         self, key: Key, state: ValueState, trials: Trials, returns: Float[Array, "trial time"]
-    ) -> ValueState:
-        """Return a value function that has been fitted to returns.
+    ) -> tuple[ValueState, Bool[Array, ""]]:
+        """Return a value function that has been fitted to returns, and whether it has been.
 
         It stays as it is if the fit does not end in numbers: the next one may.
         """
@@ -84,7 +84,7 @@ class RecurrentValue(eqx.Module):
         network, optimizer, _ = self.descent.run(
             key, state.network, state.optimizer, loss, (trials, (returns - mean) / std)
         )
-        return if_finite(ValueState(network, optimizer, moments), state)[0]
+        return if_finite(ValueState(network, optimizer, moments), state)
 
 
 def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial time"]:

@@ -63,9 +63,9 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
     where some tasks are solved at reset, where the methods end in the others.
     """
     tables = [_ends(comparison)]
-    counts = {line.num_tasks for line in comparison.lines}
-    if len(counts) > 1:
-        tables.append(_ends(comparison.of_first(min(counts)), f"the first {min(counts)} alone"))
+    fewest = min(line.num_tasks for line in comparison.lines)
+    if fewest < max(line.num_tasks for line in comparison.everyone):
+        tables.append(_ends(comparison.of_first(fewest), f"the first {fewest} alone"))
     unsolved = ~comparison.is_solved_at_reset
     others = comparison.of_tasks(unsolved)
     if others.lines and not unsolved.all():
@@ -142,7 +142,7 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
     labels += [returns.label, middle.label]
     return (
         line.label,
-        "" if line.training_steps is None else f"{line.training_steps / _MILLION:g} M",
+        "" if line.training_steps is None else f"{line.training_steps / _MILLION:.3g} M",
         str(len(line.seeds)),
         str(line.num_tasks),
         str(int(line.tables[0].updates[-1])),

@@ -35,7 +35,7 @@ class Interval:
 
     mean: float
     low: float
-    """Lower end; NaN if there is nothing to resample."""
+    """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
     high: float
     standard_error: float
     label: str
@@ -43,7 +43,7 @@ class Interval:
 
     @property
     def is_known(self) -> bool:
-        """Whether there was anything to resample."""
+        """Whether it has ends."""
         return bool(np.isfinite(self.low))
 
     @property
@@ -144,8 +144,8 @@ def score_interval(
 
         score = (m(x) - f) / (m(o) - f),   f the largest m of the floors, m as in `mean_interval`
 
-    One resample takes the same tasks for all: floor and oracle are as uncertain as the method. If
-    in any of them the oracle is not above the floor, the ratio has no interval.
+    One resample takes the same tasks for all, and seeds of each. If in any resample the oracle is
+    not above the floor, the ratio has no interval.
 
     Args:
         values: x, one value per seed and task.
@@ -158,7 +158,10 @@ def score_interval(
     """
     for other in (*floors, oracle):
         _check_paired(values, other)
-    return _interval([values, oracle, *floors], _score, " of the score", confidence)
+    with warnings.catch_warnings():
+        # An interval without ends is told by `is_known`.
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
+        return _interval([values, oracle, *floors], _score, " of the score", confidence)
 
 
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
@@ -227,19 +230,16 @@ def _interval(
     label = _label(sizes[0], sizes[1:], what, confidence)
     if not resampled:
         return Interval(value, np.nan, np.nan, np.nan, label)
-    with warnings.catch_warnings():
-        # An interval without ends is told by `is_known`.
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        result = scipy.stats.bootstrap(
-            [np.arange(sizes[factor], dtype=float) for factor in resampled],
-            of_indices,
-            n_resamples=NUM_RESAMPLES,
-            batch=_BATCH,
-            vectorized=True,
-            confidence_level=confidence,
-            method="percentile",
-            rng=np.random.default_rng(0),  # the same numbers in every table and figure
-        )
+    result = scipy.stats.bootstrap(
+        [np.arange(sizes[factor], dtype=float) for factor in resampled],
+        of_indices,
+        n_resamples=NUM_RESAMPLES,
+        batch=_BATCH,
+        vectorized=True,
+        confidence_level=confidence,
+        method="percentile",
+        rng=np.random.default_rng(0),  # the same numbers in every table and figure
+    )
     ends = result.confidence_interval
     return Interval(value, float(ends.low), float(ends.high), float(result.standard_error), label)
 
