@@ -197,7 +197,10 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     _, _, others, _ = summary_tables(dataclasses.replace(solved_alone, floor=floor))
     assert others.rows[0][0] == "MAESN"
     nobody = dataclasses.replace(solved_alone, floor=floor, lines=solved_alone.lines[:1])
-    assert len(summary_tables(nobody)) == 1
+    assert [table.title for table in summary_tables(nobody)] == [
+        everything.title,
+        f"{everything.title}, the first 1 alone",
+    ]
 
 
 def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ def difference_interval(
 
 def score_interval(
     values: SeedTaskValues,
-    floors: Sequence[Float[np.ndarray, "floor_seed floor_task"]],
+    floors: Sequence[Float[np.ndarray, "_ floor_task"]],
     oracle: Float[np.ndarray, "oracle_seed oracle_task"],
     *,
     confidence: float = CONFIDENCE_LEVEL,
