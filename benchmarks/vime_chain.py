@@ -31,7 +31,7 @@ from maesn.transitions import Scale, Transitions
 from maesn.worlds import make_world
 
 METHODS = ("trpo", "reinforce", "random_bonus", "vime")
-EARLY = 20  # updates: a quarter of the default, which looks for who finds it at once
+EARLY = 20  # updates within which a find counts as early: a quarter of the default number
 
 
 @dataclass(frozen=True)
