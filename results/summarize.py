@@ -2,8 +2,9 @@
 
     python results/summarize.py results/wheeled > results/wheeled/tables.md
 
-Each run is a directory `METHOD-...-seed-N` that `maesn train` and `maesn adapt` have filled.
-Directories that differ in the seed alone are one row.
+Each run is a directory `METHOD-...-seed-N` that `maesn train` has filled. Those that `maesn adapt`
+has filled as well have tables of their adaptation, in which directories that differ in the seed
+alone are one row.
 """
 
 import json
@@ -18,23 +19,21 @@ from maesn.report.runs import read_run
 from maesn.report.tables import difference_table, markdown_row, summary_tables
 
 REFERENCE = "maesn-20x20"
-TABLE = Path("adaptation") / "test-sparse.csv"
 
 
 def experiments(directory: Path) -> dict[str, list[Path]]:
     """Return the runs of every experiment, by its name, that of the reference first."""
     found: dict[str, list[Path]] = {}
-    for table in sorted(directory.glob(f"*/{TABLE}")):
-        run = table.parents[1]
+    for metrics in sorted(directory.glob("*/metrics.jsonl")):
+        run = metrics.parent
         found.setdefault(re.sub(r"-seed-\d+$", "", run.name), []).append(run)
     return dict(sorted(found.items(), key=lambda item: (item[0] != REFERENCE, item[0])))
 
 
-def table_of(run: Path) -> AdaptationTable:
-    """Return the table of a run's adaptation."""
-    table = read_run(run).adaptation("test", "sparse")
-    assert table is not None
-    return table
+def adapted(runs: list[Path]) -> list[AdaptationTable]:
+    """Return the tables of adaptation that some runs have, one per seed."""
+    tables = [read_run(run).adaptation("test", "sparse") for run in runs]
+    return [table for table in tables if table is not None]
 
 
 def last_metrics(run: Path) -> dict[str, float]:
@@ -58,14 +57,15 @@ def training_row(name: str, run: Path) -> str:
 def main() -> None:
     """Print all tables as Markdown."""
     found = experiments(Path(sys.argv[1]))
-    tables = {name: [table_of(run) for run in runs] for name, runs in found.items()}
+    tables = {name: filled for name, runs in found.items() if (filled := adapted(runs))}
     print("# Training, mean of the last 20 meta-iterations, dense reward\n")
     print("| run | seed | before | after | KL to prior | step sizes | action std |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     for name, runs in found.items():
         for run in runs:
             print(training_row(name, run))
-    print("\n# Adaptation to the 100 test tasks, sparse reward\n")
+    if tables:
+        print("\n# Adaptation to the 100 test tasks, sparse reward\n")
     for name, all_seeds in tables.items():
         for summary in summary_tables(all_seeds, f"{name}, seeds: {len(all_seeds)}"):
             print(summary.to_markdown())

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from scripts import ROOT, load_script
 
-TABULATED = sorted(path.parent for path in (ROOT / "results").glob("*/tables.md"))
+RESULTS = ROOT / "results"
+TABULATED = sorted(path.parent for path in RESULTS.rglob("tables.md"))
 
 
 def test_there_are_tables() -> None:
-    assert {"ant", "blockpush", "wheeled"} <= {directory.name for directory in TABULATED}
+    names = {str(directory.relative_to(RESULTS)) for directory in TABULATED}
+    assert {"ant", "blockpush", "wheeled", "wheeled/ablation/runs"} <= names
 
 
-@pytest.mark.parametrize("directory", TABULATED, ids=lambda directory: directory.name)
+@pytest.mark.parametrize("directory", TABULATED, ids=lambda path: str(path.relative_to(RESULTS)))
 def test_tables_are_those_of_the_runs(
     directory: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
