@@ -107,10 +107,11 @@ def gain(
     inner: int,
 ) -> tuple[Float[Array, ""], Float[Array, ""], TrustRegionInfo]:
     """Return how much a step lowers the loss on unseen and on seen episodes, and its record."""
+    path, strides = seen.path(parameters), (Thinning(outer, 0), Thinning(inner, 0))
     improved, info = trust_region.step(
         parameters,
         seen.evaluate,
-        lambda varied: sampled_distributions(seen, varied, Thinning(outer, 0), Thinning(inner, 0)),
+        lambda varied: sampled_distributions(seen, varied, path, *strides),
         step_weights(seen.post.every(outer, 0)),
     )
 

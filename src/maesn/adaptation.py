@@ -90,7 +90,7 @@ class Adaptation(eqx.Module):
             advantages: of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
-        moved_policy, moved_context = agents.vmap(
+        moved_policy, moved_context = agents.in_turn(
             lambda agent, played, advantage: self._move(
                 agent, sizes, context, played, advantage, scale
             )

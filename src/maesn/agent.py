@@ -64,3 +64,27 @@ class Agents(eqx.Module):
             )(self.policy, self.context, *rest)
 
         return mapped
+
+    def in_turn(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Map `function(agent, *rest)` over the tasks, one after the other.
+
+        The activations of one task fit in the processor's cache, those of all do not: an inner step
+        through the policy takes half of the time that it takes by `vmap`.
+
+        Args:
+            function: written for one task; its first argument is an `Agent`.
+
+        Returns:
+            A function of the remaining arguments, each with a leading `task` axis.
+        """
+
+        def mapped(*rest: Any) -> Any:
+            def one(row: tuple[Any, ...]) -> Any:
+                policy, context, *args = row
+                own = self.policy if self.shares_policy else policy
+                return function(Agent(own, context, self.statistics), *args)
+
+            policies = None if self.shares_policy else self.policy
+            return jax.lax.map(one, (policies, self.context, *rest))
+
+        return mapped

@@ -2,8 +2,8 @@
 
 Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
 axis that is mapped over, cut into chunks, and sharded over devices. Functions are written for one
-task or one episode; the leading axes are added by `jax.vmap` in one place
-(`maesn.agent.Agents.vmap` for the tasks).
+task or one episode; the leading axes are added by mapping them in one place
+(`vmap` and `in_turn` of `maesn.agent.Agents` for the tasks).
 
 | axis          | runs over                                                                     |
 |---------------|-------------------------------------------------------------------------------|

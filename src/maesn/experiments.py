@@ -13,7 +13,7 @@ from maesn.learners import (
     maml_bias,
     maml_bias_only,
 )
-from maesn.learners.presets import POLICY_STEP
+from maesn.learners.presets import POLICY_STEP, staged_adaptation
 
 _RADII: dict[str, tuple[float, ...]] = {"wheeled": (0.8, 1.0)}
 """Sparse radii of the last figure, in metres: that of the paper's text, and the one that the
@@ -41,10 +41,7 @@ def _variation(
 
 def _staged(iterations: int, **settings: Any) -> AbstractMetaLearner[Any, Any]:
     """Return MAESN with theta, of which the second half of the iterations adapts theta."""
-    adaptation = Adaptation(
-        policy=InnerStep(POLICY_STEP, first_iteration=iterations // 2), context=InnerStep(1.0)
-    )
-    return maesn_theta(adaptation=adaptation, **settings)
+    return maesn_theta(adaptation=staged_adaptation(iterations // 2), **settings)
 
 
 ABLATION: dict[str, Variation] = {

@@ -12,7 +12,6 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import EQUAL, UNEQUAL, PreparedCollect, Problem, make_problem
 from learning_problems.translation import (
-    experience_for,
     learner_for,
     objective_for,
     to_library,
@@ -143,10 +142,9 @@ def test_curvature_product(case: str) -> None:
 def test_outer_step(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)
     learner, old = learner_for(problem), to_library(problem.parameters)
-    played = experience_for(learner, problem, ROWS)
-    adaptation, index = learner.adaptation.at(0), jnp.asarray(ROWS)
+    objective = objective_for(learner, problem, ROWS)
     state = GradientState(old, jnp.zeros((), int))
-    after, info = learner._improve(adaptation, state, index, played, jax.random.key(0))
+    after, info = learner._improve(state, objective, objective.path(old), jax.random.key(0))
     expected = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
     step = info.trust_region
     assert expected.accepted

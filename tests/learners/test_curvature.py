@@ -61,8 +61,9 @@ def products(
 ) -> jax.Array:
     """Return the curvature's matrix, column by column."""
     flat, unravel = ravel_pytree(parameters)
+    path = objective.path(parameters)
     product = REGION._curvature(
-        lambda x: sampled_distributions(objective, unravel(x), outer, inner),
+        lambda x: sampled_distributions(objective, unravel(x), path, outer, inner),
         flat,
         step_weights(objective.post.every(*outer)),
     )
@@ -108,7 +109,8 @@ def test_two_inner_updates_are_linearised_one_after_the_other(method: str) -> No
 @pytest.mark.parametrize(("method", "settings"), CASES)
 def test_sampling_changes_derivatives_alone(method: str, settings: dict[str, Any]) -> None:
     objective, parameters = problem_of(learner_of(method, **settings))
-    sampled = jax.jit(lambda p: sampled_distributions(objective, p, SOME, OTHERS))(parameters)
+    path = objective.path(parameters)
+    sampled = jax.jit(lambda p: sampled_distributions(objective, p, path, SOME, OTHERS))(parameters)
     exact = jax.jit(lambda p: objective.distributions(p, objective.post.every(*SOME)))(parameters)
     np.testing.assert_allclose(sampled.mean, exact.mean, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(sampled.log_std, exact.log_std, rtol=1e-12, atol=1e-13)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.prepared import UNEQUAL, Problem, make_problem
-from learning_problems.translation import experience_for, learner_for, to_library
+from learning_problems.translation import learner_for, objective_for, to_library
 from reference.maesn import Settings
 
 from maesn.adaptation import Adaptation, InnerStep, StepSizes
@@ -36,12 +36,15 @@ def improve(
     learner: GradientMetaLearner, parameters: MetaParameters, problem: Problem
 ) -> tuple[MetaParameters, GradientInfo]:
     """Do an outer step on the same experience for every method."""
-    played = experience_for(learner_for(problem), problem, ROWS)
+    objective = replace(
+        objective_for(learner_for(problem), problem, ROWS),
+        context=learner.context,
+        adaptation=learner.adaptation.at(0),
+    )
     if learner.inner_updates == 0:
-        played = played[-1:]
-    adaptation = learner.adaptation.at(0)
+        objective = replace(objective, pre=())
     state = GradientState(parameters, jnp.zeros((), int))
-    after, info = learner._improve(adaptation, state, jnp.asarray(ROWS), played, jax.random.key(0))
+    after, info = learner._improve(state, objective, objective.path(parameters), jax.random.key(0))
     return after.parameters, info
 
 

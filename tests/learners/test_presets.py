@@ -16,6 +16,7 @@ from learning_problems.prepared import HORIZON
 
 from maesn.agent import Agents
 from maesn.learners import PRESETS, GradientFastState, GradientInfo, GradientState
+from maesn.learners.presets import staged_adaptation
 from maesn.policies import GaussianMLP
 
 TASKS, META_BATCH, STEPS = 7, 3, 4
@@ -193,6 +194,23 @@ def test_step_sizes_of_theta_wait_for_their_stage() -> None:
     for old, new in zip(*map(jax.tree.leaves, (sizes[0].policy, sizes[-1].policy)), strict=True):
         np.testing.assert_array_equal(old, new)
     assert (sizes[0].context.mean != sizes[-1].context.mean).any()
+
+
+def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
+    joining = PRESETS["maesn_theta"](**SMALL, adaptation=staged_adaptation(first_iteration=1))
+    waiting = PRESETS["maesn_theta"](**SMALL)
+    collect, states = AnalyticCollect(TASKS), []
+    state = waiting.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
+    state, _ = waiting.step(jax.random.key(0), state, collect)
+    returns = []
+    for learner in (waiting, joining):
+        after, info = learner.step(jax.random.key(1), state, collect)
+        states.append(after)
+        returns.append(float(info.return_after))
+    assert returns[0] == returns[1]
+    still, learned = (jax.tree.leaves(state.parameters.step_sizes.policy) for state in states)
+    assert all((size == 0).all() for size in still)
+    assert all((size != 0).any() for size in learned)
 
 
 def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:

@@ -17,7 +17,11 @@ from maesn.surrogate import post_distributions
 
 
 def sampled_distributions(
-    objective: MetaObjective, parameters: MetaParameters, outer: Thinning, inner: Thinning
+    objective: MetaObjective,
+    parameters: MetaParameters,
+    path: tuple[Agents, ...],
+    outer: Thinning,
+    inner: Thinning,
 ) -> AbstractDistribution:
     """Return the adapted agents' action distributions at some of their steps, for J'FJ.
 
@@ -35,8 +39,9 @@ def sampled_distributions(
     problem (`tests/learners/test_presets.py`).
 
     Args:
-        objective: the problem; all its steps are used for the values of the inner updates.
+        objective: the problem.
         parameters: what the distributions are differentiated with respect to.
+        path: `objective.path(parameters)`, the exact values: those who played are at hand.
         outer: which steps after the last update the distributions are of.
         inner: which steps before an update the Hessian is of.
 
@@ -46,8 +51,9 @@ def sampled_distributions(
     agents = start_agents(objective.context, parameters, objective.index, objective.statistics)
     is_small = objective.adaptation.policy is None and objective.context.is_pathwise
     move = _moved_contexts if is_small else _moved
-    for experience in objective.pre:
-        agents = move(objective, agents, parameters.step_sizes, experience, inner)
+    for experience, exact in zip(objective.pre, path[1:], strict=True):
+        thinned = _thin(experience, inner)
+        agents = move(objective, agents, parameters.step_sizes, thinned, exact)
     return agents.vmap(post_distributions)(objective.post.every(*outer))
 
 
@@ -55,23 +61,21 @@ def _moved(
     objective: MetaObjective,
     agents: Agents,
     sizes: StepSizes,
-    experience: Experience,
-    inner: Thinning,
+    thinned: Experience,
+    exact: Agents,
 ) -> Agents:
-    """Return the agents after an inner step, whose derivative is that on the thinned episodes."""
-    fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    exact = _inner_step(objective, fixed, fixed_sizes, experience)
-    thinned = _inner_step(objective, agents, sizes, _thin(experience, inner))
+    """Return the exact agents after an inner step, with its derivative on thinned episodes."""
+    moved = _inner_step(objective, agents, sizes, thinned)
     # Exactly the value: x + 0.
-    return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, thinned)
+    return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, moved)
 
 
 def _moved_contexts(
     objective: MetaObjective,
     agents: Agents,
     sizes: StepSizes,
-    experience: Experience,
-    inner: Thinning,
+    thinned: Experience,
+    exact: Agents,
 ) -> Agents:
     """Return what `_moved` does, for contexts that move alone, along a gradient through the policy.
 
@@ -79,7 +83,6 @@ def _moved_contexts(
     product that the conjugate gradients ask for would run through the Hessian, there and back.
     """
     fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
-    exact = _inner_step(objective, fixed, fixed_sizes, experience).context
 
     def jacobian_of(task: tuple[Any, Experience]) -> Float[Array, "context parameter"]:
         context, alone = jax.tree.map(lambda x: x[None], task)
@@ -98,9 +101,9 @@ def _moved_contexts(
         return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
     # Task by task: every row of a Jacobian takes as much memory as a gradient.
-    jacobians = jax.lax.map(jacobian_of, (fixed.context, _thin(experience, inner)))
+    jacobians = jax.lax.map(jacobian_of, (fixed.context, thinned))
     differences = jax.vmap(linear)(jacobians, agents.context)
-    return replace(agents, context=jax.tree.map(jnp.add, exact, differences))
+    return replace(agents, context=jax.tree.map(jnp.add, exact.context, differences))
 
 
 def _inner_step(

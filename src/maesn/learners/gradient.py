@@ -153,20 +153,24 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         agents = self._start(state, index)
         pre: list[Experience] = []
+        path = [agents]
         for phase in range(self.inner_updates):
             episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
             pre.append((episodes, advantages))
+            path.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
-        improved, info = self._improve(
+        objective = MetaObjective(
+            self.context,
             adaptation,
-            state,
             index,
-            (*pre, (post, self._advantages(post))),
-            curvature_key,
+            tuple(pre),
+            post,
+            self._advantages(post),
+            state.statistics,
         )
-        return improved, info
+        return self._improve(state, objective, tuple(path), curvature_key)
 
     def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
@@ -213,28 +217,25 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     @eqx.filter_jit
     def _improve(
-        self,
-        adaptation: Adaptation,
-        state: GradientState,
-        index: Int[Array, " task"],
-        played: tuple[Experience, ...],
-        key: Key,
+        self, state: GradientState, objective: MetaObjective, path: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
-        """Do the outer step. Beyond this point only the meta-parameters vary."""
+        """Do the outer step. Beyond this point only the meta-parameters vary.
+
+        Args:
+            state: whose parameters are improved.
+            objective: what was played, and what it says of other parameters.
+            path: those who played, as in `MetaObjective.path`.
+            key: for the steps that the curvature takes.
+        """
         parameters = state.parameters
-        *pre, (post, advantages) = played
-        objective = MetaObjective(
-            self.context, adaptation, index, tuple(pre), post, advantages, state.statistics
-        )
-        time = post.action.shape[-2]
-        outer, inner = self._thinnings(key, time)
+        outer, inner = self._thinnings(key, objective.post.action.shape[-2])
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
-            lambda varied: sampled_distributions(objective, varied, outer, inner),
-            step_weights(post.every(*outer)),
+            lambda varied: sampled_distributions(objective, varied, path, outer, inner),
+            step_weights(objective.post.every(*outer)),
         )
-        after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, played))
+        after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, objective))
         return after, describe_step(objective, parameters, improved, step)
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
@@ -248,12 +249,12 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
 
 def _take_in(
-    statistics: ObservationStatistics | None, played: tuple[Experience, ...]
+    statistics: ObservationStatistics | None, objective: MetaObjective
 ) -> ObservationStatistics | None:
     """Add all observations that an action followed."""
     if statistics is None:
         return None
-    for episodes, _ in played:
+    for episodes in (*(episodes for episodes, _ in objective.pre), objective.post):
         statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
     return statistics
 

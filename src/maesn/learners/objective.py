@@ -61,14 +61,18 @@ class MetaObjective(eqx.Module):
     advantages: Advantages
     statistics: ObservationStatistics | None = None
 
+    def path(self, parameters: MetaParameters) -> tuple[Agents, ...]:
+        """Return the agents before the inner updates, and after each of them."""
+        path = [start_agents(self.context, parameters, self.index, self.statistics)]
+        for episodes, advantages in self.pre:
+            path.append(
+                self.adaptation(path[-1], parameters.step_sizes, self.context, episodes, advantages)
+            )
+        return tuple(path)
+
     def adapted(self, parameters: MetaParameters) -> Agents:
         """Return the agents after all inner updates."""
-        agents = start_agents(self.context, parameters, self.index, self.statistics)
-        for episodes, advantages in self.pre:
-            agents = self.adaptation(
-                agents, parameters.step_sizes, self.context, episodes, advantages
-            )
-        return agents
+        return self.path(parameters)[-1]
 
     def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""

@@ -18,6 +18,9 @@ from maesn.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
+# Of MAESN + theta when its second stage begins. With MAML's 0.1 all that the first one has taught
+# is lost in one meta-iteration (results/README.md, section "Answers").
+THETA_STEP = 0.0
 # Of MAML + bias; from the reference's run on the ant.
 BIAS_STEP = 0.5
 # Where an inner step runs through the policy; results/curvature has what it was chosen by.
@@ -42,15 +45,21 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
     Stage-wise, as the paper found necessary: the first 150 meta-iterations leave the policy alone
     in the inner step. The paper gives no length of the stage; this is half of a run of 300.
     """
-    adaptation = Adaptation(
-        policy=InnerStep(POLICY_STEP, first_iteration=150), context=InnerStep(1.0)
-    )
     return _fill(
         settings,
         context=LatentContext(),
-        adaptation=adaptation,
+        adaptation=staged_adaptation(first_iteration=150),
         hessian_stride=HESSIAN_STRIDE,
     )
+
+
+def staged_adaptation(first_iteration: int) -> Adaptation:
+    """Return equations (4) to (6), the last of them from one meta-iteration on.
+
+    The policy's step sizes are learned from 0: the second stage begins where the first one ends.
+    """
+    policy = InnerStep(THETA_STEP, first_iteration=first_iteration)
+    return Adaptation(policy=policy, context=InnerStep(1.0))
 
 
 def maml(**settings: Any) -> GradientMetaLearner:
