@@ -30,8 +30,8 @@ from maesn.axes import Key
 from maesn.envs import find_family
 from maesn.episodes import Thinning
 from maesn.learners import PRESETS, GradientMetaLearner
-from maesn.learners.curvature import sampled_distributions
-from maesn.learners.gradient import GradientState, step_weights
+from maesn.learners.curvature import sampled_distributions, step_weights
+from maesn.learners.gradient import GradientState
 from maesn.learners.objective import MetaObjective, MetaParameters, start_agents
 from maesn.rollout import Collector
 from maesn.runs.run import Run
@@ -107,11 +107,12 @@ def gain(
     inner: int,
 ) -> tuple[Float[Array, ""], Float[Array, ""], TrustRegionInfo]:
     """Return how much a step lowers the loss on unseen and on seen episodes, and its record."""
-    path, strides = seen.path(parameters), (Thinning(outer, 0), Thinning(inner, 0))
+    updated = seen.updated(parameters)
+    strides = Thinning(outer, 0), Thinning(inner, 0)
     improved, info = trust_region.step(
         parameters,
         seen.evaluate,
-        lambda varied: sampled_distributions(seen, varied, path, *strides),
+        lambda varied: sampled_distributions(seen, varied, updated, *strides),
         step_weights(seen.post.every(outer, 0)),
     )
 
@@ -152,7 +153,9 @@ def objective(
     agents = start_agents(learner.context, parameters, index)
     pre = collect(pre_keys, agents, index)
     advantages = jax.vmap(learner.advantage)(pre)
-    adapted = learner.adaptation(agents, parameters.step_sizes, learner.context, pre, advantages)
+    adapted = eqx.filter_jit(learner.adaptation)(
+        agents, parameters.step_sizes, learner.context, pre, advantages
+    )
     post = collect(post_keys, adapted, index)
     return MetaObjective(
         learner.context,

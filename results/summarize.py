@@ -2,15 +2,16 @@
 
     python results/summarize.py results/wheeled > results/wheeled/tables.md
 
-Each run is a directory `METHOD-...-seed-N` that `maesn train` has filled. Those that `maesn adapt`
-has filled as well have tables of their adaptation, in which directories that differ in the seed
-alone are one row.
+Each run is a directory `METHOD-...-seed-N` that `maesn train` has filled, to its last iteration.
+Those that `maesn adapt` has filled as well have tables of their adaptation, in which directories
+that differ in the seed alone are taken together.
 """
 
 import json
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,45 +23,66 @@ REFERENCE = "maesn-20x20"
 
 
 def experiments(directory: Path) -> dict[str, list[Path]]:
-    """Return the runs of every experiment, by its name, that of the reference first."""
+    """Return the finished runs of every experiment, by its name, that of the reference first."""
     found: dict[str, list[Path]] = {}
     for metrics in sorted(directory.glob("*/metrics.jsonl")):
         run = metrics.parent
-        found.setdefault(re.sub(r"-seed-\d+$", "", run.name), []).append(run)
+        if len(metrics_of(run)) >= config_of(run)["settings"]["iterations"]:
+            found.setdefault(re.sub(r"-seed-\d+$", "", run.name), []).append(run)
     return dict(sorted(found.items(), key=lambda item: (item[0] != REFERENCE, item[0])))
 
 
-def adapted(runs: list[Path]) -> list[AdaptationTable]:
-    """Return the tables of adaptation that some runs have, one per seed."""
+def adaptation_tables(runs: list[Path]) -> list[AdaptationTable]:
+    """Return the tables of those runs that have been adapted."""
     tables = [read_run(run).adaptation("test", "sparse") for run in runs]
     return [table for table in tables if table is not None]
 
 
+def config_of(run: Path) -> dict[str, Any]:
+    """Return what a run was begun with."""
+    config: dict[str, Any] = json.loads((run / "config.json").read_text())
+    return config
+
+
+def metrics_of(run: Path) -> list[dict[str, float]]:
+    """Return what was measured in every meta-iteration."""
+    return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+
+
 def last_metrics(run: Path) -> dict[str, float]:
     """Return what was measured in the last meta-iterations, averaged over 20 of them."""
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()[-20:]]
+    lines = metrics_of(run)[-20:]
     return {name: float(np.mean([line[name] for line in lines])) for name in lines[0]}
 
 
 def training_row(name: str, run: Path) -> str:
     """Return one line of the table of training."""
-    config, last = json.loads((run / "config.json").read_text()), last_metrics(run)
+    config, last = config_of(run), last_metrics(run)
     weight = config["learner"].get("context", {}).get("kl_weight")
     kl = f"{last['penalty'] / weight:.2f}" if weight else "-"
     sizes = [last.get(f"step_sizes/context/{part}") for part in ("mean", "log_std", "value")]
-    learned = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
-    cells = (name, str(config["settings"]["seed"]), f"{last['return_before']:.1f}",
-             f"{last['return_after']:.1f}", kl, learned, f"{last['action_std']:.2f}")  # fmt: skip
+    of_context = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
+    of_policy = [last[name] for name in last if name.startswith("step_sizes/policy/")]
+    cells = (
+        name,
+        str(config["settings"]["seed"]),
+        f"{last['return_before']:.1f}",
+        f"{last['return_after']:.1f}",
+        kl,
+        of_context,
+        f"{np.mean(of_policy):.3f}" if of_policy else "-",
+        f"{last['action_std']:.2f}",
+    )
     return markdown_row(cells)
 
 
 def main() -> None:
     """Print all tables as Markdown."""
     found = experiments(Path(sys.argv[1]))
-    tables = {name: filled for name, runs in found.items() if (filled := adapted(runs))}
+    tables = {name: filled for name, runs in found.items() if (filled := adaptation_tables(runs))}
     print("# Training, mean of the last 20 meta-iterations, dense reward\n")
-    print("| run | seed | before | after | KL to prior | step sizes | action std |")
-    print("|---|---:|---:|---:|---:|---:|---:|")
+    print("| run | seed | before | after | KL to prior | steps of context | of θ | action std |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name, runs in found.items():
         for run in runs:
             print(training_row(name, run))

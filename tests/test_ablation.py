@@ -8,7 +8,7 @@ from small_runs import tensors
 from maesn import api, cli
 from maesn.ablation import Ablation
 from maesn.experiments import ABLATION, ablation_radii
-from maesn.learners import AbstractMetaLearner, maesn, maml, method_name
+from maesn.learners import AbstractMetaLearner, maesn, maesn_theta, maml, method_name
 from maesn.report.style import series_styles
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
@@ -52,6 +52,7 @@ def test_theta_joins_in_the_second_half() -> None:
     for iterations in (300, 100):
         learner = ABLATION["maesn_theta"].make(iterations)
         assert learner.adaptation.policy.first_iteration == iterations // 2
+    assert ABLATION["maesn_theta"].make(300) == maesn_theta()
 
 
 def test_settings_reach_every_line() -> None:

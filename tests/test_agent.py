@@ -1,4 +1,4 @@
-"""The two ways of mapping over tasks are one function."""
+"""The two ways of mapping over tasks give the same."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ import pytest
 
 from maesn.agent import Agent, Agents
 from maesn.context import Latent
+from maesn.normalization import no_observations
 from maesn.policies import GaussianMLP, PolicyInput
 
 TASKS, OBSERVATION, ACTION, LATENT = 3, 4, 2, 2
@@ -22,12 +23,16 @@ def agents_of(shares_policy: bool) -> Agents:
     keys = jax.random.split(jax.random.key(0), TASKS)
     mean = jax.random.normal(jax.random.key(1), (TASKS, LATENT))
     policies = policy(keys[0]) if shares_policy else jax.vmap(policy)(keys)
-    return Agents(policies, Latent(mean, jnp.zeros_like(mean)), shares_policy)
+    seen = jax.random.normal(jax.random.key(3), (10, OBSERVATION))
+    statistics = no_observations(OBSERVATION).with_batch(seen, jnp.ones(10, bool))
+    return Agents(policies, Latent(mean, jnp.zeros_like(mean)), shares_policy, statistics)
 
 
 def mean_action(agent: Agent, observation: jax.Array, scale: jax.Array) -> jax.Array:
     told = PolicyInput(observation, jnp.zeros(ACTION), jnp.zeros(()), jnp.zeros((), bool))
-    distribution, _ = agent.policy(told, agent.context.mean, agent.policy.initial_carry())
+    distribution, _ = agent.policy(
+        agent.perceive(told), agent.context.mean, agent.policy.initial_carry()
+    )
     return scale * distribution.mean
 
 
@@ -40,6 +45,8 @@ def test_one_after_the_other_is_all_at_once(shares_policy: bool) -> None:
     def loss(agents: Agents, mapping: str) -> jax.Array:
         return (getattr(agents, mapping)(mean_action)(observation, scale) ** 2).sum()
 
-    at_once, in_turn = (jax.value_and_grad(loss)(agents, name) for name in ("vmap", "in_turn"))
-    for expected, actual in zip(*map(jax.tree.leaves, (at_once, in_turn)), strict=True):
+    at_once, one_by_one = (
+        jax.value_and_grad(loss)(agents, name) for name in ("vmap", "one_by_one")
+    )
+    for expected, actual in zip(*map(jax.tree.leaves, (at_once, one_by_one)), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 
 from maesn.episodes import Episodes, Thinning, concatenate
-from maesn.learners.gradient import step_weights
+from maesn.learners.curvature import step_weights
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 

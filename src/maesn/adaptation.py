@@ -90,8 +90,8 @@ class Adaptation(eqx.Module):
             advantages: of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
-        moved_policy, moved_context = agents.in_turn(
-            lambda agent, played, advantage: self._move(
+        moved_policy, moved_context = agents.one_by_one(
+            lambda agent, played, advantage: self.moved_parts(
                 agent, sizes, context, played, advantage, scale
             )
         )(episodes, advantages)
@@ -102,14 +102,14 @@ class Adaptation(eqx.Module):
             statistics=agents.statistics,
         )
 
-    def _move(
+    def moved_parts(
         self,
         agent: Agent,
         sizes: StepSizes,
         context: AbstractContext[Any],
         episodes: Episodes,
         advantages: Advantages,
-        scale: float | Float[Array, ""],
+        scale: float | Float[Array, ""] = 1.0,
     ) -> tuple[Any, Any]:
         """Return the moved parts (policy, context) of one agent; None for a part that stays."""
 

@@ -31,7 +31,7 @@ class Agents(eqx.Module):
 
     Methods that leave the policy's weights alone in their inner step share one copy of them. This
     is not only smaller: a product with shared weights is one matrix product over the whole batch,
-    where stacked weights make it a batch of small ones.
+    where stacked weights make it a batch of small ones, as long as the tasks are mapped at once.
     """
 
     policy: AbstractPolicy
@@ -65,11 +65,11 @@ class Agents(eqx.Module):
 
         return mapped
 
-    def in_turn(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Map `function(agent, *rest)` over the tasks, one after the other.
+    def one_by_one(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Do the same as `vmap`, one task after the other.
 
-        The activations of one task fit in the processor's cache, those of all do not: an inner step
-        through the policy takes half of the time that it takes by `vmap`.
+        On a processor an inner step through the policy takes half of the time that way, because the
+        activations of one task fit in its cache, and those of all do not.
 
         Args:
             function: written for one task; its first argument is an `Agent`.

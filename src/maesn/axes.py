@@ -1,9 +1,8 @@
 """Names of the axes that every array of the library is annotated with, and type aliases.
 
 Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
-axis that is mapped over, cut into chunks, and sharded over devices. Functions are written for one
-task or one episode; the leading axes are added by mapping them in one place
-(`vmap` and `in_turn` of `maesn.agent.Agents` for the tasks).
+axis that is mapped over and cut into chunks. Functions are written for one task or one episode;
+`Agents.vmap` or, one task after the other, `Agents.one_by_one` adds the axis of the tasks.
 
 | axis          | runs over                                                                     |
 |---------------|-------------------------------------------------------------------------------|

@@ -14,15 +14,18 @@ from learning_problems.prepared import EQUAL, UNEQUAL, PreparedCollect, Problem,
 from learning_problems.translation import (
     learner_for,
     objective_for,
+    policy_to_reference,
     to_library,
     to_reference,
 )
+from reference.maesn import Agent as ReferenceAgent
 from reference.maesn import Settings, TaskData, loss, mean_kl
 from reference.parameters import Array, Parameters, flatten, unflatten
 from reference.trust_region import TrustRegionSettings, curvature, loss_gradient, outer_step
 
+from maesn.agent import Agents
 from maesn.learners import GradientState
-from maesn.learners.gradient import step_weights
+from maesn.learners.curvature import step_weights
 from maesn.learners.objective import MetaObjective, MetaParameters
 from maesn.trust_region import Evaluation, TrustRegion
 
@@ -144,7 +147,8 @@ def test_outer_step(case: str) -> None:
     learner, old = learner_for(problem), to_library(problem.parameters)
     objective = objective_for(learner, problem, ROWS)
     state = GradientState(old, jnp.zeros((), int))
-    after, info = learner._improve(state, objective, objective.path(old), jax.random.key(0))
+    updated = eqx.filter_jit(objective.updated)(old)
+    after, info = learner._improve(state, objective, updated, jax.random.key(0))
     expected = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
     step = info.trust_region
     assert expected.accepted
@@ -156,20 +160,30 @@ def test_outer_step(case: str) -> None:
     assert_parameters_close(after.parameters, expected.parameters, atol=1e-8)
 
 
+def assert_agent_close(agents: Agents, slot: int, expected: ReferenceAgent) -> None:
+    one = jax.tree.map(lambda x: x[slot], agents.context)
+    np.testing.assert_allclose(one.mean, expected.mean, rtol=1e-11)
+    np.testing.assert_allclose(one.log_std, expected.log_std, rtol=1e-11)
+    shared, own = agents.shares_policy, agents.policy
+    policy = own if shared else jax.tree.map(lambda x: x[slot], own)
+    for name, array in policy_to_reference(policy).items():
+        np.testing.assert_allclose(array, expected.theta[name], rtol=1e-11, err_msg=name)
+
+
+@pytest.mark.parametrize("case", ["two_inner_updates", "theta_as_well"])
 @pytest.mark.usefixtures("x64", "quick_compiler")
-def test_a_whole_meta_iteration() -> None:
-    """Who plays, in which tasks, and what comes of it, with two inner updates."""
-    problem = problem_of("two_inner_updates")
+def test_a_whole_meta_iteration(case: str) -> None:
+    """Who plays, in which tasks, and what comes of it."""
+    problem = problem_of(case)
     collect = PreparedCollect(problem)
     state = GradientState(to_library(problem.parameters), jnp.zeros((), int))
     after, info = learner_for(problem).step(jax.random.key(4), state, collect)
     (index, *others), tasks = collect.index, collect.chosen()
     assert all((other == index).all() for other in others)
     for phase, agents in enumerate(collect.asked):
-        expected = [problem.playing(phase)[row] for row in index]
-        means, log_stds = agents.context.mean, agents.context.log_std
-        np.testing.assert_allclose(means, [agent.mean for agent in expected], rtol=1e-11)
-        np.testing.assert_allclose(log_stds, [agent.log_std for agent in expected], rtol=1e-11)
+        playing = problem.playing(phase)
+        for slot, row in enumerate(index):
+            assert_agent_close(agents, slot, playing[row])
     outcome = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
     assert_parameters_close(after.parameters, outcome.parameters, atol=1e-8)
     returns = [_mean_return([task.pre[0].episodes, task.post.episodes]) for task in tasks]

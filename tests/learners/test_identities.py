@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +45,9 @@ def improve(
     if learner.inner_updates == 0:
         objective = replace(objective, pre=())
     state = GradientState(parameters, jnp.zeros((), int))
-    after, info = learner._improve(state, objective, objective.path(parameters), jax.random.key(0))
+    after, info = learner._improve(
+        state, objective, eqx.filter_jit(objective.updated)(parameters), jax.random.key(0)
+    )
     return after.parameters, info
 
 

@@ -13,11 +13,13 @@ TABULATED = sorted(path.parent for path in RESULTS.rglob("tables.md"))
 
 
 def test_there_are_tables() -> None:
-    names = {str(directory.relative_to(RESULTS)) for directory in TABULATED}
+    names = {directory.relative_to(RESULTS).as_posix() for directory in TABULATED}
     assert {"ant", "blockpush", "wheeled", "wheeled/ablation/runs"} <= names
 
 
-@pytest.mark.parametrize("directory", TABULATED, ids=lambda path: str(path.relative_to(RESULTS)))
+@pytest.mark.parametrize(
+    "directory", TABULATED, ids=lambda path: path.relative_to(RESULTS).as_posix()
+)
 def test_tables_are_those_of_the_runs(
     directory: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

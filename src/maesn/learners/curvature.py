@@ -9,9 +9,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from maesn.adaptation import StepSizes
-from maesn.agent import Agents
-from maesn.episodes import Thinning
-from maesn.learners.objective import Experience, MetaObjective, MetaParameters, start_agents
+from maesn.agent import Agent, Agents
+from maesn.episodes import Episodes, Thinning
+from maesn.learners.objective import Experience, MetaObjective, MetaParameters
 from maesn.numerics import AbstractDistribution, multiply
 from maesn.surrogate import post_distributions
 
@@ -19,7 +19,7 @@ from maesn.surrogate import post_distributions
 def sampled_distributions(
     objective: MetaObjective,
     parameters: MetaParameters,
-    path: tuple[Agents, ...],
+    updated: tuple[Agents, ...],
     outer: Thinning,
     inner: Thinning,
 ) -> AbstractDistribution:
@@ -41,20 +41,28 @@ def sampled_distributions(
     Args:
         objective: the problem.
         parameters: what the distributions are differentiated with respect to.
-        path: `objective.path(parameters)`, the exact values: those who played are at hand.
+        updated: `objective.updated(parameters)`, the exact values. They are not differentiated, so
+            that those who played will do, and need not be computed again.
         outer: which steps after the last update the distributions are of.
         inner: which steps before an update the Hessian is of.
 
     Returns:
         Distributions `[task, episode, time, action]`, of the steps of `post.every(*outer)`.
     """
-    agents = start_agents(objective.context, parameters, objective.index, objective.statistics)
+    agents = objective.start(parameters)
     is_small = objective.adaptation.policy is None and objective.context.is_pathwise
     move = _moved_contexts if is_small else _moved
-    for experience, exact in zip(objective.pre, path[1:], strict=True):
+    for experience, exact in zip(objective.pre, jax.lax.stop_gradient(updated), strict=True):
         thinned = _thin(experience, inner)
         agents = move(objective, agents, parameters.step_sizes, thinned, exact)
     return agents.vmap(post_distributions)(objective.post.every(*outer))
+
+
+def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
+    """Return the weight of each step in a mean over tasks of means over valid steps."""
+    valid = episodes.valid.astype(float)
+    per_task = jnp.maximum(valid.sum((1, 2), keepdims=True), 1.0)
+    return valid / (per_task * valid.shape[0])
 
 
 def _moved(
@@ -64,8 +72,8 @@ def _moved(
     thinned: Experience,
     exact: Agents,
 ) -> Agents:
-    """Return the exact agents after an inner step, with its derivative on thinned episodes."""
-    moved = _inner_step(objective, agents, sizes, thinned)
+    """Return `exact`, with the derivative that an inner step has on the thinned episodes."""
+    moved = objective.adaptation(agents, sizes, objective.context, *thinned)
     # Exactly the value: x + 0.
     return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, moved)
 
@@ -84,14 +92,18 @@ def _moved_contexts(
     """
     fixed, fixed_sizes = jax.lax.stop_gradient((agents, sizes))
 
-    def jacobian_of(task: tuple[Any, Experience]) -> Float[Array, "context parameter"]:
-        context, alone = jax.tree.map(lambda x: x[None], task)
-        flat, unravel = ravel_pytree((fixed.policy, context, fixed_sizes))
+    def jacobian_of(agent: Agent, *experience: Any) -> Float[Array, "context parameter"]:
+        flat, unravel = ravel_pytree((agent.policy, agent.context, fixed_sizes))
 
         def moved(varied: Float[Array, " parameter"]) -> Float[Array, " context"]:
             policy, start, step_sizes = unravel(varied)
-            agent = replace(fixed, policy=policy, context=start)
-            return ravel_pytree(_inner_step(objective, agent, step_sizes, alone).context)[0]
+            _, context = objective.adaptation.moved_parts(
+                replace(agent, policy=policy, context=start),
+                step_sizes,
+                objective.context,
+                *experience,
+            )
+            return ravel_pytree(context)[0]
 
         return jax.jacrev(moved)(flat)
 
@@ -100,16 +112,10 @@ def _moved_contexts(
         _, unravel = ravel_pytree(start)
         return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
-    # Task by task: every row of a Jacobian takes as much memory as a gradient.
-    jacobians = jax.lax.map(jacobian_of, (fixed.context, thinned))
+    # One by one, because every row of a Jacobian takes as much memory as a gradient.
+    jacobians = fixed.one_by_one(jacobian_of)(*thinned)
     differences = jax.vmap(linear)(jacobians, agents.context)
     return replace(agents, context=jax.tree.map(jnp.add, exact.context, differences))
-
-
-def _inner_step(
-    objective: MetaObjective, agents: Agents, sizes: StepSizes, experience: Experience
-) -> Agents:
-    return objective.adaptation(agents, sizes, objective.context, *experience)
 
 
 def _thin(experience: Experience, thinning: Thinning) -> Experience:

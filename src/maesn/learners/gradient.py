@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from maesn.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.advantage import AdvantageEstimator, Advantages
@@ -20,7 +20,7 @@ from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContext
 from maesn.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.curvature import sampled_distributions
+from maesn.learners.curvature import sampled_distributions, step_weights
 from maesn.learners.fast import GradientFastLearner
 from maesn.learners.info import GradientInfo, describe_step
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
@@ -153,13 +153,13 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         agents = self._start(state, index)
         pre: list[Experience] = []
-        path = [agents]
+        updated: list[Agents] = []
         for phase in range(self.inner_updates):
             episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
             pre.append((episodes, advantages))
-            path.append(agents)
+            updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
         objective = MetaObjective(
             self.context,
@@ -170,7 +170,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             self._advantages(post),
             state.statistics,
         )
-        return self._improve(state, objective, tuple(path), curvature_key)
+        return self._improve(state, objective, tuple(updated), curvature_key)
 
     def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
@@ -217,25 +217,25 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     @eqx.filter_jit
     def _improve(
-        self, state: GradientState, objective: MetaObjective, path: tuple[Agents, ...], key: Key
+        self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
         """Do the outer step. Beyond this point only the meta-parameters vary.
 
         Args:
-            state: whose parameters are improved.
-            objective: what was played, and what it says of other parameters.
-            path: those who played, as in `MetaObjective.path`.
-            key: for the steps that the curvature takes.
+            state: before the step.
+            objective: of what was played from there.
+            updated: those who played after each inner update, `objective.updated(parameters)`.
+            key: of the choice of the steps that the curvature takes.
         """
         parameters = state.parameters
         outer, inner = self._thinnings(key, objective.post.action.shape[-2])
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
-            lambda varied: sampled_distributions(objective, varied, path, outer, inner),
+            lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
             step_weights(objective.post.every(*outer)),
         )
-        after = GradientState(improved, state.iteration + 1, _take_in(state.statistics, objective))
+        after = GradientState(improved, state.iteration + 1, objective.statistics_after())
         return after, describe_step(objective, parameters, improved, step)
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
@@ -246,21 +246,3 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         outer_key, inner_key = jax.random.split(key)
         outer = Thinning.draw(outer_key, self.curvature_stride, time)
         return outer, Thinning.draw(inner_key, self.hessian_stride, time)
-
-
-def _take_in(
-    statistics: ObservationStatistics | None, objective: MetaObjective
-) -> ObservationStatistics | None:
-    """Add all observations that an action followed."""
-    if statistics is None:
-        return None
-    for episodes in (*(episodes for episodes, _ in objective.pre), objective.post):
-        statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
-    return statistics
-
-
-def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
-    """Return the weight of each step in a mean over tasks of means over valid steps."""
-    valid = episodes.valid.astype(float)
-    per_task = jnp.maximum(valid.sum((1, 2), keepdims=True), 1.0)
-    return valid / (per_task * valid.shape[0])

@@ -61,27 +61,38 @@ class MetaObjective(eqx.Module):
     advantages: Advantages
     statistics: ObservationStatistics | None = None
 
-    def path(self, parameters: MetaParameters) -> tuple[Agents, ...]:
-        """Return the agents before the inner updates, and after each of them."""
-        path = [start_agents(self.context, parameters, self.index, self.statistics)]
+    def start(self, parameters: MetaParameters) -> Agents:
+        """Return the agents before the inner updates."""
+        return start_agents(self.context, parameters, self.index, self.statistics)
+
+    def updated(self, parameters: MetaParameters) -> tuple[Agents, ...]:
+        """Return the agents after every inner update."""
+        agents, sizes = [self.start(parameters)], parameters.step_sizes
         for episodes, advantages in self.pre:
-            path.append(
-                self.adaptation(path[-1], parameters.step_sizes, self.context, episodes, advantages)
-            )
-        return tuple(path)
+            agents.append(self.adaptation(agents[-1], sizes, self.context, episodes, advantages))
+        return tuple(agents[1:])
 
     def adapted(self, parameters: MetaParameters) -> Agents:
         """Return the agents after all inner updates."""
-        return self.path(parameters)[-1]
+        return (self.start(parameters), *self.updated(parameters))[-1]
 
     def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
         return self.adapted(parameters).vmap(post_distributions)(episodes)
 
+    def statistics_after(self) -> ObservationStatistics | None:
+        """Return the statistics with all observations of the episodes that an action followed."""
+        statistics = self.statistics
+        if statistics is None:
+            return None
+        for played in (*(episodes for episodes, _ in self.pre), self.post):
+            statistics = statistics.with_batch(played.observation[..., :-1, :], played.valid)
+        return statistics
+
     def one_by_one(self, function: Callable[["MetaObjective"], Any]) -> Any:
         """Return `function(objective of one task alone)`, task after task, stacked over `task`.
 
-        The activations of one task fit in the processor's cache, those of all do not.
+        For the reason that `Agents.one_by_one` has.
         """
 
         def one(row: Any) -> Any:

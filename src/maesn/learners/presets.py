@@ -54,10 +54,7 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
 
 
 def staged_adaptation(first_iteration: int) -> Adaptation:
-    """Return equations (4) to (6), the last of them from one meta-iteration on.
-
-    The policy's step sizes are learned from 0: the second stage begins where the first one ends.
-    """
+    """Return equations (4) and (5), and from meta-iteration `first_iteration` on (6) as well."""
     policy = InnerStep(THETA_STEP, first_iteration=first_iteration)
     return Adaptation(policy=policy, context=InnerStep(1.0))
 
