@@ -13,8 +13,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from safetensors.numpy import load_file
 
+from maesn.context import Latent, LatentContext
 from maesn.report.adaptation_table import AdaptationTable
 from maesn.report.runs import read_run
 from maesn.report.tables import difference_table, markdown_row, summary_tables
@@ -55,20 +59,32 @@ def last_metrics(run: Path) -> dict[str, float]:
     return {name: float(np.mean([line[name] for line in lines])) for name in lines[0]}
 
 
+def divergence_from_prior(run: Path) -> float | None:
+    """Return the mean KL of the training tasks' latents in the last checkpoint, in nats.
+
+    None for methods without latents.
+    """
+    arrays = load_file(sorted((run / "checkpoints").glob("*.safetensors"))[-1])
+    names = [f"parameters/context/{part}" for part in ("mean", "log_std")]
+    if not all(name in arrays for name in names):
+        return None
+    latents = Latent(*(jnp.asarray(arrays[name]) for name in names))
+    return float(jax.vmap(LatentContext(kl_weight=1.0).penalty)(latents).mean())
+
+
 def training_row(name: str, run: Path) -> str:
     """Return one line of the table of training."""
-    config, last = config_of(run), last_metrics(run)
-    weight = config["learner"].get("context", {}).get("kl_weight")
-    kl = f"{last['penalty'] / weight:.2f}" if weight else "-"
+    last = last_metrics(run)
+    divergence = divergence_from_prior(run)
     sizes = [last.get(f"step_sizes/context/{part}") for part in ("mean", "log_std", "value")]
     of_context = ", ".join(f"{size:.2f}" for size in sizes if size is not None) or "-"
     of_policy = [last[name] for name in last if name.startswith("step_sizes/policy/")]
     cells = (
         name,
-        str(config["settings"]["seed"]),
+        str(config_of(run)["settings"]["seed"]),
         f"{last['return_before']:.1f}",
         f"{last['return_after']:.1f}",
-        kl,
+        "-" if divergence is None else f"{divergence:.2f}",
         of_context,
         f"{np.mean(of_policy):.3f}" if of_policy else "-",
         f"{last['action_std']:.2f}",
@@ -86,6 +102,7 @@ def main() -> None:
     for name, runs in found.items():
         for run in runs:
             print(training_row(name, run))
+    print("\nKL to prior: of the training tasks' latents in the last checkpoint, in nats.")
     if tables:
         print("\n# Adaptation to the 100 test tasks, sparse reward\n")
     for name, all_seeds in tables.items():
