@@ -103,6 +103,7 @@ def main() -> None:
         for run in runs:
             print(training_row(name, run))
     print("\nKL to prior: of the training tasks' latents in the last checkpoint, in nats.")
+    print("Steps of θ: mean over its arrays of their mean step sizes, signs included.")
     if tables:
         print("\n# Adaptation to the 100 test tasks, sparse reward\n")
     for name, all_seeds in tables.items():

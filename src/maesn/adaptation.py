@@ -111,7 +111,16 @@ class Adaptation(eqx.Module):
         advantages: Advantages,
         scale: float | Float[Array, ""] = 1.0,
     ) -> tuple[Any, Any]:
-        """Return the moved parts (policy, context) of one agent; None for a part that stays."""
+        """Return the moved parts (policy, context) of one agent; None for a part that stays.
+
+        Args:
+            agent: of one task.
+            sizes: the learned step sizes; parts with fixed ones are ignored.
+            context: rule of the context.
+            episodes: what the agent played, `[episode, ...]`.
+            advantages: of those episodes.
+            scale: multiplies every step size.
+        """
 
         def loss(parts: tuple[Any, Any]) -> Float[Array, ""]:
             policy, value = parts

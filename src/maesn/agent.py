@@ -68,7 +68,7 @@ class Agents(eqx.Module):
     def one_by_one(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Do the same as `vmap`, one task after the other.
 
-        On a processor an inner step through the policy takes half of the time that way, because the
+        On a CPU an inner step through the policy takes half of the time that way, because the
         activations of one task fit in its cache, and those of all do not.
 
         Args:

@@ -223,9 +223,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
         Args:
             state: before the step.
-            objective: of what was played from there.
+            objective: of the episodes that were played from there.
             updated: those who played after each inner update, `objective.updated(parameters)`.
-            key: of the choice of the steps that the curvature takes.
+            key: draws the steps that the curvature takes.
         """
         parameters = state.parameters
         outer, inner = self._thinnings(key, objective.post.action.shape[-2])

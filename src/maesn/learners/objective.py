@@ -81,7 +81,7 @@ class MetaObjective(eqx.Module):
         return self.adapted(parameters).vmap(post_distributions)(episodes)
 
     def statistics_after(self) -> ObservationStatistics | None:
-        """Return the statistics with all observations of the episodes that an action followed."""
+        """Return the statistics, with all that was observed before an action taken in."""
         statistics = self.statistics
         if statistics is None:
             return None
@@ -92,7 +92,7 @@ class MetaObjective(eqx.Module):
     def one_by_one(self, function: Callable[["MetaObjective"], Any]) -> Any:
         """Return `function(objective of one task alone)`, task after task, stacked over `task`.
 
-        For the reason that `Agents.one_by_one` has.
+        The activations of one task fit in a CPU's cache, those of all do not.
         """
 
         def one(row: Any) -> Any:

@@ -75,6 +75,7 @@ class PolicyImprovement(eqx.Module):
         """Move every task's weights once, by what its agent has played."""
         advantages = self.advantage.of_tasks(episodes)
         keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
+        # At once, all tasks would wait for the longest line search.
         policy, memory = state.agents.one_by_one(
             lambda agent, key, memory, played, judged: self.rule.step(
                 key, agent, memory, played, judged
