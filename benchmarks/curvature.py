@@ -152,7 +152,8 @@ def objective(
     pre_keys, post_keys = jax.random.split(key, (2, learner.meta_batch_size))
     agents = start_agents(learner.context, parameters, index)
     pre = collect(pre_keys, agents, index)
-    advantages = jax.vmap(learner.advantage)(pre)
+    advantages_of = eqx.filter_jit(learner.advantage.of_tasks)
+    advantages = advantages_of(pre)
     adapted = eqx.filter_jit(learner.adaptation)(
         agents, parameters.step_sizes, learner.context, pre, advantages
     )
@@ -163,7 +164,7 @@ def objective(
         index,
         ((pre, advantages),),
         post,
-        jax.vmap(learner.advantage)(post),
+        advantages_of(post),
     )
 
 
