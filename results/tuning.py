@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from maesn.admission import Changes
 from maesn.comparison import Place, compare
 from maesn.entries import Scratch
 from maesn.report.comparison import Line
@@ -76,7 +77,8 @@ def configurations(method: str, settings: Settings) -> dict[str, Line]:
         found = {name: trained([settings.runs / run]) for name, run in RECURRENT.items()}
     else:
         run = settings.runs / method
-        found = {name: trained([run], paces={method: pace}) for name, pace in PACES.items()}
+        paced = {name: Changes(paces={method: pace}) for name, pace in PACES.items()}
+        found = {name: trained([run], changes=changes) for name, changes in paced.items()}
     return {name: compared.lines[0] for name, compared in found.items()}
 
 

@@ -12,6 +12,7 @@ import pytest
 from small_runs import create, finish, tiny_maesn
 
 from maesn import api, cli, entries, evaluate
+from maesn.admission import Changes
 from maesn.comparison import Place, compare, ground_of, silent
 from maesn.entries import Scratch
 from maesn.learners import oracle
@@ -227,7 +228,7 @@ def test_runs_can_take_part_a_second_time_curious(runs: dict[str, Path], tmp_pat
     assert "| MAESN (curious) |" in (tmp_path / "summary.md").read_text()
 
 
-PACES = {"maesn": AtTestTime(step_scale=2.0, full_steps=3)}
+PACED = Changes(paces={"maesn": AtTestTime(step_scale=2.0, full_steps=3)})
 
 
 def test_a_method_takes_the_steps_that_are_chosen_for_it(
@@ -253,7 +254,7 @@ def test_a_method_takes_the_steps_that_are_chosen_for_it(
     ).read_text(encoding="utf-8")
     first = Conditions(num_tasks=2, updates=3, episodes_per_task=3)
     plain = compare([runs["maesn"]], out=tmp_path / "plain", conditions=first).lines[0]
-    done = compare([runs["maesn"]], out=tmp_path, conditions=first, paces=PACES).lines[0]
+    done = compare([runs["maesn"]], out=tmp_path, conditions=first, changes=PACED).lines[0]
     assert done.style.line == plain.style.line
     same = plain.measure("mean_return") == done.measure("mean_return")
     assert same[0, :, 0].all()
@@ -263,7 +264,7 @@ def test_a_method_takes_the_steps_that_are_chosen_for_it(
 def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
     once = Conditions(num_tasks=1, updates=0, episodes_per_task=1)
     added = AtTestTime(after=3)
-    done = compare([runs["maesn"]], out=tmp_path, conditions=once, test_time=added)
+    done = compare([runs["maesn"]], out=tmp_path, conditions=once, changes=Changes(added))
     assert [line.name for line in done.lines] == ["maesn"]
 
 

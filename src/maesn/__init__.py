@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.adaptation import Adaptation as Adaptation
     from maesn.adaptation import InnerStep as InnerStep
     from maesn.adaptation import StepSchedule as StepSchedule
+    from maesn.admission import Changes as Changes
     from maesn.advantage import AdvantageEstimator as AdvantageEstimator
     from maesn.api import adapt as adapt
     from maesn.api import export as export
@@ -97,6 +98,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "InnerStep",
         "StepSchedule",
     ),
+    "maesn.admission": ("Changes",),
     "maesn.advantage": ("AdvantageEstimator",),
     "maesn.comparison": (
         "Place",

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from maesn.runs.beginning import check_sizes
@@ -12,13 +13,18 @@ from maesn.runs.starting import check_shown
 from maesn.runs.storage import RunError
 from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 
+AS_TRAINED: Mapping[str, AtTestTime] = MappingProxyType({})
+
 
 class Changes(NamedTuple):
-    """What is changed about whom in the new tasks."""
+    """What is changed about whom in the new tasks. By default nothing."""
 
-    test_time: AtTestTime
-    twice: Sequence[str]
-    paces: Mapping[str, AtTestTime]
+    test_time: AtTestTime = NOTHING_ADDED
+    """If it changes anything, runs take part a second time, changed like this."""
+    twice: Sequence[str] = ()
+    """Runs of which methods do; empty for all that can be changed."""
+    paces: Mapping[str, AtTestTime] = AS_TRAINED
+    """Step sizes of all runs of a method, by its name; those that are not named keep their own."""
 
     def of(self, method: str) -> tuple[AtTestTime, AtTestTime | None]:
         """Return how a method takes part, and how a second time; None if it does not."""
@@ -69,18 +75,29 @@ def check_world(runs: Sequence[Run], ground: Ground) -> None:
         check_shown(run.learner.player(run.latest_state()), ground.env)
 
 
-def check_methods(name: str, option: str, methods: Iterable[str], runs: Sequence[Run]) -> None:
-    """Refuse names of methods of which there are no runs.
+def check_changes(changes: Changes, runs: Sequence[Run], updates: int) -> None:
+    """Refuse changes that would never show.
 
     Args:
-        name: of the argument that names them.
-        option: of the command line that does.
-        methods: their names.
+        changes: of how the runs take part.
         runs: that are compared.
+        updates: number of updates in the new tasks.
 
     Raises:
-        RunError: of one there are none.
+        RunError: of a method that is named there are no runs; nothing is changed about runs that
+            shall take part twice; or it begins after the last update.
     """
+    _check_methods("twice", "--twice", changes.twice, runs)
+    _check_methods("paces", "--step-scales, --full-steps", changes.paces, runs)
+    if changes.twice and not changes.test_time.suffix:
+        raise RunError(
+            "`twice` (--twice) says which runs take part a second time, but nothing is changed "
+            "about them: say what with --fine-tune or --curious."
+        )
+    changes.test_time.check_reached(updates)
+
+
+def _check_methods(name: str, option: str, methods: Iterable[str], runs: Sequence[Run]) -> None:
     known = sorted({run.settings.method for run in runs})
     strangers = [method for method in methods if method not in known]
     if strangers:

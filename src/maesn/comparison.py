@@ -1,13 +1,12 @@
 """All methods under the same conditions: trained runs, methods from scratch, floor and oracle."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
-from maesn.admission import Changes, check_methods, check_world, open_oracle
+from maesn.admission import Changes, check_changes, check_world, open_oracle
 from maesn.entries import Entry, Scratch, entry_of_runs, floor_entries, scratch_entries
 from maesn.envs import Variant
 from maesn.report.adaptation_table import read_adaptation
@@ -22,7 +21,6 @@ from maesn.runs.contest import Conditions, Ground, Say, curves_of, open_ground
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError, explained
 from maesn.runs.task_sources import resolve_family
-from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
 
 
@@ -80,8 +78,7 @@ class Place:
         return RunSettings(**{**first, **given, "num_threads": self.num_threads})
 
 
-ANYWHERE, NOBODY, USUAL = Place(), Scratch(), Conditions()
-AS_TRAINED: Mapping[str, AtTestTime] = MappingProxyType({})
+ANYWHERE, NOBODY, USUAL, UNCHANGED = Place(), Scratch(), Conditions(), Changes()
 
 
 def compare(
@@ -92,9 +89,7 @@ def compare(
     place: Place = ANYWHERE,
     conditions: Conditions = USUAL,
     oracle: str | Path | None = None,
-    test_time: AtTestTime = NOTHING_ADDED,
-    twice: Sequence[str] = (),
-    paces: Mapping[str, AtTestTime] = AS_TRAINED,
+    changes: Changes = UNCHANGED,
     say: Say = silent,
 ) -> Comparison:
     """Adapt methods to the same tasks; write curves, a figure and tables.
@@ -111,10 +106,7 @@ def compare(
         place: the world.
         conditions: tasks, reward, updates, episodes.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
-        test_time: if it changes anything, runs take part a second time, changed like this.
-        twice: runs of which methods do; empty for all that can be changed.
-        paces: step sizes of all runs of a method, by its name; those that are not named keep their
-            own.
+        changes: of how the runs take part, and of who does a second time.
         say: is told what goes on.
 
     Raises:
@@ -124,21 +116,13 @@ def compare(
     runs = [Run.open(path, family=own) for path in directories]
     told = None if oracle is None else open_oracle(oracle, own)
     settings = place.settings(runs)
-    check_methods("twice", "--twice", twice, runs)
-    check_methods("paces", "--step-scales, --full-steps", paces, runs)
-    if twice and not test_time.suffix:
-        raise RunError(
-            "`twice` (--twice) says which runs take part a second time, but nothing is changed "
-            "about them: say what with --fine-tune or --curious."
-        )
-    test_time.check_reached(conditions.updates)
+    check_changes(changes, runs, conditions.updates)
     if told and any(run.settings.method == told.settings.method for run in runs):
         raise RunError(
             "an oracle is among the runs, and --oracle names one as well: give one of the two."
         )
     with closing(ground_of(settings, conditions)) as ground:
         check_world([*runs, *([told] if told else [])], ground)
-        changes = Changes(test_time, twice, paces)
         entries = _entries(runs, ground, place.engine, changes, say)
         entries += scratch_entries(scratch, ground)
         if not entries:

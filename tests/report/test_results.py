@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scripts import ROOT, load_script
+from small_runs import create, tiny_maesn
+
+from maesn.runs.contest import Conditions
 
 RESULTS = ROOT / "results"
 TABULATED = sorted(path.parent for path in RESULTS.rglob("tables.md"))
@@ -38,3 +41,23 @@ def test_a_default_configuration_stays_unless_another_is_better_beyond_chance() 
     assert tuning.chosen({"default": default, "other": hardly}) == "default"
     assert tuning.chosen({"default": default, "other": clearly}) == "other"
     assert tuning.chosen({"default": default, "other": default - 1}) == "default"
+
+
+@pytest.mark.usefixtures("quick_compiler")
+def test_every_configuration_has_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    create(tmp_path / "runs" / "maesn", tiny_maesn())
+    tuning = load_script("results/tuning.py")
+    small = Conditions(tasks="validation", num_tasks=3, updates=4, episodes_per_task=2)
+    monkeypatch.setattr(tuning, "TRAINED_CONDITIONS", small)
+    asked = [str(tmp_path / "runs"), "--out", str(tmp_path / "out"), "--only", "maesn"]
+    monkeypatch.setattr(sys, "argv", ["tuning.py", *asked])
+    tuning.main()
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| `maesn` ")]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [name.strip("*") for _, name, *_ in cells] == list(tuning.PACES)
+    assert sum(name.startswith("**") for _, name, *_ in cells) == 1
+    assert {(tasks, updates) for _, _, tasks, updates, *_ in cells} == {("3", "4")}
+    # Only the first two of the four steps have the same size in two of them.
+    assert len({returned for *_, returned, _ in cells}) == 3

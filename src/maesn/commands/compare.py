@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from maesn.admission import Changes
 from maesn.commands.options import parse
 from maesn.comparison import ANYWHERE, NOBODY, USUAL, Place, compare
 from maesn.curiosity import Curiosity
@@ -55,7 +56,6 @@ def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "compare", arguments)
     enable_compilation_cache()
-    test_time, paces = _changes(options)
     print_summary(
         compare(
             options.runs,
@@ -64,16 +64,14 @@ def main(arguments: list[str]) -> None:
             place=options.place,
             conditions=options.conditions,
             oracle=options.oracle,
-            test_time=test_time,
-            twice=options.twice,
-            paces=paces,
+            changes=_changes(options),
             say=print,
         )
     )
 
 
-def _changes(options: Options) -> tuple[AtTestTime, dict[str, AtTestTime]]:
-    """Return what is changed for the second lines of all runs, and the steps of single methods."""
+def _changes(options: Options) -> Changes:
+    """Return what is changed about whom in the new tasks."""
     scales, steps = options.step_scales, options.full_steps
     try:
         test_time = AtTestTime(
@@ -89,4 +87,4 @@ def _changes(options: Options) -> tuple[AtTestTime, dict[str, AtTestTime]]:
         }
     except ValueError as error:
         raise RunError(str(error)) from error
-    return test_time, paces
+    return Changes(test_time, options.twice, paces)
