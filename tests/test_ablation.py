@@ -1,14 +1,16 @@
 """The ablation: what its lines differ in, and the chain from training to the figure."""
 
+import shutil
 from pathlib import Path
 
 import pytest
-from small_runs import tensors
+from small_runs import create, tensors
 
 from maesn import api, cli
 from maesn.ablation import Ablation
 from maesn.experiments import ABLATION, ablation_radii
-from maesn.learners import AbstractMetaLearner, maesn, maesn_theta, maml, method_name
+from maesn.learners import AbstractMetaLearner, maesn, maesn_theta, maml, method_name, oracle
+from maesn.policies import GaussianMLP
 from maesn.report.style import series_styles
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
@@ -146,6 +148,54 @@ def test_seeds_that_would_join_must_have_been_trained_alike(
     assert "maesn-seed-1` was begun with other settings of its learner" in error
     # It is said before anything is trained.
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["maesn-seed-1"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--radii 0.8 0", "`sparse_radius` must be positive"),
+        ("--tasks unheard-of", "unheard-of"),
+        ("--oracle {oracle}", "must be a run on point to be compared there, got one on"),
+    ],
+)
+def test_what_could_not_be_compared_is_refused_before_anything_is_trained(
+    options: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = create(tmp_path / "oracle", oracle(policy=GaussianMLP((4,))), family="wheeled")
+    command = [*OPTIONS, "--out", str(tmp_path), *options.format(oracle=told.directory).split()]
+    assert cli.run(command) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_copies_of_a_run_do_not_join_and_other_names_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maml_bias_only"]
+    assert cli.run(short) == 0
+    run = tmp_path / "runs" / "maml_bias_only-seed-0"
+    shutil.copytree(run, run.with_name(f"{run.name}-old"))
+    assert cli.run(short) == 0
+    table = (tmp_path / "radius-1" / "table.csv").read_text()
+    assert len(table.splitlines()) == 1 + 3 * 2 + 2 * 3
+    shutil.copytree(run, run.with_name("maml_bias_only-seed-1"))
+    assert cli.run(short) == cli.USAGE_ERROR
+    assert "must be named by its seed, which is 0" in capsys.readouterr().err
+
+
+def test_unfinished_runs_of_other_seeds_are_left_out_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [*OPTIONS, "--out", str(tmp_path), "--only", "maml_bias_only", "--radii", "1"]
+    run = tmp_path / "runs" / "maml_bias_only-seed-1"
+    assert cli.run([*command, "--seed", "1"]) == 0
+    Run.open(run).checkpoints()[-1].unlink()
+    capsys.readouterr()
+    assert cli.run(command) == 0
+    said = f"{run} is left out: it is at meta-iteration 0 of 2"
+    assert said in capsys.readouterr().out.replace("\n", " ")
+    table = (tmp_path / "radius-1" / "table.csv").read_text()
+    assert len(table.splitlines()) == 1 + 3 * 2 + 2 * 3
 
 
 def test_a_run_that_was_trained_for_longer_is_refused(

@@ -15,8 +15,9 @@ from maesn import api, cli, entries, evaluate
 from maesn.admission import Changes
 from maesn.comparison import Place, compare, ground_of, silent
 from maesn.entries import Scratch
-from maesn.learners import oracle
-from maesn.policies import GaussianMLP
+from maesn.learners import ProximalStep, RecurrentValue, oracle, rl2
+from maesn.numerics import MinibatchDescent
+from maesn.policies import GaussianMLP, Recurrent
 from maesn.policies.usual import USUAL
 from maesn.report.adaptation_table import read_adaptation
 from maesn.report.style import METHOD_STYLES
@@ -228,6 +229,31 @@ def test_runs_can_take_part_a_second_time_curious(runs: dict[str, Path], tmp_pat
     assert "| MAESN (curious) |" in (tmp_path / "summary.md").read_text()
 
 
+def test_memory_and_curiosity_go_through_the_same_evaluator(
+    runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An update of RL2 is an episode; it goes on beyond its trials, and is not fine-tuned."""
+    learner = rl2(
+        policy=Recurrent(hidden_size=3),
+        policy_step=ProximalStep(descent=MinibatchDescent(epochs=1, minibatches=1)),
+        value=RecurrentValue((), 3, (), MinibatchDescent(epochs=1, minibatches=1)),
+        meta_batch_size=2,
+    )
+    remembers = create(tmp_path / "rl2", learner).directory
+    options = "--scratch vime:1 --num-tasks 2 --updates 3 --episodes-per-task 3 --fine-tune trpo"
+    command = ["compare", str(runs["maesn"]), str(remembers), *options.split(), "--after", "1"]
+    assert cli.run([*command, "--out", str(tmp_path / "out")]) == 0
+    last = {(row["method"], row["task"]): row for row in table(tmp_path / "out")}
+    steps = {who: int(row["steps"]) for who, row in last.items()}
+    assert steps["rl2", "0"] == steps["rl2", "1"] == 3 * 40
+    assert steps["vime", "0"] == steps["maesn-1-then-trpo", "1"] == 3 * 3 * 40
+    assert ("vime", "1") not in last
+    assert not any(method.startswith("rl2-") for method, _ in last)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "RL² takes part as it is: `rl2` cannot be adapted like this" in shown
+    assert "RL² was trained for trials of 2 episodes, and is beyond" in shown
+
+
 PACED = Changes(paces={"maesn": AtTestTime(step_scale=2.0, full_steps=3)})
 
 
@@ -282,6 +308,10 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
             "{1} --fine-tune trpo --twice maml --out {0}",
             "(--twice) must be methods of the runs, maesn; got maml",
         ),
+        (
+            "--family point --scratch trpo --fine-tune trpo --updates 11 --out {0}",
+            "(--fine-tune, --curious) needs some to take part",
+        ),
         ("{1} --twice maesn --out {0}", "say what with --fine-tune or --curious"),
         ("{1} --step-scales maesn 0 --out {0}", "`step_scale` must be positive, got 0"),
         ("{1} --full-steps maesn 0 --out {0}", "`full_steps` must be at least 1, got 0"),
@@ -295,8 +325,11 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
         ("{1} --fine-tune trpo --updates 10 --out {0}", "must be more than `after`, got 10 and 10"),
         ("{1} --seed 4294967296 --out {0}", "`seed` must lie between 0 and 2^32 - 1"),
-        ("{1} --scratch-seeds 0 0 --out {0}", "`seeds` must be different numbers"),
-        ("{1} --scratch-seeds -1 --out {0}", "`seeds` must lie between 0 and 2^32 - 1"),
+        (
+            "{1} --scratch-seeds 0 0 --out {0}",
+            "`seeds` (--scratch-seeds) must be different numbers",
+        ),
+        ("{1} --scratch-seeds -1 --out {0}", "must be different numbers between 0 and 2^32 - 1"),
         ("{1} --scratch reinforce vpg --out {0}", "must name each method once, got reinforce vpg"),
     ],
 )

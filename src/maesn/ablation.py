@@ -1,7 +1,7 @@
 """The paper's last figure: what each part of MAESN contributes, from training to the table."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -89,19 +89,16 @@ def ablate(
     """
     out = Path(out)
     told = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
-    for name in ablation.names:
-        for run in _runs(ablation, name, out / RUNS):
-            _check_same(run, ablation, name)
+    worlds = {radius: _world(ablation, radius) for radius in radii or ablation.radii}
+    _check(ablation, out / RUNS, worlds.values(), conditions, told)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
     done: dict[float | None, Comparison] = {}
-    for radius in radii or ablation.radii:
+    for radius, settings in worlds.items():
         say(f"adaptation on sparse reward, {radius_label(radius)}")
-        settings = dataclasses.replace(ablation.settings, sparse_radius=radius)
         with closing(ground_of(settings, conditions)) as ground:
-            check_world([told] if told else [], ground)
-            entries = _entries(ablation, out / RUNS, ground)
+            entries = _entries(ablation, out / RUNS, ground, say)
             place = out / ("own-radius" if radius is None else f"radius-{radius:g}")
             done[radius] = compare_entries(entries, ground, place, oracle=told, say=say)
     return done
@@ -110,6 +107,30 @@ def ablate(
 def radius_label(radius: float | None) -> str:
     """Return how a sparse radius is called in messages."""
     return "the family's own radius" if radius is None else f"radius {radius:g} m"
+
+
+def _world(ablation: Ablation, radius: float | None) -> RunSettings:
+    """Return the settings of the new tasks at a radius."""
+    try:
+        return dataclasses.replace(ablation.settings, sparse_radius=radius)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def _check(
+    ablation: Ablation,
+    directory: Path,
+    worlds: Iterable[RunSettings],
+    conditions: Conditions,
+    told: Run | None,
+) -> None:
+    """Refuse, before hours of training, what could not be compared after them."""
+    for settings in worlds:
+        with closing(ground_of(settings, conditions)) as ground:
+            check_world([told] if told else [], ground)
+    for name in ablation.names:
+        for run in _runs(ablation, name, directory):
+            _check_same(run, ablation, name)
 
 
 def _train(ablation: Ablation, name: str, directory: Path) -> None:
@@ -133,16 +154,30 @@ def _learner(ablation: Ablation, name: str) -> AbstractMetaLearner[Any, Any]:
 
 
 def _runs(ablation: Ablation, name: str, directory: Path) -> list[Run]:
-    """Return the runs of one line that there are, one per seed, in the order of the seeds."""
+    """Return the runs of one line that there are, one per seed, in the order of the seeds.
+
+    Directories of other names, such as copies of a run, have no part in it.
+    """
     paths = directory.glob(f"{name}-seed-*/{CONFIG}")
-    runs = [Run.open(path.parent, ablation.settings.own_family) for path in paths]
+    directories = [path.parent for path in paths if _seed_of(path.parent).isdecimal()]
+    runs = [Run.open(path, ablation.settings.own_family) for path in directories]
     return sorted(runs, key=lambda run: run.settings.seed)
+
+
+def _seed_of(path: Path) -> str:
+    """Return what the name of a run's directory says of its seed."""
+    return path.name.rpartition("-seed-")[2]
 
 
 def _check_same(run: Run, ablation: Ablation, name: str) -> None:
     """Refuse a run that is not what its line trains with the run's seed."""
     wanted = dataclasses.replace(ablation.settings, seed=run.settings.seed)
     remedy = "give the same again, move the run away, or give another --out."
+    if _seed_of(run.directory) != str(run.settings.seed):
+        raise RunError(
+            f"`{run.directory}` must be named by its seed, which is {run.settings.seed}: give it "
+            "its name back, or move it away."
+        )
     free = ("method", "num_threads", "checkpoint_every")
     for field in dataclasses.fields(RunSettings):
         found, asked = (getattr(one, field.name) for one in (run.settings, wanted))
@@ -164,18 +199,24 @@ def _check_same(run: Run, ablation: Ablation, name: str) -> None:
         )
 
 
-def _entries(ablation: Ablation, directory: Path, ground: Ground) -> list[Entry]:
+def _entries(ablation: Ablation, directory: Path, ground: Ground, say: Say) -> list[Entry]:
     styles = _styles(ablation.names)
     return [
-        entry_of_runs(name, styles[name], _finished(ablation, name, directory), ground)
+        entry_of_runs(name, styles[name], _finished(ablation, name, directory, say), ground)
         for name in ablation.names
     ]
 
 
-def _finished(ablation: Ablation, name: str, directory: Path) -> list[Run]:
+def _finished(ablation: Ablation, name: str, directory: Path, say: Say) -> list[Run]:
     """Return the runs of one line that are finished."""
-    runs = _runs(ablation, name, directory)
-    return [run for run in runs if run.latest().iteration >= ablation.settings.iterations]
+    finished, wanted = [], ablation.settings.iterations
+    for run in _runs(ablation, name, directory):
+        done = run.latest().iteration
+        if done < wanted:
+            say(f"{run.directory} is left out: it is at meta-iteration {done} of {wanted}")
+        else:
+            finished.append(run)
+    return finished
 
 
 def _styles(names: Sequence[str]) -> dict[str, MethodStyle]:

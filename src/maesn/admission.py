@@ -24,7 +24,8 @@ class Changes(NamedTuple):
     twice: Sequence[str] = ()
     """Runs of which methods do; empty for all that can be changed."""
     paces: Mapping[str, AtTestTime] = AS_TRAINED
-    """Step sizes of all runs of a method, by its name; those that are not named keep their own."""
+    """Step sizes of all runs of a method, by its name, also where they take part a second time.
+    Methods that are not named keep their own."""
 
     def of(self, method: str) -> tuple[AtTestTime, AtTestTime | None]:
         """Return how a method takes part, and how a second time; None if it does not."""
@@ -85,10 +86,18 @@ def check_changes(changes: Changes, runs: Sequence[Run], updates: int) -> None:
 
     Raises:
         RunError: of a method that is named there are no runs; nothing is changed about runs that
-            shall take part twice; or it begins after the last update.
+            shall take part twice; a pace says more than step sizes; or what is changed would begin
+            after the last update.
     """
     _check_methods("twice", "--twice", changes.twice, runs)
     _check_methods("paces", "--step-scales, --full-steps", changes.paces, runs)
+    if changes.test_time.suffix and not runs:
+        raise RunError(
+            "what is changed about trained runs (--fine-tune, --curious) needs some to take part: "
+            "name their directories, or leave it out."
+        )
+    if any(pace.fine_tune or pace.curious for pace in changes.paces.values()):
+        raise RunError("`paces` must hold step sizes alone; the rest belongs in `test_time`.")
     if changes.twice and not changes.test_time.suffix:
         raise RunError(
             "`twice` (--twice) says which runs take part a second time, but nothing is changed "

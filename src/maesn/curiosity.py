@@ -78,7 +78,7 @@ class Curiosity(eqx.Module):
             if getattr(self, name) < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
         for name in ("prior_std", "likelihood_std", "learning_rate"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
         for name in ("updates", "weight"):
             if not 0 <= getattr(self, name) < math.inf:

@@ -65,13 +65,15 @@ class Scratch:
     def __post_init__(self) -> None:
         for name in ("step_size", "max_kl"):
             if not 0 < getattr(self, name) < math.inf:
-                raise RunError(f"`{name}` must be positive, got {getattr(self, name)}.")
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise RunError(f"`seeds` must be different numbers, at least one, got {self.seeds}.")
-        if not all(0 <= seed < 2**32 for seed in self.seeds):
-            raise RunError(f"`seeds` must lie between 0 and 2^32 - 1, got {self.seeds}.")
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        distinct = self.seeds and len(set(self.seeds)) == len(self.seeds)
+        if not (distinct and all(0 <= seed < 2**32 for seed in self.seeds)):
+            raise ValueError(
+                "`seeds` (--scratch-seeds) must be different numbers between 0 and 2^32 - 1, at "
+                f"least one, got {self.seeds}."
+            )
         if not 0 <= self.curiosity_weight < math.inf:
-            raise RunError(
+            raise ValueError(
                 f"`curiosity_weight` must be finite and at least 0, got {self.curiosity_weight}."
             )
 

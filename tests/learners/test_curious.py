@@ -16,12 +16,14 @@ from maesn.envs import chain, point
 from maesn.episodes import Episodes
 from maesn.evaluate import adapt
 from maesn.learners import (
+    IMPROVEMENTS,
     METHODS,
     PRESETS,
     SCRATCH,
     AbstractFastLearner,
     CuriousFastLearner,
     CuriousMetaLearner,
+    FineTuning,
     GradientFastLearner,
     maesn,
     method_name,
@@ -150,11 +152,50 @@ def test_who_does_not_learn_from_reward_is_paid_no_bonus() -> None:
 def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:
     learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
     fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5))
-    schedule = fast.paced(0.5, 4).learner.schedule
+    schedule = fast.inside(lambda one: one.paced(0.5, 4)).learner.schedule
     assert (schedule.scale, schedule.full_steps) == (0.5, 4)
-    assert fast.paced(0.5, None).learner.schedule.full_steps == fast.learner.schedule.full_steps
     with pytest.raises(ValueError, match="`Listener` follows no schedule"):
-        CuriousFastLearner(Listener(), SMALL, observation_size=2, action_size=1).paced(0.5, None)
+        CuriousFastLearner(Listener(), SMALL, 2, 1).inside(lambda one: one.paced(0.5, None))
+
+
+def test_who_is_fine_tuned_is_still_paid_for_what_it_finds_out(collect: Collector) -> None:
+    """Where the task pays every step the same, weights move by the bonus alone."""
+    learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5))
+    curious = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    assert curious.learner.learner is fast.learner
+
+    def moves(tuned: AbstractFastLearner) -> bool:
+        state = tuned.init(keys(TASKS))
+        start = tuned.agents(state)
+        played = replace(collect(keys(TASKS), start, jnp.arange(TASKS)), observed_reward=None)
+        unpaid = replace(played, reward=jnp.zeros_like(played.reward))
+        after = tuned.agents(tuned.update(state, unpaid))
+        leaves = map(jax.tree.leaves, (start.policy, after.policy))
+        return any((one != other).any() for one, other in zip(*leaves, strict=True))
+
+    assert moves(curious)
+    assert not moves(curious.learner)
+
+
+@pytest.mark.parametrize("preset", ["latent_space", "maesn"])
+def test_returns_are_reported_as_those_of_the_learner_itself(
+    preset: str, collect: Collector
+) -> None:
+    """Without inner updates all batches are of the same agents: before and after are one."""
+    alone = METHODS[preset](policy=GaussianMLP((4,)), meta_batch_size=2)
+    curious = CuriousMetaLearner(alone, replace(SMALL, weight=5.0))
+    state = curious.init(jax.random.key(0), 2, 2, 5)
+    key = jax.random.key(3)
+    _, told = curious.step(key, state, collect)
+    _, info = alone.step(jax.random.split(key, 3)[0], state.learner, collect)
+    assert float(told["return_before"]) == pytest.approx(float(info.return_before), rel=1e-6)
+    if preset == "latent_space":
+        assert float(told["return_after"]) == pytest.approx(float(info.return_after), rel=1e-6)
+        assert float(told["return_before"]) == float(told["return_after"])
+    else:
+        # The bonus has led to other agents.
+        assert float(told["return_after"]) != pytest.approx(float(info.return_after), rel=1e-6)
 
 
 def test_curious_methods_have_names() -> None:

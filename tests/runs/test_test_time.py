@@ -10,7 +10,15 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
 from maesn.curiosity import Curiosity
-from maesn.learners import METHODS, CuriousMetaLearner, TrustRegionRule
+from maesn.envs import point
+from maesn.learners import (
+    METHODS,
+    CuriousFastLearner,
+    CuriousMetaLearner,
+    FineTuning,
+    GradientFastLearner,
+    TrustRegionRule,
+)
 from maesn.policies import GaussianMLP
 from maesn.runs.adaptation_record import written_out
 from maesn.runs.run import Run
@@ -110,6 +118,15 @@ def test_the_record_of_curves_says_by_which_rule(trained: Path, few: str) -> Non
     for settings in (TrustRegionRule(), Curiosity()):
         for name, value in vars(settings).items():
             assert f"{name}={written_out(value)}" in learner
+
+
+def test_who_is_curious_and_fine_tuned_is_so_at_the_same_time(trained: Path) -> None:
+    run, env = Run.open(trained), point.make_env()
+    fast = run.learner.fast_learner(run.latest().state)
+    both = AtTestTime(fine_tune="trpo", after=1, curious=True).add_to(fast, run, env)
+    assert isinstance(both, CuriousFastLearner)
+    assert isinstance(both.learner, FineTuning)
+    assert isinstance(both.learner.learner, GradientFastLearner)
 
 
 def test_other_curiosity_has_a_table_of_its_own(trained: Path, few: str) -> None:

@@ -6,6 +6,7 @@ take and return.
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
@@ -88,6 +89,15 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
             ValueError: this learner takes no steps of that kind, or a number is out of range.
         """
         raise ValueError(f"`{type(self).__name__}` follows no schedule of step sizes.")
+
+    def inside(
+        self, change: Callable[["AbstractFastLearner[Any]"], "AbstractFastLearner[Any]"]
+    ) -> "AbstractFastLearner[Any]":
+        """Return what `change` makes of this learner.
+
+        One that hands episodes on to another learner stays, and what it hands them to is changed.
+        """
+        return change(self)
 
     def resume(self, context: AbstractContextValue, update: int = 0) -> FastState:
         """Return the state of an earlier adaptation of which the contexts were kept.

@@ -1,6 +1,7 @@
 """Curiosity for any learner: it is handed the episodes with a bonus added to their rewards."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -78,9 +79,11 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     def has_memory(self) -> bool:
         return self.learner.has_memory
 
-    def paced(self, step_scale: float, full_steps: int | None) -> "CuriousFastLearner":
-        """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
-        return dataclasses.replace(self, learner=self.learner.paced(step_scale, full_steps))
+    def inside(
+        self, change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]
+    ) -> "CuriousFastLearner":
+        """See `AbstractFastLearner.inside`; what is changed is paid as before."""
+        return dataclasses.replace(self, learner=self.learner.inside(change))
 
     def update(self, state: CuriousFastState, episodes: Episodes) -> CuriousFastState:
         """Learn from reward and bonus, then let the models learn from what was seen."""
@@ -189,7 +192,8 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
 
         Returns:
             The new state, and what the learner says of its step with `curiosity` beside it. The
-            returns are those of the first and the last collection, without bonus.
+            returns are those of the first and the last agents, or episodes of a trial, without
+            bonus.
         """
         learner_key, pay_key, learn_key = jax.random.split(key, 3)
         paying = _PayingCollect(self.curiosity, pay_key, state.curiosity, collect)
@@ -207,12 +211,18 @@ class _PayingCollect:
         self, curiosity: Curiosity, key: Key, state: CuriosityState, collect: Collect
     ) -> None:
         self.state = state
-        self.returns: list[Float[Array, ""]] = []
-        """Mean return of each collection, without bonus."""
         self.bonus: Float[Array, ""] = jnp.zeros(())
         self._curiosity = curiosity
         self._key = key
         self._collect = collect
+        self._agents: Agents | None = None
+        self._batches: list[list[Float[Array, ""]]] = []
+        """Mean return of every batch, by who played it."""
+
+    @property
+    def returns(self) -> list[Float[Array, ""]]:
+        """Mean return, without bonus, of each episode of a trial, or of all batches of an agent."""
+        return [jnp.stack(batches).mean() for batches in self._batches]
 
     @property
     def num_tasks(self) -> int:
@@ -226,9 +236,12 @@ class _PayingCollect:
         carry: TrialMemory | None = None,
     ) -> Episodes:
         episodes = self._collect(keys, agents, task_index, carry)
-        key = jax.random.fold_in(self._key, len(self.returns))
+        key = jax.random.fold_in(self._key, sum(map(len, self._batches)))
         self.state, bonus = _pay(self._curiosity, key, self.state, episodes)
-        self.returns.append(episodes.undiscounted_return.mean())
+        if agents is not self._agents or carry is not None:
+            self._batches.append([])
+        self._agents = agents
+        self._batches[-1].append(episodes.undiscounted_return.mean())
         self.bonus = bonus.sum(-1).mean()
         return _with_bonus(episodes, bonus)
 

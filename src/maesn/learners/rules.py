@@ -1,5 +1,6 @@
 """How a policy's weights follow their own experience in one task: REINFORCE's step, and TRPO's."""
 
+import math
 from abc import abstractmethod
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias
@@ -60,7 +61,7 @@ class GradientRule(AbstractWeightRule):
 
     def __check_init__(self) -> None:
         check_choice("scaling", self.scaling, Scaling)
-        if not self.step_size > 0:
+        if not 0 < self.step_size < math.inf:
             raise ValueError(f"`step_size` must be positive, got {self.step_size}.")
 
     def sized(self, size: float) -> "GradientRule":

@@ -35,7 +35,7 @@ class AtTestTime:
     after: int = 10
     """Updates of the learner before its policy is fine-tuned."""
     curious: bool = False
-    """Whether the learner is paid for what it finds out as well."""
+    """Whether the learner is paid for what it finds out as well, also when it is fine-tuned."""
     curiosity: Curiosity = dataclasses.field(default_factory=Curiosity)
     """What a curious learner is paid."""
     step_scale: float = 1.0
@@ -142,12 +142,12 @@ class AtTestTime:
 
     def _changed(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         if self.step_scale != 1 or self.full_steps is not None:
-            learner = learner.paced(self.step_scale, self.full_steps)
+            learner = learner.inside(lambda one: one.paced(self.step_scale, self.full_steps))
+        if self.fine_tune is not None:
+            learner = learner.inside(lambda one: FineTuning(one, self._improvement, self.after))
         if self.curious:
             sizes = env.observation_size, env.action_size
             learner = CuriousFastLearner(learner, self.curiosity, *sizes)
-        if self.fine_tune is not None:
-            learner = FineTuning(learner, self._improvement, self.after)
         return learner
 
 
