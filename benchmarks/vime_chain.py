@@ -13,21 +13,16 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Array, Float
+from random_bonus import curiosities
 
-from maesn.axes import Key
 from maesn.curiosity import Curiosity
 from maesn.envs import chain
 from maesn.evaluate import AdaptationCurves, adapt
 from maesn.learners import SCRATCH, AbstractFastLearner
-from maesn.networks import BayesianNetwork
 from maesn.policies import GaussianMLP
 from maesn.rollout import Collector
-from maesn.transitions import Scale, Transitions
 from maesn.worlds import make_world
 
 METHODS = ("trpo", "reinforce", "random_bonus", "vime")
@@ -54,22 +49,9 @@ class Settings:
     """Directory for the table; None: it is printed alone."""
 
 
-class RandomBonus(Curiosity):
-    """Pays random numbers, exponentially distributed, by the same rule as information gains."""
-
-    def information_gains(
-        self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
-    ) -> Float[Array, " transition"]:
-        """Return random numbers; 0 where invalid."""
-        return jnp.where(seen.valid, jax.random.exponential(key, seen.valid.shape), 0.0)
-
-
 def learner(name: str, settings: Settings) -> AbstractFastLearner:
     """Return a method for the chain's one observation and one action."""
-    bonuses = {
-        "vime": Curiosity(weight=settings.bonus),
-        "random_bonus": RandomBonus(weight=settings.bonus, updates=0),
-    }
+    bonuses = curiosities(settings.bonus)
     paid = {"curiosity": bonuses[name]} if name in bonuses else {}
     method = "vime" if paid else name
     return SCRATCH[method](1, 1, policy=GaussianMLP(hidden_sizes=(32,)), **paid)

@@ -1,6 +1,9 @@
 """Benchmarks: they run, and the engine alone does just what a collection asks of it."""
 
+import csv
+import gzip
 import re
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -145,8 +148,9 @@ def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
 
 
 def test_the_chain_is_played_by_every_method_and_tabulated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     chain = load_script("benchmarks/vime_chain.py")
     settings = chain.Settings(seeds=1, tasks=2, updates=1, episodes_per_task=2, out=tmp_path)
     chain.main(settings)
@@ -160,3 +164,25 @@ def test_the_chain_is_played_by_every_method_and_tabulated(
         )
     rows = (tmp_path / "table.csv").read_text().splitlines()
     assert [row.split(",")[:3] for row in rows[1:]] == [[name, "0", "2"] for name in chain.METHODS]
+
+
+def test_random_bonuses_are_the_control_of_curiosity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    control = load_script("benchmarks/bonus_control.py")
+    options = {"num_tasks": 2, "updates": 2, "episodes_per_task": 3, "weight": 1.0}
+    control.main(control.Settings(family="point", **options, out=tmp_path))
+    assert re.findall(r"^(\w+) +after 2 updates", capsys.readouterr().out, re.M) == [
+        "random_bonus",
+        "vime",
+    ]
+    returns = {}
+    for name in ("random_bonus", "vime"):
+        with gzip.open(tmp_path / f"{name}.csv.gz", "rt", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [(row["task"], row["update"]) for row in rows] == [*product("01", "012")]
+        returns[name] = [float(row["mean_return"]) for row in rows]
+    # Both play the same until the first update; then one is paid for other steps.
+    same = np.equal(returns["random_bonus"], returns["vime"])
+    assert same.tolist() == [True, False, False] * 2
