@@ -214,7 +214,7 @@ def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> N
     assert line(returns, "floor")[:, 1].tolist() == [-400.0, -400.0]
     assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
     assert success.get_xscale() == "linear"
-    assert set(legend(figure)) == {"MAESN", "TRPO", "floor", "oracle"}
+    assert set(legend(figure)) == {"MAESN", "TRPO (first 5 tasks)", "floor", "oracle"}
     check_saved_whole(figure, tmp_path)
 
 

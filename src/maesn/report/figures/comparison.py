@@ -1,5 +1,7 @@
 """All methods' adaptation curves over the same tasks, against environment steps."""
 
+from dataclasses import replace
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -24,7 +26,8 @@ def plot_comparison(comparison: Comparison) -> Figure:
     """Draw return and success over the steps that were learned from in the new task.
 
     Floor and oracle are horizontal lines. What a method with memory does beyond the length of the
-    trials that it was trained on is faint.
+    trials that it was trained on is faint. A method that was adapted to the first tasks alone says
+    so in the legend.
 
     Args:
         comparison: what to draw.
@@ -46,12 +49,18 @@ def plot_comparison(comparison: Comparison) -> Figure:
 def _draw_line(axes: Axes, comparison: Comparison, line: Line, measure: str) -> str:
     """Draw one method and return what its band resamples."""
     intervals, steps = mean_intervals(line.measure(measure)), comparison.steps(line).astype(float)
-    return draw_intervals(axes, steps, intervals, line.style, len(line.seeds), line.first_beyond)
+    style = line.style
+    if line.num_tasks < _most_tasks(comparison):
+        style = replace(style, label=f"{line.label} (first {line.num_tasks} tasks)")
+    return draw_intervals(axes, steps, intervals, style, len(line.seeds), line.first_beyond)
+
+
+def _most_tasks(comparison: Comparison) -> int:
+    return max(line.num_tasks for line in comparison.lines)
 
 
 def _draw_bounds(axes: Axes, comparison: Comparison) -> None:
-    most = max(line.num_tasks for line in comparison.lines)
-    floor, oracle = comparison.bounds(most)
+    floor, oracle = comparison.bounds(_most_tasks(comparison))
     for height, name in ((floor, "floor"), (oracle, "oracle")):
         if height is not None:
             style = "-" if name == "oracle" else (0, (1.0, 1.5))
