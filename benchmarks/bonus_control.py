@@ -10,8 +10,10 @@ otherwise, random bonuses move the policy in random directions, which is a searc
 import csv
 import gzip
 import math
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -32,10 +34,10 @@ class Settings:
 
     family: str = "blockpush"
     """Family of tasks."""
-    methods: tuple[str, ...] = ("random_bonus", "vime")
+    methods: tuple[Literal["random_bonus", "vime"], ...] = ("random_bonus", "vime")
     """Which of the two."""
     num_tasks: int = 30
-    """The first so many test tasks."""
+    """The first so many test tasks, at least 2."""
     updates: int = 100
     """Updates per task."""
     episodes_per_task: int = 20
@@ -52,21 +54,21 @@ def curves(method: str, settings: Settings) -> list[dict[str, object]]:
     """Return the rows of one method, a row per task and update."""
     family = find_family(settings.family)
     env, tasks = family.make_env(reward_kind="sparse"), family.task_set("test")
-    collect = Collector(make_world(env, tasks), settings.episodes_per_task)
     learner = vime(
         env.observation_size,
         env.action_size,
         policy=GaussianMLP(),
         curiosity=curiosities(settings.weight)[method],
     )
-    outcome = adapt(
-        learner,
-        collect,
-        updates=settings.updates,
-        episodes_per_task=settings.episodes_per_task,
-        seed=settings.seed,
-        tasks=range(settings.num_tasks),
-    )
+    with closing(make_world(env, tasks)) as world:
+        outcome = adapt(
+            learner,
+            Collector(world, settings.episodes_per_task),
+            updates=settings.updates,
+            episodes_per_task=settings.episodes_per_task,
+            seed=settings.seed,
+            tasks=range(settings.num_tasks),
+        )
     return [{"method": method, **row} for row in as_rows(outcome)]
 
 

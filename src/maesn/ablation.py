@@ -1,7 +1,8 @@
 """The paper's last figure: what each part of MAESN contributes, from training to the table."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,8 @@ def ablate(
         One comparison per radius; None stands for the family's own.
 
     Raises:
-        RunError: a run in `out` is another one than is asked for, or the oracle is none.
+        RunError: a run in `out` is another one than is asked for; there are no such tasks, or no
+            world with such a radius; the oracle is none, or one of another family.
     """
     out = Path(out)
     told = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
@@ -94,11 +96,12 @@ def ablate(
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
+    runs = {name: _finished(ablation, name, out / RUNS, say) for name in ablation.names}
     done: dict[float | None, Comparison] = {}
     for radius, settings in worlds.items():
         say(f"adaptation on sparse reward, {radius_label(radius)}")
         with closing(ground_of(settings, conditions)) as ground:
-            entries = _entries(ablation, out / RUNS, ground, say)
+            entries = _entries(runs, ground)
             place = out / ("own-radius" if radius is None else f"radius-{radius:g}")
             done[radius] = compare_entries(entries, ground, place, oracle=told, say=say)
     return done
@@ -114,7 +117,7 @@ def _world(ablation: Ablation, radius: float | None) -> RunSettings:
     try:
         return dataclasses.replace(ablation.settings, sparse_radius=radius)
     except ValueError as error:
-        raise RunError(str(error)) from error
+        raise RunError(f"`radii`: {error}") from error
 
 
 def _check(
@@ -136,7 +139,7 @@ def _check(
 def _train(ablation: Ablation, name: str, directory: Path) -> None:
     """Begin or go on with the run of one line, unless it is finished."""
     settings = ablation.settings
-    path = directory / f"{name}-seed-{settings.seed}"
+    path = directory / _directory_name(name, settings.seed)
     if not (path / CONFIG).exists():
         api.train(_learner(ablation, name), settings, path)
         return
@@ -158,25 +161,28 @@ def _runs(ablation: Ablation, name: str, directory: Path) -> list[Run]:
 
     Directories of other names, such as copies of a run, have no part in it.
     """
-    paths = directory.glob(f"{name}-seed-*/{CONFIG}")
-    directories = [path.parent for path in paths if _seed_of(path.parent).isdecimal()]
-    runs = [Run.open(path, ablation.settings.own_family) for path in directories]
+    paths = [path.parent for path in directory.glob(f"{name}-seed-*/{CONFIG}")]
+    runs = [
+        Run.open(path, ablation.settings.own_family)
+        for path in paths
+        if re.fullmatch(_directory_name(re.escape(name), r"\d+"), path.name)
+    ]
     return sorted(runs, key=lambda run: run.settings.seed)
 
 
-def _seed_of(path: Path) -> str:
-    """Return what the name of a run's directory says of its seed."""
-    return path.name.rpartition("-seed-")[2]
+def _directory_name(name: str, seed: int | str) -> str:
+    return f"{name}-seed-{seed}"
 
 
 def _check_same(run: Run, ablation: Ablation, name: str) -> None:
     """Refuse a run that is not what its line trains with the run's seed."""
     wanted = dataclasses.replace(ablation.settings, seed=run.settings.seed)
     remedy = "give the same again, move the run away, or give another --out."
-    if _seed_of(run.directory) != str(run.settings.seed):
+    its_name = _directory_name(name, run.settings.seed)
+    if run.directory.name != its_name:
         raise RunError(
-            f"`{run.directory}` must be named by its seed, which is {run.settings.seed}: give it "
-            "its name back, or move it away."
+            f"`{run.directory}` must be called `{its_name}`, because its seed is "
+            f"{run.settings.seed}: give it its name back, or move it away."
         )
     free = ("method", "num_threads", "checkpoint_every")
     for field in dataclasses.fields(RunSettings):
@@ -199,12 +205,9 @@ def _check_same(run: Run, ablation: Ablation, name: str) -> None:
         )
 
 
-def _entries(ablation: Ablation, directory: Path, ground: Ground, say: Say) -> list[Entry]:
-    styles = _styles(ablation.names)
-    return [
-        entry_of_runs(name, styles[name], _finished(ablation, name, directory, say), ground)
-        for name in ablation.names
-    ]
+def _entries(runs: Mapping[str, Sequence[Run]], ground: Ground) -> list[Entry]:
+    styles = _styles(list(runs))
+    return [entry_of_runs(name, styles[name], found, ground) for name, found in runs.items()]
 
 
 def _finished(ablation: Ablation, name: str, directory: Path, say: Say) -> list[Run]:

@@ -77,7 +77,7 @@ def check_world(runs: Sequence[Run], ground: Ground) -> None:
 
 
 def check_changes(changes: Changes, runs: Sequence[Run], updates: int) -> None:
-    """Refuse changes that would never show.
+    """Refuse changes that would never show, or that are not what they are given as.
 
     Args:
         changes: of how the runs take part.
@@ -93,11 +93,15 @@ def check_changes(changes: Changes, runs: Sequence[Run], updates: int) -> None:
     _check_methods("paces", "--step-scales, --full-steps", changes.paces, runs)
     if changes.test_time.suffix and not runs:
         raise RunError(
-            "what is changed about trained runs (--fine-tune, --curious) needs some to take part: "
+            "`test_time` (--fine-tune, --curious) changes trained runs, of which none take part: "
             "name their directories, or leave it out."
         )
-    if any(pace.fine_tune or pace.curious for pace in changes.paces.values()):
-        raise RunError("`paces` must hold step sizes alone; the rest belongs in `test_time`.")
+    for method, pace in changes.paces.items():
+        if pace.fine_tune or pace.curious:
+            raise RunError(
+                f"`paces` must hold step sizes alone, but says more of {method}: {pace.label}. "
+                "Give that as `test_time`."
+            )
     if changes.twice and not changes.test_time.suffix:
         raise RunError(
             "`twice` (--twice) says which runs take part a second time, but nothing is changed "

@@ -79,7 +79,9 @@ class Curiosity(eqx.Module):
                 raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
         for name in ("prior_std", "likelihood_std", "learning_rate"):
             if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+                raise ValueError(
+                    f"`{name}` must be positive and finite, got {getattr(self, name)}."
+                )
         for name in ("updates", "weight"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(

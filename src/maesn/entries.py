@@ -65,7 +65,9 @@ class Scratch:
     def __post_init__(self) -> None:
         for name in ("step_size", "max_kl"):
             if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+                raise ValueError(
+                    f"`{name}` must be positive and finite, got {getattr(self, name)}."
+                )
         distinct = self.seeds and len(set(self.seeds)) == len(self.seeds)
         if not (distinct and all(0 <= seed < 2**32 for seed in self.seeds)):
             raise ValueError(

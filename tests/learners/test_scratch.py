@@ -190,7 +190,8 @@ def test_vpg_is_reinforce() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: GradientRule(step_size=0.0), "`step_size` must be positive, got 0.0"),
+        (lambda: GradientRule(step_size=float("inf")), "`step_size` must be positive and finite"),
+        (lambda: GradientRule(step_size=0.0), "`step_size` must be positive and finite, got 0.0"),
         (lambda: TrustRegionRule(curvature_stride=0), "`curvature_stride` must be at least 1"),
     ],
 )

@@ -98,8 +98,8 @@ def test_a_method_without_steps_has_no_other_step_sizes(
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ("--step-scale -1", "`step_scale` must be positive, got -1"),
-        ("--step-scale inf", "`step_scale` must be positive, got inf"),
+        ("--step-scale -1", "`step_scale` must be positive and finite, got -1"),
+        ("--step-scale inf", "`step_scale` must be positive and finite, got inf"),
         ("--full-steps 0", "`full_steps` must be at least 1, got 0"),
     ],
 )
@@ -166,7 +166,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         AtTestTime(fine_tune="trpo", after=-2)
     with pytest.raises(ValueError, match="`fine_tune_size` means nothing without `fine_tune`"):
         AtTestTime(fine_tune_size=0.1)
-    with pytest.raises(ValueError, match="`fine_tune_size` must be positive, got 0"):
+    with pytest.raises(ValueError, match="`fine_tune_size` must be positive and finite, got 0"):
         AtTestTime(fine_tune="trpo", fine_tune_size=0.0)
     settings = tiny_settings()
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), settings)

@@ -95,7 +95,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
     ) -> "AbstractFastLearner[Any]":
         """Return what `change` makes of this learner.
 
-        One that hands episodes on to another learner stays, and what it hands them to is changed.
+        Where a bonus is added to the episodes, that stays, and whoever is handed them is changed.
         """
         return change(self)
 

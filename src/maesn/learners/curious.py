@@ -79,6 +79,10 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     def has_memory(self) -> bool:
         return self.learner.has_memory
 
+    def paced(self, step_scale: float, full_steps: int | None) -> "CuriousFastLearner":
+        """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
+        return self.inside(lambda learner: learner.paced(step_scale, full_steps))
+
     def inside(
         self, change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]
     ) -> "CuriousFastLearner":

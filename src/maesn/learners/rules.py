@@ -62,7 +62,7 @@ class GradientRule(AbstractWeightRule):
     def __check_init__(self) -> None:
         check_choice("scaling", self.scaling, Scaling)
         if not 0 < self.step_size < math.inf:
-            raise ValueError(f"`step_size` must be positive, got {self.step_size}.")
+            raise ValueError(f"`step_size` must be positive and finite, got {self.step_size}.")
 
     def sized(self, size: float) -> "GradientRule":
         """Return the rule with another `step_size`."""

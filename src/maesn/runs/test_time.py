@@ -51,11 +51,13 @@ class AtTestTime:
             if self.fine_tune is None:
                 raise ValueError("`fine_tune_size` means nothing without `fine_tune`: give both.")
             if not 0 < self.fine_tune_size < math.inf:
-                raise ValueError(f"`fine_tune_size` must be positive, got {self.fine_tune_size}.")
+                raise ValueError(
+                    f"`fine_tune_size` must be positive and finite, got {self.fine_tune_size}."
+                )
         if self.after < 0:
             raise ValueError(f"`after` must be at least 0, got {self.after}.")
         if not 0 < self.step_scale < math.inf:
-            raise ValueError(f"`step_scale` must be positive, got {self.step_scale}.")
+            raise ValueError(f"`step_scale` must be positive and finite, got {self.step_scale}.")
         if self.full_steps is not None and self.full_steps < 1:
             raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
 
@@ -103,7 +105,7 @@ class AtTestTime:
         """What is added to a learner, written out in full for the record of its curves."""
         tuned = "" if self.fine_tune is None else f" {written_out(self._improvement)}"
         curious = f" {written_out(self.curiosity)}" if self.curious else ""
-        return self.suffix + curious + tuned
+        return self.suffix + tuned + curious
 
     @property
     def _improvement(self) -> PolicyImprovement:
@@ -142,7 +144,7 @@ class AtTestTime:
 
     def _changed(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         if self.step_scale != 1 or self.full_steps is not None:
-            learner = learner.inside(lambda one: one.paced(self.step_scale, self.full_steps))
+            learner = learner.paced(self.step_scale, self.full_steps)
         if self.fine_tune is not None:
             learner = learner.inside(lambda one: FineTuning(one, self._improvement, self.after))
         if self.curious:

@@ -51,7 +51,8 @@ def _draw_line(axes: Axes, comparison: Comparison, line: Line, measure: str) -> 
     intervals, steps = mean_intervals(line.measure(measure)), comparison.steps(line).astype(float)
     style = line.style
     if line.num_tasks < _most_tasks(comparison):
-        style = replace(style, label=f"{line.label} (first {line.num_tasks} tasks)")
+        first = "first task" if line.num_tasks == 1 else f"first {line.num_tasks} tasks"
+        style = replace(style, label=f"{line.label} ({first})")
     return draw_intervals(axes, steps, intervals, style, len(line.seeds), line.first_beyond)
 
 
