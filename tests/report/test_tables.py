@@ -13,7 +13,13 @@ from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 from maesn.report import print_adaptation_summary
 from maesn.report.adaptation_table import MEASURES
 from maesn.report.statistics import difference_interval, mean_interval
-from maesn.report.tables import IntervalTable, difference_table, summary_table, summary_tables
+from maesn.report.tables import (
+    UNITS,
+    IntervalTable,
+    difference_table,
+    summary_table,
+    summary_tables,
+)
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
@@ -126,3 +132,9 @@ def test_the_summary_of_a_file_is_printed(
     output = capsys.readouterr().out
     assert "Adaptation: test-sparse" in output
     assert f"{TABLES[0].mean_return[:, -1].mean():.1f}" in output
+
+
+def test_zero_has_no_minus() -> None:
+    assert UNITS["mean_return"].number(-0.04) == "0.0"
+    assert UNITS["mean_return"].number(-0.04, sign="+") == "+0.0"
+    assert UNITS["mean_return"].number(-0.06) == "-0.1"

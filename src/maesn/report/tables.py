@@ -25,8 +25,8 @@ class Unit(NamedTuple):
     digits: int = 1
 
     def number(self, value: float, sign: str = "") -> str:
-        """Return the number as text; `sign` as in format specifications."""
-        return format(self.scale * value, f"{sign}.{self.digits}f")
+        """Return the number as text, 0 without a minus; `sign` as in format specifications."""
+        return format(self.scale * value, f"{sign}z.{self.digits}f")
 
 
 _PERCENT = 100.0
