@@ -11,7 +11,6 @@ from maesn.agent import Agent
 from maesn.context import AbstractContext
 from maesn.episodes import Episodes
 from maesn.numerics import AbstractDistribution, masked_mean
-from maesn.policies import PolicyInput
 
 
 def inner_loss(
@@ -77,14 +76,9 @@ def action_distributions(
         episodes: one task's episodes.
         drawn: what the policy is fed in each episode.
     """
-
-    def unroll(
-        one: Episodes, inputs: PolicyInput, context: Float[Array, " context"]
-    ) -> AbstractDistribution:
-        carry = agent.policy.initial_carry() if one.start is None else one.start.hidden
-        return agent.policy.unroll(agent.perceive(inputs), one.valid, context, carry)[0]
-
-    return jax.vmap(unroll)(episodes, episodes.policy_inputs(), drawn)
+    told = agent.perceive(episodes.policy_inputs())
+    memory = None if episodes.start is None else episodes.start.hidden
+    return agent.policy.unroll(told, episodes.valid, drawn, memory)[0]
 
 
 def _actions(episodes: Episodes) -> Float[Array, "episode time action"]:

@@ -1,7 +1,8 @@
-"""Policies with memory: one stretch of an episode is the same as its steps."""
+"""Policies along episodes: the same as step by step, with memory and without."""
 
 import subprocess
 import sys
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from maesn.axes import Carry
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import (
+    AbstractPolicy,
     AbstractPolicySettings,
     CategoricalMLP,
     GaussianMLP,
@@ -18,7 +21,7 @@ from maesn.policies import (
     Recurrent,
 )
 
-OBSERVATION, ACTION, CONTEXT, STEPS = 3, 2, 2, 7
+OBSERVATION, ACTION, CONTEXT, EPISODES, STEPS = 3, 2, 2, 3, 7
 SETTINGS: dict[str, AbstractPolicySettings] = {
     "gaussian": GaussianMLP((4,)),
     "categorical": CategoricalMLP((4,)),
@@ -30,48 +33,56 @@ SETTINGS: dict[str, AbstractPolicySettings] = {
 def random_inputs() -> PolicyInput:
     stream = np.random.default_rng(0)
     return PolicyInput(
-        observation=jnp.asarray(stream.normal(size=(STEPS, OBSERVATION)), float),
-        previous_action=jnp.asarray(stream.normal(size=(STEPS, ACTION)), float),
-        previous_reward=jnp.asarray(stream.normal(size=STEPS), float),
-        episode_start=jnp.arange(STEPS) % 4 == 0,
+        observation=jnp.asarray(stream.normal(size=(EPISODES, STEPS, OBSERVATION)), float),
+        previous_action=jnp.asarray(stream.normal(size=(EPISODES, STEPS, ACTION)), float),
+        previous_reward=jnp.asarray(stream.normal(size=(EPISODES, STEPS)), float),
+        episode_start=jnp.asarray(stream.random((EPISODES, STEPS)) < 0.3),
     )
+
+
+def fresh_memory(policy: AbstractPolicy) -> Carry:
+    return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_carry())
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_unroll_is_step_by_step(name: str) -> None:
     policy = SETTINGS[name].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
-    inputs, context = random_inputs(), jnp.asarray([0.5, -1.0])
-    valid = jnp.asarray([True, True, False, True, True, True, False])
-    along, last = policy.unroll(inputs, valid, context, policy.initial_carry())
-    carry = policy.initial_carry()
-    for t in range(STEPS):
-        now = jax.tree.map(lambda x: x[t], inputs)  # noqa: B023
-        distribution, after = policy(now, context, carry)
-        carry = after if valid[t] else carry
-        if valid[t]:
-            here = jax.tree.map(lambda x: x[t], along)  # noqa: B023
-            jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-6),
+    stream = np.random.default_rng(1)
+    inputs, context = random_inputs(), jnp.asarray(stream.normal(size=(EPISODES, CONTEXT)), float)
+    valid = stream.random((EPISODES, STEPS)) < 0.7
+    along, last = policy.unroll(inputs, jnp.asarray(valid), context, fresh_memory(policy))
+    for episode in range(EPISODES):
+        carry = policy.initial_carry()
+        for t in np.flatnonzero(valid[episode]):
+            now, here = jax.tree.map(lambda x: x[episode, t], (inputs, along))  # noqa: B023
+            distribution, carry = policy(now, context[episode], carry)
+            jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6),
                          distribution, here)  # fmt: skip
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-5), carry, last)
+        kept = jax.tree.map(lambda x: x[episode], last)  # noqa: B023
+        jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), carry, kept)
 
 
 @pytest.mark.parametrize(
     "changed", ["observation", "previous_action", "previous_reward", "episode_start"]
 )
 def test_everything_that_is_told_is_remembered(changed: str) -> None:
-    """What happens at step 2 reaches all later steps and no earlier one."""
-    policy = SETTINGS["recurrent"].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
-    inputs, context = random_inputs(), jnp.zeros(CONTEXT)
+    """What happens at step 2 reaches all later steps of its episode, and no other."""
+    # Without rectified layers, which may be deaf to it.
+    policy = Recurrent(hidden_size=4).init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
+    inputs, context = random_inputs(), jnp.zeros((EPISODES, CONTEXT))
+    valid = jnp.ones((EPISODES, STEPS), bool)
 
     def means(told: PolicyInput) -> np.ndarray:
-        along, _ = policy.unroll(told, jnp.ones(STEPS, bool), context, policy.initial_carry())
+        along, _ = policy.unroll(told, valid, context, fresh_memory(policy))
         assert isinstance(along, DiagonalGaussian)
         return np.asarray(along.mean)
 
     value = getattr(inputs, changed)
-    other: Any = value.at[2].set(~value[2] if value.dtype == bool else value[2] + 1.0)
+    here = (1, 2)
+    other: Any = value.at[here].set(~value[here] if value.dtype == bool else value[here] + 1.0)
     differs = (means(inputs) != means(inputs._replace(**{changed: other}))).any(-1)
-    np.testing.assert_array_equal(differs, np.arange(STEPS) >= 2)
+    later = np.arange(STEPS) >= 2
+    np.testing.assert_array_equal(differs, (np.arange(EPISODES)[:, None] == 1) & later)
 
 
 def test_kinds_of_actions() -> None:
@@ -86,7 +97,7 @@ def test_kinds_of_actions() -> None:
         "recurrent, discrete": "discrete",
     }
     policy = SETTINGS["recurrent, discrete"].init(jax.random.key(0), OBSERVATION, ACTION, 0)
-    first = jax.tree.map(lambda x: x[0], random_inputs())
+    first = jax.tree.map(lambda x: x[0, 0], random_inputs())
     distribution, _ = policy(first, jnp.zeros(0), policy.initial_carry())
     assert isinstance(distribution, Categorical)
 

@@ -33,12 +33,11 @@ class Trials(eqx.Module):
 
         Memory starts afresh in every trial. Gradients run through the whole of it.
         """
-        context = jnp.zeros(0)
-
-        def unroll(inputs: PolicyInput, valid: Bool[Array, " time"]) -> AbstractDistribution:
-            return policy.unroll(inputs, valid, context, policy.initial_carry())[0]
-
-        return jax.vmap(unroll)(self.inputs, self.valid)
+        trials = self.valid.shape[0]
+        fresh = jax.tree.map(
+            lambda x: jnp.broadcast_to(x, (trials, *x.shape)), policy.initial_carry()
+        )
+        return policy.unroll(self.inputs, self.valid, jnp.zeros((trials, 0)), fresh)[0]
 
 
 def join_episodes(episodes: Sequence[Episodes]) -> Trials:

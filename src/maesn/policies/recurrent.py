@@ -46,13 +46,14 @@ class RecurrentPolicy(AbstractPolicy):
     def unroll(
         self,
         inputs: PolicyInput,
-        valid: Bool[Array, " time"],
-        context: Float[Array, " context"],
+        valid: Bool[Array, "episode time"],
+        context: Float[Array, "episode context"],
         carry: Carry,
     ) -> tuple[AbstractDistribution, Carry]:
-        features = jax.vmap(input_features, in_axes=(0, None))(inputs, context)
-        outputs, carry = self.network.unroll(features, valid, carry)
-        return jax.vmap(self.head)(outputs), carry
+        along_time = jax.vmap(input_features, in_axes=(0, None))
+        features = jax.vmap(along_time)(inputs, context)
+        outputs, carry = jax.vmap(self.network.unroll)(features, valid, carry)
+        return jax.vmap(jax.vmap(self.head))(outputs), carry
 
 
 class Recurrent(AbstractPolicySettings):
