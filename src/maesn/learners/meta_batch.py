@@ -1,5 +1,7 @@
 """The tasks of a meta-iteration, and where the random draws of a collection come from."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
@@ -25,6 +27,7 @@ def draw_tasks(key: Key, num_tasks: int, meta_batch_size: int) -> Int[Array, " t
     return jax.random.choice(key, num_tasks, (meta_batch_size,), replace=False)
 
 
+@partial(jax.jit, static_argnames=("phase", "num_slots"))
 def task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
     """Return one key per task slot, for one of the collections of a meta-iteration."""
     phase_key = jax.random.fold_in(key, phase)

@@ -22,6 +22,7 @@ from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent_fast import RecurrentFastLearner
 from maesn.learners.recurrent_value import RecurrentValue, ValueState
+from maesn.learners.side_by_side import side_by_side
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import masked_mean, standardize, trial_advantages
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
@@ -155,25 +156,47 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
             episodes.append(collect(keys, agents, index, memory))
         return self._improve(learn_key, state, tuple(episodes))
 
-    @eqx.filter_jit
     def _improve(
         self, key: Key, state: RecurrentState, episodes: tuple[Episodes, ...]
     ) -> tuple[RecurrentState, RecurrentInfo]:
         policy_key, value_key = jax.random.split(key)
-        trials = join_episodes(episodes)
-        expected = self.value.values(state.value, trials)
-        advantages = self.advantages(trials, expected)
-        policy, optimizer, told = self.policy_step(
-            policy_key,
-            state.policy,
-            state.optimizer,
-            trials,
-            standardize(advantages, trials.valid),
+        trials, expected, advantages = self._judge(state.value, episodes)
+        (policy, optimizer, told), (value, accepted) = side_by_side(
+            lambda: self._improve_policy(policy_key, state, trials, advantages),
+            lambda: self._fit_value(value_key, state.value, trials, advantages + expected),
         )
-        returns = advantages + expected
-        value, accepted = self.value.fit(value_key, state.value, trials, returns)
         info = _describe(episodes, trials, advantages, expected, accepted, told)
         return RecurrentState(policy, optimizer, value, state.iteration + 1), info
+
+    @eqx.filter_jit
+    def _judge(
+        self, value: ValueState, episodes: tuple[Episodes, ...]
+    ) -> tuple[Trials, Float[Array, "trial time"], Float[Array, "trial time"]]:
+        """Return the trials, V_t and advantages."""
+        trials = join_episodes(episodes)
+        expected = self.value.values(value, trials)
+        return trials, expected, self.advantages(trials, expected)
+
+    @eqx.filter_jit
+    def _improve_policy(
+        self,
+        key: Key,
+        state: RecurrentState,
+        trials: Trials,
+        advantages: Float[Array, "trial time"],
+    ) -> tuple[AbstractPolicy, Any, Any]:
+        standard = standardize(advantages, trials.valid)
+        return self.policy_step(key, state.policy, state.optimizer, trials, standard)
+
+    @eqx.filter_jit
+    def _fit_value(
+        self,
+        key: Key,
+        value: ValueState,
+        trials: Trials,
+        returns: Float[Array, "trial time"],
+    ) -> tuple[ValueState, Bool[Array, ""]]:
+        return self.value.fit(key, value, trials, returns)
 
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
@@ -189,6 +212,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentState, RecurrentInfo]):
         )
 
 
+@eqx.filter_jit
 def _describe(
     episodes: tuple[Episodes, ...],
     trials: Trials,

@@ -1,7 +1,9 @@
 """Compiled programs: where they are kept between processes, and what they cost."""
 
+import math
 import os
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +13,8 @@ import jax.monitoring
 # Moves the compilation cache; empty, 0 or off: no cache.
 CACHE_VARIABLE = "MAESN_CACHE"
 
-# All durations that JAX reports of a compilation begin like this. They do not overlap.
+# All durations that JAX reports of a compilation begin like this. Those of one thread do not
+# overlap.
 _COMPILE_EVENTS = "/jax/core/compile/"
 
 
@@ -54,15 +57,14 @@ def enable_compilation_cache() -> Path | None:
     return directory
 
 
-class _Spent:
-    """What all compilations of this process have taken so far."""
-
-    seconds = 0.0
+# When this process has compiled so far: pairs of beginning and end, in seconds.
+_compiled: list[tuple[float, float]] = []
 
 
 def _listen(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith(_COMPILE_EVENTS):
-        _Spent.seconds += duration_secs
+        now = time.perf_counter()
+        _compiled.append((now - duration_secs, now))
 
 
 # Once for the process: the older JAX versions have no public way to take a listener back.
@@ -70,14 +72,26 @@ jax.monitoring.register_event_duration_secs_listener(_listen)
 
 
 class CompileClock:
-    """Tells how long this process has compiled while the clock was entered."""
+    """Tells how long this process has compiled while the clock was entered.
+
+    What several threads compile at the same time counts once.
+    """
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
     def __enter__(self) -> "CompileClock":
-        self._start = _Spent.seconds
+        self._before = len(_compiled)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.seconds = _Spent.seconds - self._start
+        self.seconds = covered(_compiled[self._before :])
+
+
+def covered(spans: list[tuple[float, float]]) -> float:
+    """Return how long some of the spans lasted, each a beginning and an end."""
+    total, reached = 0.0, -math.inf
+    for begin, end in sorted(spans):
+        total += max(0.0, end - max(begin, reached))
+        reached = max(reached, end)
+    return total
