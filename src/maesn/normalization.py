@@ -22,8 +22,8 @@ class ObservationStatistics(eqx.Module):
     variance: Float[Array, " observation"]
 
     def normalized(
-        self, observation: Float[Array, "*time observation"]
-    ) -> Float[Array, "*time observation"]:
+        self, observation: Float[Array, "*steps observation"]
+    ) -> Float[Array, "*steps observation"]:
         """Return (o - mean) / sqrt(variance + epsilon); before anything was seen, o itself."""
         shifted = observation - jnp.broadcast_to(self.mean, observation.shape)
         return shifted / jnp.broadcast_to(self.scale, observation.shape)

@@ -50,9 +50,12 @@ def test_unroll_is_step_by_step(name: str) -> None:
     stream = np.random.default_rng(1)
     inputs, context = random_inputs(), jnp.asarray(stream.normal(size=(EPISODES, CONTEXT)), float)
     valid = stream.random((EPISODES, STEPS)) < 0.7
-    along, last = policy.unroll(inputs, jnp.asarray(valid), context, fresh_memory(policy))
+    before = jax.tree.map(
+        lambda x: x + jnp.asarray(stream.normal(size=x.shape), float), fresh_memory(policy)
+    )
+    along, last = policy.unroll(inputs, jnp.asarray(valid), context, before)
     for episode in range(EPISODES):
-        carry = policy.initial_carry()
+        carry = jax.tree.map(lambda x: x[episode], before)  # noqa: B023
         for t in np.flatnonzero(valid[episode]):
             now, here = jax.tree.map(lambda x: x[episode, t], (inputs, along))  # noqa: B023
             distribution, carry = policy(now, context[episode], carry)

@@ -14,6 +14,7 @@ from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.curiosity import Curiosity, CuriosityState
 from maesn.episodes import Collect, Episodes, TrialMemory
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
+from maesn.learners.side_by_side import side_by_side
 from maesn.transitions import check_observed
 
 
@@ -93,8 +94,10 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
         """Learn from reward and bonus, then let the models learn from what was seen."""
         keys = _split_each(state.keys, state.update)
         paid, bonus = self._pay(keys[:, 0], state.curiosity, episodes)
-        learned = self.learner.update(state.learner, _with_bonus(episodes, bonus))
-        models = self._learn(keys[:, 1], paid)
+        learned, models = side_by_side(
+            lambda: self.learner.update(state.learner, _with_bonus(episodes, bonus)),
+            lambda: self._learn(keys[:, 1], paid),
+        )
         return CuriousFastState(learned, models, state.keys, state.update + 1)
 
     def _fresh(self, key: Key) -> CuriosityState:

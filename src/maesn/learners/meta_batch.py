@@ -29,6 +29,6 @@ def draw_tasks(key: Key, num_tasks: int, meta_batch_size: int) -> Int[Array, " t
 
 @partial(jax.jit, static_argnames=("phase", "num_slots"))
 def task_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
-    """Return one key per task slot, for one of the collections of a meta-iteration."""
+    """Return one key per task slot, for one of the few collections of a meta-iteration."""
     phase_key = jax.random.fold_in(key, phase)
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(num_slots))

@@ -8,10 +8,10 @@ from typing import Any
 def side_by_side(*programs: Callable[[], Any]) -> list[Any]:
     """Return what each of several programs returns.
 
-    A network with memory is unrolled step by step, in products too small for more than one core.
-    On a CPU, JAX computes what one thread asks for one after the other, so each program is asked
-    for by a thread of its own. What a `with` block sets for JAX in the calling thread does not
-    hold there.
+    Networks that are unrolled step by step, or trained on a few samples at a time, consist of
+    products too small for more than one core. On a CPU, JAX computes what one thread asks for one
+    after the other, so each program is asked for by a thread of its own. What a `with` block sets
+    for JAX in the calling thread (`jax.default_device`, say) does not hold there.
 
     Args:
         programs: call compiled functions.

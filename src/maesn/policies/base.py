@@ -74,7 +74,7 @@ class AbstractPolicy(eqx.Module):
         """
         # All steps along one axis: XLA would copy activations before it sums a weight's gradient
         # over two, and take half as long again for that product.
-        steps = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), inputs)
+        steps = jax.tree.map(lambda x: x.reshape(valid.size, *x.shape[2:]), inputs)
         fed = jnp.repeat(context, valid.shape[1], axis=0)
         asked = jax.vmap(lambda policy_input, z: self(policy_input, z, None)[0])(steps, fed)
         return jax.tree.map(lambda x: x.reshape(*valid.shape, *x.shape[1:]), asked), carry

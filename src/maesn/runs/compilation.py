@@ -13,8 +13,7 @@ import jax.monitoring
 # Moves the compilation cache; empty, 0 or off: no cache.
 CACHE_VARIABLE = "MAESN_CACHE"
 
-# All durations that JAX reports of a compilation begin like this. Those of one thread do not
-# overlap.
+# All durations that JAX reports of a compilation begin like this.
 _COMPILE_EVENTS = "/jax/core/compile/"
 
 
