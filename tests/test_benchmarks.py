@@ -15,9 +15,13 @@ import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
 from scripts import ROOT, load_script
+from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
+from maesn.episodes import TrialMemory
+from maesn.learners import rl2
 from maesn.physics import load_model
+from maesn.policies import Recurrent
 from maesn.rollout import Collector
 from maesn.worlds import make_world
 
@@ -186,3 +190,44 @@ def test_random_bonuses_are_the_control_of_curiosity(
     # Both play the same until the first update; then one is paid for other steps.
     same = np.equal(returns["random_bonus"], returns["vime"])
     assert same.tolist() == [True, False, False] * 2
+
+
+def test_memories_are_exchanged_among_tasks() -> None:
+    control = load_script("benchmarks/memory_control.py")
+    hidden = jnp.array([[[1.0], [3.0]], [[5.0], [7.0]]])
+    own = TrialMemory(hidden, action=10 * hidden, reward=hidden[..., 0])
+    memories = control.exchanged(own)
+    assert memories["its own memory"] is own
+    expected = {"nothing": [0, 0, 0, 0], "another task's": [5, 7, 1, 3], "the mean of all": [4] * 4}
+    for name, values in expected.items():
+        found = memories[name]
+        np.testing.assert_array_equal(found.hidden.ravel(), values)
+        np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
+        np.testing.assert_array_equal(found.reward.ravel(), values)
+
+
+def test_second_episodes_begin_with_the_memory_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    control = load_script("benchmarks/memory_control.py")
+    run = create(tmp_path / "run", rl2(policy=Recurrent(hidden_size=3)))
+    settings = control.Settings(run.directory, tasks="validation", episodes_per_task=2)
+    paid = dict(control.played(settings))
+    assert "deviation over" in capsys.readouterr().out
+    tasks = run.task_set("validation")
+    collect, index = Collector(run.world(tasks), 2), jnp.arange(len(tasks))
+    first, second = jax.random.split(jax.random.key(0), (2, len(tasks)))
+    learner = run.learner.fast_learner(run.latest_state())
+    agents = learner.agents(learner.init(first))
+    alone = collect(second, agents, index)
+    after = collect(second, agents, index, collect(first, agents, index).carry)
+    np.testing.assert_array_equal(paid["nothing"], alone.undiscounted_return.mean(1))
+    np.testing.assert_array_equal(paid["its own memory"], after.undiscounted_return.mean(1))
+    assert len({tuple(returns) for returns in paid.values()}) == 4
+
+
+def test_only_a_policy_with_memory_has_one_to_exchange(tmp_path: Path) -> None:
+    control = load_script("benchmarks/memory_control.py")
+    run = create(tmp_path / "run")
+    with pytest.raises(ValueError, match="must be of a policy with memory, got Drift"):
+        next(control.played(control.Settings(run.directory)))

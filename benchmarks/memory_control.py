@@ -1,0 +1,106 @@
+"""Does a policy with memory use what it remembers? Second episodes with memories exchanged.
+
+    python benchmarks/memory_control.py results/wheeled/rl2-seed-0
+
+The run's policy plays first episodes of trials, and then one and the same second episode (starts
+and noise) several times: with what its own trial has left, with what the trial of another task
+has left, with the mean of all of them, and with nothing. What its own memory is worth more than
+another's is what it knows of its task; where all of them are worth the same, but not what nothing
+is, they say only that there was an episode before.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from maesn.envs import RewardKind
+from maesn.episodes import TrialMemory
+from maesn.rollout import Collector
+from maesn.runs.run import Run
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is played."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory of a policy with memory; its last checkpoint plays."""
+    tasks: str = "training"
+    """Task set."""
+    reward_kind: RewardKind | None = None
+    """Dense or sparse; None for that of training."""
+    episodes_per_task: int = 20
+    """Trials per task."""
+    seed: int = 0
+    """Of episodes."""
+
+
+def exchanged(own: TrialMemory) -> dict[str, TrialMemory]:
+    """Return what the second episodes may begin with, by name; all are `[task, episode, ...]`."""
+    half = own.reward.shape[0] // 2
+    return {
+        "nothing": jax.tree.map(jnp.zeros_like, own),
+        "its own memory": own,
+        "another task's": jax.tree.map(lambda x: jnp.roll(x, half, axis=0), own),
+        "the mean of all": jax.tree.map(lambda x: jnp.broadcast_to(x.mean((0, 1)), x.shape), own),
+    }
+
+
+def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield what the second episode begins with, and the mean return of every task.
+
+    Raises:
+        ValueError: the policy has no memory, or there is no other task to exchange memories with.
+    """
+    run = Run.open(settings.run)
+    tasks = run.task_set(settings.tasks)
+    learner = run.learner.fast_learner(run.latest_state())
+    if not learner.has_memory:
+        raise ValueError(f"`run` must be of a policy with memory, got {run.settings.method}.")
+    if len(tasks) < 2:
+        raise ValueError(f"`tasks` must hold at least 2 tasks, got {len(tasks)}.")
+    first, second = jax.random.split(jax.random.key(settings.seed), (2, len(tasks)))
+    state, index = learner.init(first), jnp.arange(len(tasks))
+    with closing(run.world(tasks, settings.reward_kind)) as world:
+        collect = Collector(world, settings.episodes_per_task)
+        state = learner.update(state, collect(first, learner.agents(state), index))
+        own = learner.memory(state)
+        assert own is not None
+        print(describe(own))
+        for name, memory in exchanged(own).items():
+            episodes = collect(second, learner.agents(state), index, memory)
+            yield name, np.asarray(episodes.undiscounted_return.mean(1))
+
+
+def describe(memory: TrialMemory) -> str:
+    """Return a line on the policy's own memory after the first episode."""
+    units = np.concatenate(
+        [np.asarray(x).reshape(-1, x.shape[-1]) for x in jax.tree.leaves(memory.hidden)], axis=-1
+    )
+    return (
+        f"after the first episode: mean size of a unit {np.abs(units).mean():.3f}, its standard "
+        f"deviation over {len(units)} trials {units.std(0).mean():.3f}"
+    )
+
+
+def main(settings: Settings) -> None:
+    """Print what second episodes are paid, by what they begin with."""
+    for name, returns in played(settings):
+        error = returns.std(ddof=1) / math.sqrt(len(returns))
+        print(
+            f"second episode with {name:15s} {returns.mean():8.1f} ± {error:.1f} (one standard "
+            f"error over {len(returns)} tasks)",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
