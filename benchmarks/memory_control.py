@@ -4,9 +4,10 @@
 
 The run's policy plays first episodes of trials, and then one and the same second episode (starts
 and noise) several times: with what its own trial has left, with what the trial of another task
-has left, with the mean of all of them, and with nothing. What its own memory is worth more than
-another's is what it knows of its task; where all of them are worth the same, but not what nothing
-is, they say only that there was an episode before.
+has left, with the mean of all of them, and with nothing. Its own memory against nothing says what
+remembering is worth, and against another task's whether it is the task that is remembered: that one
+misleads who trusts it. Where all memories are worth the same, but not what nothing is, they say
+only that there was an episode before.
 """
 
 import math
@@ -46,6 +47,7 @@ class Settings:
 def exchanged(own: TrialMemory) -> dict[str, TrialMemory]:
     """Return what the second episodes may begin with, by name; all are `[task, episode, ...]`."""
     half = own.reward.shape[0] // 2
+    # Half of all tasks apart: neighbours may be alike.
     return {
         "nothing": jax.tree.map(jnp.zeros_like, own),
         "its own memory": own,
@@ -58,22 +60,24 @@ def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
     """Yield what the second episode begins with, and the mean return of every task.
 
     Raises:
-        ValueError: the policy has no memory, or there is no other task to exchange memories with.
+        ValueError: no episode is remembered, or there is no other task to exchange memories with.
     """
     run = Run.open(settings.run)
     tasks = run.task_set(settings.tasks)
-    learner = run.learner.fast_learner(run.latest_state())
-    if not learner.has_memory:
-        raise ValueError(f"`run` must be of a policy with memory, got {run.settings.method}.")
     if len(tasks) < 2:
         raise ValueError(f"`tasks` must hold at least 2 tasks, got {len(tasks)}.")
+    learner = run.learner.fast_learner(run.latest_state())
     first, second = jax.random.split(jax.random.key(settings.seed), (2, len(tasks)))
     state, index = learner.init(first), jnp.arange(len(tasks))
     with closing(run.world(tasks, settings.reward_kind)) as world:
         collect = Collector(world, settings.episodes_per_task)
         state = learner.update(state, collect(first, learner.agents(state), index))
         own = learner.memory(state)
-        assert own is not None
+        if own is None:
+            raise ValueError(
+                f"`run` must be of a method that remembers earlier episodes, got "
+                f"{run.settings.method}."
+            )
         print(describe(own))
         for name, memory in exchanged(own).items():
             episodes = collect(second, learner.agents(state), index, memory)

@@ -133,6 +133,7 @@ def test_help_answers_within_half_a_second() -> None:
     ("arguments", "message"),
     [
         (["trian"], "there is no command `trian`. Did you mean `train`?"),
+        (["train", "trpo"], "`trpo` is not meta-trained: it learns each task from scratch, as in "),
         (["train", "measn"], "there is no method `measn`. Did you mean `maesn`?"),
         (["train", "maesn", "--family", "weeled", "--run", "{}/new"], "weeled"),
         (["train", "maesn", "--run", "{}"], "must be a new or an empty directory"),

@@ -215,7 +215,8 @@ def test_second_episodes_begin_with_the_memory_that_is_named(
     paid = dict(control.played(settings))
     assert "deviation over" in capsys.readouterr().out
     tasks = run.task_set("validation")
-    collect, index = Collector(run.world(tasks), 2), jnp.arange(len(tasks))
+    world, index = run.world(tasks), jnp.arange(len(tasks))
+    collect = Collector(world, 2)
     first, second = jax.random.split(jax.random.key(0), (2, len(tasks)))
     learner = run.learner.fast_learner(run.latest_state())
     agents = learner.agents(learner.init(first))
@@ -224,10 +225,24 @@ def test_second_episodes_begin_with_the_memory_that_is_named(
     np.testing.assert_array_equal(paid["nothing"], alone.undiscounted_return.mean(1))
     np.testing.assert_array_equal(paid["its own memory"], after.undiscounted_return.mean(1))
     assert len({tuple(returns) for returns in paid.values()}) == 4
+    world.close()
 
 
 def test_only_a_policy_with_memory_has_one_to_exchange(tmp_path: Path) -> None:
     control = load_script("benchmarks/memory_control.py")
     run = create(tmp_path / "run")
-    with pytest.raises(ValueError, match="must be of a policy with memory, got Drift"):
+    with pytest.raises(ValueError, match=r"must be of a method that remembers .*, got Drift"):
         next(control.played(control.Settings(run.directory)))
+    single = tmp_path / "single.npz"
+    np.savez(single, goal=np.float32([[0.0, 2.0]]))
+    with pytest.raises(ValueError, match="`tasks` must hold at least 2 tasks, got 1"):
+        next(control.played(control.Settings(run.directory, tasks=str(single))))
+
+
+def test_what_is_said_of_a_memory() -> None:
+    control = load_script("benchmarks/memory_control.py")
+    # Of two units in four trials, one is always -0.5, the other one 1 or -1.
+    hidden = jnp.array([[[-0.5, 1.0], [-0.5, -1.0]], [[-0.5, -1.0], [-0.5, 1.0]]])
+    said = control.describe(TrialMemory(hidden, action=hidden, reward=hidden[..., 0]))
+    assert "mean size of a unit 0.750" in said
+    assert said.endswith("deviation over 4 trials 0.500")

@@ -175,6 +175,19 @@ def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:
         CuriousFastLearner(Listener(), SMALL, 2, 1).paced(0.5, None)
 
 
+def test_nobody_is_curious_twice_or_loses_the_bonus_by_fine_tuning() -> None:
+    vime = SCRATCH["vime"](2, 2)
+    assert vime.is_curious
+    assert not vime.learner.is_curious
+    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+        CuriousFastLearner(vime, SMALL, 2, 2)
+    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+        CuriousMetaLearner(METHODS["maesn+curiosity"]())
+    with pytest.raises(ValueError, match=r"`learner` must not be curious, .* by `learner.inside`"):
+        FineTuning(vime, IMPROVEMENTS["trpo"])
+    assert vime.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"])).is_curious
+
+
 def test_who_is_fine_tuned_is_still_paid_for_what_it_finds_out(collect: Collector) -> None:
     """Where the task pays every step the same, weights move by the bonus alone."""
     learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)

@@ -14,8 +14,16 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.prepared import HORIZON
 
+from maesn.adaptation import Adaptation, InnerStep
 from maesn.agent import Agents
-from maesn.learners import PRESETS, GradientFastState, GradientInfo, GradientState
+from maesn.context import AbstractContext, LatentContext, NoContext, ToldContext
+from maesn.learners import (
+    PRESETS,
+    GradientFastState,
+    GradientInfo,
+    GradientMetaLearner,
+    GradientState,
+)
 from maesn.learners.presets import staged_adaptation
 from maesn.policies import GaussianMLP
 
@@ -274,6 +282,21 @@ def test_a_whole_training_set_is_a_permutation() -> None:
 def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> None:
     with pytest.raises(ValueError, match=f"`{setting}` must be at least .*, got {value}"):
         PRESETS["maesn"](**{setting: value})
+
+
+@pytest.mark.parametrize("context", [NoContext(), ToldContext()], ids=["none", "told"])
+def test_a_context_in_which_nothing_moves_is_given_no_steps(context: AbstractContext) -> None:
+    name = type(context).__name__
+    with pytest.raises(
+        ValueError, match=f"`adaptation.context` must be None with {name}, in"
+    ):
+        GradientMetaLearner(context, Adaptation(context=InnerStep(1.0)))
+
+
+def test_inner_updates_that_move_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="`inner_updates` is 1, but `adaptation` moves nothing"):
+        GradientMetaLearner(LatentContext(), Adaptation())
+    assert GradientMetaLearner(LatentContext(), Adaptation(), inner_updates=0).inner_updates == 0
 
 
 def test_agents_of_new_tasks_are_one_per_task() -> None:

@@ -10,7 +10,7 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.learners import CURIOUS, METHODS, PRESETS, AbstractMetaLearner
+from maesn.learners import CURIOUS, METHODS, PRESETS, SCRATCH, AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.storage import RunError
@@ -60,6 +60,11 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         )
         sys.exit(0)
     method = arguments[0]
+    if method in SCRATCH:
+        raise RunError(
+            f"`{method}` is not meta-trained: it learns each task from scratch, as in "
+            f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
+        )
     if method not in METHODS:
         near = difflib.get_close_matches(method, METHODS, n=1)
         hint = f" Did you mean `{near[0]}`?" if near else ""

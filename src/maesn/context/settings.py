@@ -54,6 +54,11 @@ class AbstractContext(eqx.Module, Generic[Value]):
         """Whether the inner gradient of the context runs through the policy."""
         return False
 
+    @property
+    def is_adaptable(self) -> bool:
+        """Whether there is anything in a context that an inner step could move."""
+        return True
+
     @abstractmethod
     def draw_loss(
         self,
@@ -70,6 +75,10 @@ class AbstractContext(eqx.Module, Generic[Value]):
 
 class NoContext(AbstractContext[Nothing]):
     """No context: the policy sees observations alone."""
+
+    @property
+    def is_adaptable(self) -> bool:
+        return False
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Nothing:
         return Nothing()
@@ -102,6 +111,10 @@ class ToldContext(AbstractContext[Told]):
 
     Nothing in it is learned or adapted, and nothing is charged for it.
     """
+
+    @property
+    def is_adaptable(self) -> bool:
+        return False
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Told:
         return Told(description_size)

@@ -77,6 +77,11 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """
         return True
 
+    @property
+    def is_curious(self) -> bool:
+        """Whether a bonus is added to the rewards before updates see them."""
+        return False
+
     def paced(self, step_scale: float, full_steps: int | None) -> "AbstractFastLearner[FastState]":
         """Return the same learner with other sizes of its steps.
 

@@ -53,6 +53,8 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
                 f"`learner` must learn from what it is paid to be curious, which "
                 f"{type(self.learner).__name__} does not."
             )
+        if self.learner.is_curious:
+            raise ValueError("`learner` must not be curious already: it would be paid twice.")
         check_observed(self.observation_size)
 
     def init(self, keys: TaskKeys) -> CuriousFastState:
@@ -79,6 +81,10 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
     @property
     def has_memory(self) -> bool:
         return self.learner.has_memory
+
+    @property
+    def is_curious(self) -> bool:
+        return True
 
     def paced(self, step_scale: float, full_steps: int | None) -> "CuriousFastLearner":
         """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
@@ -145,6 +151,10 @@ class CuriousMetaLearner(AbstractMetaLearner[CuriousState, dict[str, Any]]):
     """Learns from reward and bonus."""
     curiosity: Curiosity = Curiosity()
     """What the bonus is."""
+
+    def __check_init__(self) -> None:
+        if type(self) in self.learner.slots():
+            raise ValueError("`learner` must not be curious already: it would be paid twice.")
 
     def init(
         self,

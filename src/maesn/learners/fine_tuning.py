@@ -42,13 +42,18 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     improvement: PolicyImprovement = PolicyImprovement()
     """How the weights follow their experience afterwards."""
     after: int = 10
-    """Updates of the learner. The reference's steps are halved from the second update on: after
-    ten of them the latents stand still."""
+    """Updates of the learner. The reference's steps are halved from the third update on: after ten
+    of them the latents stand still."""
 
     def __check_init__(self) -> None:
         if self.after < 0:
             raise ValueError(f"`after` must be at least 0, got {self.after}.")
         refuse_memory("learner", self.learner)
+        if self.learner.is_curious:
+            raise ValueError(
+                "`learner` must not be curious, because what follows it would not be paid: "
+                "fine-tune who is paid, by `learner.inside`."
+            )
 
     def init(self, keys: TaskKeys) -> FineTuningState[Any]:
         state = FineTuningState(self.learner.init(keys), None, keys, jnp.zeros((), int))

@@ -82,6 +82,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
                 raise ValueError(f"`{name}` must be at least 1, got {value}.")
         if self.inner_updates < 0:
             raise ValueError(f"`inner_updates` must be at least 0, got {self.inner_updates}.")
+        self._check_adaptation()
         for name in _STRIDES:
             stride = getattr(self, name)
             if stride is not None and stride > 1 and self.policy.has_memory:
@@ -89,6 +90,20 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
                     f"`{name}` is {stride}, but a policy with memory needs all steps of an "
                     "episode: set it to 1."
                 )
+
+    def _check_adaptation(self) -> None:
+        """Refuse inner steps that could not move anything."""
+        moved = self.adaptation.policy, self.adaptation.context
+        if self.adaptation.context is not None and not self.context.is_adaptable:
+            raise ValueError(
+                f"`adaptation.context` must be None with {type(self.context).__name__}, in which "
+                "there is nothing to move."
+            )
+        if self.inner_updates > 0 and moved == (None, None):
+            raise ValueError(
+                f"`inner_updates` is {self.inner_updates}, but `adaptation` moves nothing: set it "
+                "to 0, or give `adaptation` a step of the policy or of the context."
+            )
 
     def init(
         self,

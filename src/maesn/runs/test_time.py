@@ -7,7 +7,6 @@ from typing import Any, Literal, TypeAlias
 from maesn.curiosity import Curiosity
 from maesn.envs import AnyEnv
 from maesn.learners import (
-    CURIOUS,
     IMPROVEMENTS,
     AbstractFastLearner,
     CuriousFastLearner,
@@ -130,7 +129,7 @@ class AtTestTime:
         Raises:
             RunError: the learner cannot be given that.
         """
-        if self.curious and run.settings.method.endswith(CURIOUS):
+        if self.curious and learner.is_curious:
             raise RunError(
                 f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
                 "already: leave it out."
