@@ -287,9 +287,7 @@ def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> No
 @pytest.mark.parametrize("context", [NoContext(), ToldContext()], ids=["none", "told"])
 def test_a_context_in_which_nothing_moves_is_given_no_steps(context: AbstractContext) -> None:
     name = type(context).__name__
-    with pytest.raises(
-        ValueError, match=f"`adaptation.context` must be None with {name}, in"
-    ):
+    with pytest.raises(ValueError, match=f"`adaptation.context` must be None with {name}, in"):
         GradientMetaLearner(context, Adaptation(context=InnerStep(1.0)))
 
 

@@ -1,4 +1,4 @@
-"""The paper's gradient-based methods as fillings of the slots of one learner.
+"""The methods that are meta-trained, as fillings of the slots of two learners.
 
 Each function cites what it follows. Settings that are not named here are the defaults of the
 slots, which follow the reference.
