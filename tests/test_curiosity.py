@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from learning_problems.transitions import episodes_of, linear_episodes
 
-from maesn.curiosity import Curiosity
+from maesn.curiosity import Curiosity, CuriosityState
 from maesn.transitions import Scale, Transitions, transitions
 
 KEY = jax.random.key(0)
@@ -17,6 +17,11 @@ SMALL = Curiosity(hidden_sizes=(4,), pool_size=64, pool_additions=16, updates=20
 # Compiled, as the learners call them.
 pay, learn = (eqx.filter_jit(method) for method in (Curiosity.pay, Curiosity.learn))
 pytestmark = pytest.mark.usefixtures("quick_compiler")
+
+
+def knowing(curiosity: Curiosity) -> CuriosityState:
+    """An untrained model that passes for one that has learned, so that it is asked."""
+    return replace(curiosity.init(KEY, 2, 1), has_learned=jnp.ones((), bool))
 
 
 def test_transitions_are_the_steps_one_behind_the_other() -> None:
@@ -120,7 +125,7 @@ def test_the_exact_posterior_is_where_the_objective_is_flat() -> None:
 
 def test_the_bonus_is_the_gain_over_the_mean_of_the_last_medians() -> None:
     curiosity = replace(SMALL, median_window=2, weight=0.5)
-    state, medians = curiosity.init(KEY, 2, 1), []
+    state, medians = knowing(curiosity), []
     for batch in range(4):
         played = linear_episodes(batch, (3,), 5, scale=1.0 + batch)
         key = jax.random.key(batch)
@@ -134,6 +139,20 @@ def test_the_bonus_is_the_gain_over_the_mean_of_the_last_medians() -> None:
         np.testing.assert_allclose(bonus, expected, rtol=1e-5)
         state = learn(curiosity, key, state)
     assert len({*map(float, medians)}) == 4
+
+
+def test_who_has_learned_nothing_yet_is_not_asked() -> None:
+    state = SMALL.init(KEY, 2, 1)
+    for batch in range(2):
+        state, bonus = pay(SMALL, KEY, state, linear_episodes(batch, (3,), 5))
+        np.testing.assert_array_equal(bonus, np.zeros((3, 5)))
+    assert int(state.medians.size) == 0
+    # What it has seen is there to learn from.
+    assert int(state.pool.size) == 2 * 15
+    state = SMALL.start(learn(SMALL, KEY, state))
+    state, bonus = pay(SMALL, KEY, state, linear_episodes(2, (3,), 5))
+    # Of a single batch, the typical gain is the median one.
+    assert float(np.median(bonus)) == pytest.approx(SMALL.weight)
 
 
 def test_the_gain_of_a_linear_model_is_worked_out_by_hand() -> None:
@@ -164,7 +183,7 @@ def test_what_is_masked_changes_nothing() -> None:
     )
     found = []
     for episodes in (ended, garbage):
-        state, bonus = pay(SMALL, KEY, SMALL.init(KEY, 2, 1), episodes)
+        state, bonus = pay(SMALL, KEY, knowing(SMALL), episodes)
         found.append((learn(SMALL, KEY, state), bonus))
     for one, other in zip(*map(jax.tree.leaves, found), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -175,7 +194,7 @@ def test_what_is_masked_changes_nothing() -> None:
 
 
 def test_nothing_to_see_is_paid_nothing() -> None:
-    state = SMALL.init(KEY, 2, 1)
+    state = knowing(SMALL)
     over = replace(linear_episodes(0, (2,), 3), valid=jnp.zeros((2, 3), bool))
     after, bonus = pay(SMALL, KEY, state, over)
     np.testing.assert_array_equal(bonus, np.zeros((2, 3)))

@@ -10,13 +10,14 @@ https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.episodes import Episodes
@@ -38,13 +39,19 @@ class CuriosityState(eqx.Module):
     """Transitions to learn from."""
     medians: Ring
     """Median information gains of the last batches."""
+    has_learned: Bool[Array, ""]
+    """Whether the network has learned from anything yet."""
 
 
 class Curiosity(eqx.Module):
     """How a bonus is computed: r'(s, a, s') = r + weight * gain(s, a, s') / typical gain.
 
-    The typical gain is the mean of the medians of the last batches. Methods are written for one
-    model of one world's dynamics, and mapped over tasks by whoever has several.
+    The typical gain is the mean of the medians of the last batches. A model that has learned
+    nothing yet is not asked, as in the published code: to it, everything is worth so much more than
+    later on that its median would leave hardly any bonus to the next batches.
+
+    Methods are written for one model of one world's dynamics, and mapped over tasks by whoever has
+    several.
     """
 
     weight: float = 1e-4
@@ -96,21 +103,25 @@ class Curiosity(eqx.Module):
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
         network = init_bayesian_network(key, sizes, self.prior_std)
         pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
-        return self.start(network, pool)
+        return self._begin(network, pool, jnp.zeros((), bool))
 
-    def start(self, network: BayesianNetwork, pool: Ring) -> CuriosityState:
-        """Return a state that begins with what another one knows.
+    def start(self, known: CuriosityState) -> CuriosityState:
+        """Return a state that begins with what another one knows: its network and its pool.
 
-        Args:
-            network: the model.
-            pool: what it has learned from. The model's inputs and outputs are in units of the
-                pool's moments, so that it means nothing without them.
+        The network's inputs and outputs are in units of the pool's moments: it means nothing
+        without them.
         """
+        return self._begin(known.network, known.pool, known.has_learned)
+
+    def _begin(
+        self, network: BayesianNetwork, pool: Ring, has_learned: Bool[Array, ""]
+    ) -> CuriosityState:
         return CuriosityState(
             network=network,
             optimizer=optax.adam(self.learning_rate).init(network),
             pool=pool,
             medians=Ring.empty(self.median_window, 1),
+            has_learned=has_learned,
         )
 
     def pay(
@@ -119,7 +130,8 @@ class Curiosity(eqx.Module):
         """Return the bonus of every step, by what the model has learned before; 0 where invalid.
 
         The state that comes back holds some of the transitions and their median gain; it has not
-        learned from them yet.
+        learned from them yet. As long as it has learned nothing, the bonus is 0, and no median is
+        kept.
 
         Args:
             key: random key.
@@ -131,11 +143,12 @@ class Curiosity(eqx.Module):
         pool = state.pool.extend(*self._draw_additions(pool_key, seen))
         gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), seen)
         median = jnp.nanmedian(jnp.where(seen.valid, gain, jnp.nan))
-        medians = state.medians.extend(median[None, None], seen.valid.any()[None])
+        counts = state.has_learned & seen.valid.any()
+        medians = state.medians.extend(median[None, None], counts[None])
         typical = medians.moments()[0][0]
-        bonus = jnp.where(typical > 0, self.weight * gain / typical, 0.0)
-        paid = CuriosityState(state.network, state.optimizer, pool, medians)
-        return paid, bonus.reshape(episodes.valid.shape)
+        pays = state.has_learned & (typical > 0)
+        bonus = jnp.where(pays, self.weight * gain / typical, 0.0)
+        return replace(state, pool=pool, medians=medians), bonus.reshape(episodes.valid.shape)
 
     def information_gains(
         self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
@@ -212,7 +225,8 @@ class Curiosity(eqx.Module):
 
         start = (state.network, state.optimizer)
         (network, optimizer), _ = jax.lax.scan(step, start, jax.random.split(key, self.updates))
-        return CuriosityState(network, optimizer, state.pool, state.medians)
+        has_learned = jnp.ones_like(state.has_learned)
+        return replace(state, network=network, optimizer=optimizer, has_learned=has_learned)
 
     def _draw_additions(self, key: Key, seen: Transitions) -> Transitions:
         number = seen.valid.shape[0]

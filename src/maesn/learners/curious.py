@@ -108,7 +108,7 @@ class CuriousFastLearner(AbstractFastLearner[CuriousFastState]):
 
     def _fresh(self, key: Key) -> CuriosityState:
         if self.known is not None:
-            return self.curiosity.start(self.known.network, self.known.pool)
+            return self.curiosity.start(self.known)
         return self.curiosity.init(key, self.observation_size, self.action_size)
 
     @eqx.filter_jit
