@@ -219,7 +219,7 @@ def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_
 
 
 def test_runs_can_take_part_a_second_time_curious(runs: dict[str, Path], tmp_path: Path) -> None:
-    options = "--num-tasks 2 --updates 1 --episodes-per-task 3 --curious True --curiosity-weight 10"
+    options = "--num-tasks 2 --updates 2 --episodes-per-task 3 --curious True --curiosity-weight 10"
     command = ["compare", str(runs["maesn"]), "--out", str(tmp_path), *options.split()]
     assert cli.run(command) == 0
     methods = {row["method"]: row for row in table(tmp_path)}
