@@ -1,5 +1,6 @@
 """The tables under `results/` are what the runs beside them say."""
 
+import csv
 import math
 import sys
 from pathlib import Path
@@ -29,6 +30,23 @@ def test_tables_are_those_of_the_runs(
     monkeypatch.setattr(sys, "argv", ["summarize.py", str(directory)])
     load_script("results/summarize.py").main()
     assert capsys.readouterr().out == (directory / "tables.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("directory", "pay"), [(".", "0"), ("paid_elsewhere", "-1")])
+def test_what_is_said_of_the_chain_is_what_its_tables_say(directory: str, pay: str) -> None:
+    said = (RESULTS / "vime_chain" / "README.md").read_text(encoding="utf-8")
+    with (RESULTS / "vime_chain" / directory / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    part = said[said.index(f"| {pay} | `trpo`") :]
+    for name in ("trpo", "reinforce", "random_bonus", "vime"):
+        seeds = [row for row in rows if row["method"] == name]
+        runs, found, early = (
+            sum(int(row[key]) for row in seeds) for key in ("runs", "found", "found_early")
+        )
+        lucky = sum(int(row["found"]) > 0 for row in seeds)
+        success = np.mean([float(row["final_success_rate"]) for row in seeds])
+        cells = f"{found} of {runs} | {early} | {lucky} of {len(seeds)} | {success:.2f} |"
+        assert f"| `{name}` | {cells}" in "\n".join(part.splitlines()[:4])
 
 
 def test_a_default_configuration_stays_unless_another_is_better_beyond_chance() -> None:
