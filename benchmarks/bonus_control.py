@@ -3,9 +3,9 @@
     python benchmarks/bonus_control.py --out results/blockpush/bonus_control
 
 Both are TRPO from scratch with the same policies, batches and bonus of a typical transition; one is
-paid for information, the other (`random_bonus`) exponentially distributed numbers, by the same rule.
-Where returns hardly differ otherwise, random bonuses move the policy in random directions, which is
-a search as well.
+paid for information, the other (`random_bonus`) random numbers, exponentially distributed, by the
+same rule. Where returns hardly differ otherwise, random bonuses move the policy in random
+directions, which is a search as well.
 """
 
 import csv
