@@ -145,9 +145,9 @@ class Curiosity(eqx.Module):
         median = jnp.nanmedian(jnp.where(seen.valid, gain, jnp.nan))
         counts = state.has_learned & seen.valid.any()
         medians = state.medians.extend(median[None, None], counts[None])
+        # 0 if there are none.
         typical = medians.moments()[0][0]
-        pays = state.has_learned & (typical > 0)
-        bonus = jnp.where(pays, self.weight * gain / typical, 0.0)
+        bonus = jnp.where(typical > 0, self.weight * gain / typical, 0.0)
         return replace(state, pool=pool, medians=medians), bonus.reshape(episodes.valid.shape)
 
     def information_gains(

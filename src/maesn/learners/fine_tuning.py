@@ -51,8 +51,8 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         refuse_memory("learner", self.learner)
         if self.learner.is_curious:
             raise ValueError(
-                "`learner` must not be curious, because what follows it would not be paid: "
-                "fine-tune who is paid, by `learner.inside`."
+                "`learner` must not be curious, because the updates after its own would not be "
+                "paid: fine-tune who is paid, by `learner.inside`."
             )
 
     def init(self, keys: TaskKeys) -> FineTuningState[Any]:
