@@ -79,7 +79,7 @@ def test_the_floor_of_the_standard_deviation_holds() -> None:
             lambda: preset("maesn", context=LatentContext(gradient="reparameterized")),
             "by the reparameterized gradient",
         ),
-        (lambda: preset("maesn", adaptation=Adaptation()), "adapts nothing"),
+        (lambda: preset("maesn", adaptation=Adaptation(), inner_updates=0), "adapts nothing"),
         (lambda: preset("maesn", advantage=AdvantageEstimator(drifts=True)), "drifts where all"),
     ],
 )
