@@ -75,7 +75,7 @@ def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
         own = learner.memory(state)
         if own is None:
             raise ValueError(
-                f"`run` must be of a method that remembers earlier episodes, got "
+                "`run` must be of a method that remembers earlier episodes, got "
                 f"{run.settings.method}."
             )
         print(describe(own))
