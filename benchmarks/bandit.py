@@ -22,8 +22,8 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from maesn.envs import Bandit, TaskSet, bandit
-from maesn.episodes import Collect
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
+from maesn.experience.episodes import Collect
 from maesn.learners import (
     ProximalStep,
     RecurrentFastLearner,
@@ -32,9 +32,9 @@ from maesn.learners import (
 )
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent, RecurrentPolicy
-from maesn.rollout import Collector
 from maesn.runs.checkpoint import named_leaves, restore
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 ARMS, PULLS = 5, 10
 TRAINING_TASKS = 50_000
@@ -117,7 +117,7 @@ def make_learner(meta_batch_size: int = 2000) -> RecurrentMetaLearner:
         trial_episodes=1,
         # Duan et al., appendix A, for bandits: 0.99 and 0.3.
         discount=0.99,
-        trace=0.3,
+        gae_lambda=0.3,
     )
 
 

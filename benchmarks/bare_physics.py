@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Array, Int
 from mujoco.batch import Batch
 
-from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
 from maesn.envs import AbstractMujocoEnv
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.rollout import Collector
+from maesn.worlds.collector import Collector
 
 
 class Played(NamedTuple):

@@ -20,13 +20,13 @@ import numpy as np
 import tyro
 from random_bonus import curiosities
 
-from maesn.curiosity import Curiosity
 from maesn.envs import find_family
-from maesn.evaluate import adapt, as_rows
+from maesn.evaluation.evaluate import adapt, as_rows
 from maesn.learners import vime
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Settings:
     """Updates per task."""
     episodes_per_task: int = 20
     """Episodes per update."""
-    weight: float = Curiosity().weight
+    weight: float = CuriosityBonus().weight
     """What a transition of typical gain is paid."""
     seed: int = 0
     """Of policies and episodes."""

@@ -28,15 +28,15 @@ from jaxtyping import Array, Float
 
 from maesn.axes import Key
 from maesn.envs import find_family
-from maesn.episodes import Thinning
+from maesn.experience.episodes import Thinning
 from maesn.learners import PRESETS, GradientMetaLearner
-from maesn.learners.curvature import sampled_distributions, step_weights
-from maesn.learners.gradient import GradientState
-from maesn.learners.objective import MetaObjective, MetaParameters, start_agents
-from maesn.rollout import Collector
+from maesn.learners.gradient.curvature import sampled_distributions, step_weights
+from maesn.learners.gradient.meta_learner import GradientState
+from maesn.learners.gradient.objective import MetaObjective, MetaParameters, start_agents
+from maesn.numerics.trust_region import TrustRegion, TrustRegionInfo
 from maesn.runs.run import Run
-from maesn.trust_region import TrustRegion, TrustRegionInfo
 from maesn.worlds import AbstractWorld, make_world
+from maesn.worlds.collector import Collector
 
 HEADING = (
     "cg steps  damping  stride  Hessian's  gain (x 1000, +- standard error)  on its own batch  "

@@ -33,12 +33,12 @@ from gymnasium import spaces
 
 from maesn.envs import TaskSet
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, WorkerPool
 from maesn.learners import maesn
-from maesn.rollout import Collector
 from maesn.runs.task_sources import resolve_family
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
+from maesn.worlds.collector import Collector
 from maesn.worlds.foreign import GymnasiumWorld, default_num_workers
 
 

@@ -23,9 +23,9 @@ import numpy as np
 import tyro
 
 from maesn.envs import RewardKind
-from maesn.episodes import TrialMemory
-from maesn.rollout import Collector
+from maesn.experience.episodes import TrialState
 from maesn.runs.run import Run
+from maesn.worlds.collector import Collector
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Settings:
     """Of episodes."""
 
 
-def exchanged(own: TrialMemory) -> dict[str, TrialMemory]:
+def exchanged(own: TrialState) -> dict[str, TrialState]:
     """Return what the second episodes may begin with, by name; all are `[task, episode, ...]`."""
     half = own.reward.shape[0] // 2
     # Half of all tasks apart: neighbours may be alike.
@@ -84,7 +84,7 @@ def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
             yield name, np.asarray(episodes.undiscounted_return.mean(1))
 
 
-def describe(memory: TrialMemory) -> str:
+def describe(memory: TrialState) -> str:
     """Return a line on the policy's own memory after the first episode."""
     units = np.concatenate(
         [np.asarray(x).reshape(-1, x.shape[-1]) for x in jax.tree.leaves(memory.hidden)], axis=-1

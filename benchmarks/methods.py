@@ -23,9 +23,9 @@ from meta_iteration import measure as measure_iterations
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.learners import SCRATCH, AbstractFastLearner
-from maesn.rollout import Collector
 from maesn.runs.task_sources import resolve_family
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 # As if half of a run were over: of `maesn_theta`, all parts move by then.
 SECOND_STAGE = 150

@@ -28,13 +28,13 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from maesn.agent import Agents
 from maesn.envs import AnyEnv, TaskSet, find_family
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.learners import PRESETS
 from maesn.physics.mjx import MjxLimits
-from maesn.rollout import Collector
 from maesn.worlds import MjxWorld
+from maesn.worlds.collector import Collector
 
 _LEGS = tuple(f"{part}_{leg}" for part in ("leg", "thigh") for leg in range(1, 5))
 _UNTOUCHED = {"wheeled": ("car",), "ant": _LEGS, "blockpush": ("right_tip", "left_tip")}

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from maesn.axes import Key
-from maesn.curiosity import Curiosity
+from maesn.experience.transitions import Scale, Transitions
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.networks import BayesianNetwork
-from maesn.transitions import Scale, Transitions
 
 
-class RandomBonus(Curiosity):
+class RandomBonus(CuriosityBonus):
     """Pays random numbers, exponentially distributed, by the same rule as information gains."""
 
     def information_gains(
@@ -20,7 +20,7 @@ class RandomBonus(Curiosity):
         return jnp.where(seen.valid, jax.random.exponential(key, seen.valid.shape), 0.0)
 
 
-def curiosities(weight: float) -> dict[str, Curiosity]:
+def curiosities(weight: float) -> dict[str, CuriosityBonus]:
     """Return VIME's curiosity and its control, by the names of their methods.
 
     Args:
@@ -28,5 +28,5 @@ def curiosities(weight: float) -> dict[str, Curiosity]:
     """
     return {
         "random_bonus": RandomBonus(weight=weight, updates=0),
-        "vime": Curiosity(weight=weight),
+        "vime": CuriosityBonus(weight=weight),
     }

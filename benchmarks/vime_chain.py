@@ -17,13 +17,13 @@ import numpy as np
 import tyro
 from random_bonus import curiosities
 
-from maesn.curiosity import Curiosity
 from maesn.envs import chain
-from maesn.evaluate import AdaptationCurves, adapt
+from maesn.evaluation.evaluate import AdaptationCurves, adapt
 from maesn.learners import SCRATCH, AbstractFastLearner
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 METHODS = ("trpo", "reinforce", "random_bonus", "vime")
 EARLY = 20  # updates within which a find counts as early: a quarter of the default number
@@ -43,7 +43,7 @@ class Settings:
     """Episodes of 50 steps per update."""
     pay_elsewhere: float = 0.0
     """What a step is paid that does not reach the goal. Where it is not 0, TRPO drifts."""
-    bonus: float = Curiosity().weight
+    bonus: float = CuriosityBonus().weight
     """What VIME pays for a transition of typical information gain."""
     out: Path | None = None
     """Directory for the table; None: it is printed alone."""

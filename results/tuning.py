@@ -21,13 +21,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from maesn.admission import Changes
-from maesn.comparison import Place, compare
-from maesn.entries import Scratch
+from maesn.evaluation.test_time import AtTestTime
 from maesn.report.comparison import Line
 from maesn.report.tables import markdown_row
-from maesn.runs.contest import Conditions
-from maesn.runs.test_time import AtTestTime
+from maesn.studies.checks import Changes
+from maesn.studies.comparison import WorldSettings, compare
+from maesn.studies.curves import Conditions
+from maesn.studies.lines import Scratch
 
 STEPPING = ("maesn", "latent_space", "maml", "maml_bias", "maml_bias_only")
 PACES = {
@@ -71,7 +71,9 @@ def configurations(method: str, settings: Settings) -> dict[str, Line]:
     adapted = partial(compare, out=settings.out / method, say=tell)
     trained = partial(adapted, conditions=TRAINED_CONDITIONS)
     if method in SCRATCH:
-        fresh = partial(adapted, place=Place(family="wheeled"), conditions=SCRATCH_CONDITIONS)
+        fresh = partial(
+            adapted, place=WorldSettings(family="wheeled"), conditions=SCRATCH_CONDITIONS
+        )
         found = {name: fresh(scratch=scratch) for name, scratch in SCRATCH[method].items()}
     elif method == "rl2":
         found = {name: trained([settings.runs / run]) for name, run in RECURRENT.items()}

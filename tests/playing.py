@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from maesn.agent import Agents
 from maesn.context import Latent
 from maesn.envs import AnyEnv, TaskSet
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear
 from maesn.policies import CategoricalMLP, GaussianMLP, GaussianMLPPolicy
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 from maesn.worlds.simulators import open_simulator
 
 LATENT_SIZE = 2

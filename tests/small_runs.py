@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
-from maesn.episodes import Collect
+from maesn.experience.episodes import Collect
 from maesn.learners import (
     AbstractFastLearner,
     AbstractMetaLearner,
     GradientMetaLearner,
-    floors,
+    baselines,
     maesn,
 )
 from maesn.policies import GaussianMLP
@@ -68,7 +68,7 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
         return state.iteration
 
     def fast_learner(self, state: DriftState) -> AbstractFastLearner[Any]:
-        return floors(2, 2, "continuous")["zero action"]
+        return baselines(2, 2, "continuous")["zero action"]
 
 
 # So that a run directory can hold it, in the processes of these tests.

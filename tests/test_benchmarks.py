@@ -18,12 +18,12 @@ from scripts import ROOT, load_script
 from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
-from maesn.episodes import TrialMemory
+from maesn.experience.episodes import TrialState
 from maesn.learners import rl2
 from maesn.physics import load_model
 from maesn.policies import Recurrent
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
@@ -195,7 +195,7 @@ def test_random_bonuses_are_the_control_of_curiosity(
 def test_memories_are_exchanged_among_tasks() -> None:
     control = load_script("benchmarks/memory_control.py")
     hidden = jnp.array([[[1.0], [3.0]], [[5.0], [7.0]]])
-    own = TrialMemory(hidden, action=10 * hidden, reward=hidden[..., 0])
+    own = TrialState(hidden, action=10 * hidden, reward=hidden[..., 0])
     memories = control.exchanged(own)
     assert memories["its own memory"] is own
     expected = {"nothing": [0, 0, 0, 0], "another task's": [5, 7, 1, 3], "the mean of all": [4] * 4}
@@ -243,6 +243,6 @@ def test_what_is_said_of_a_memory() -> None:
     control = load_script("benchmarks/memory_control.py")
     # Of two units in four trials, one is always -0.5, the other one 1 or -1.
     hidden = jnp.array([[[-0.5, 1.0], [-0.5, -1.0]], [[-0.5, -1.0], [-0.5, 1.0]]])
-    said = control.describe(TrialMemory(hidden, action=hidden, reward=hidden[..., 0]))
+    said = control.describe(TrialState(hidden, action=hidden, reward=hidden[..., 0]))
     assert "mean size of a unit 0.750" in said
     assert said.endswith("deviation over 4 trials 0.500")

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from maesn.learners.curious import CuriosityInfo
-from maesn.learners.info import GradientInfo, GroupShares
-from maesn.learners.policy_steps import ProximalInfo
-from maesn.learners.recurrent import RecurrentInfo
-from maesn.trust_region import TrustRegionInfo
+from maesn.learners.gradient.info import GradientInfo, GroupShares
+from maesn.learners.recurrent.meta_learner import RecurrentInfo
+from maesn.learners.recurrent.policy_steps import ProximalInfo
+from maesn.learners.wrappers.bonus import BonusInfo
+from maesn.numerics.trust_region import TrustRegionInfo
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
@@ -84,7 +84,7 @@ def test_python_examples_run(page: Path, tmp_path: Path) -> None:
         ("shares/", GroupShares),
         ("trust_region/", TrustRegionInfo),
         ("policy_step/", ProximalInfo),
-        ("curiosity/", CuriosityInfo),
+        ("curiosity/", BonusInfo),
     ],
 )
 def test_every_metric_is_described(prefix: str, info: type) -> None:

@@ -11,26 +11,15 @@ from typing import TYPE_CHECKING
 from maesn._version import __version__ as __version__
 
 if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in the table below
-    from maesn.ablation import Ablation as Ablation
-    from maesn.ablation import ablate as ablate
-    from maesn.adaptation import Adaptation as Adaptation
-    from maesn.adaptation import InnerStep as InnerStep
-    from maesn.adaptation import StepSchedule as StepSchedule
-    from maesn.admission import Changes as Changes
-    from maesn.advantage import AdvantageEstimator as AdvantageEstimator
     from maesn.api import adapt as adapt
     from maesn.api import export as export
     from maesn.api import plot as plot
     from maesn.api import resume as resume
     from maesn.api import train as train
-    from maesn.comparison import Place as Place
-    from maesn.comparison import compare as compare
     from maesn.context import BiasContext as BiasContext
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
-    from maesn.context import ToldContext as ToldContext
-    from maesn.curiosity import Curiosity as Curiosity
-    from maesn.entries import Scratch as Scratch
+    from maesn.context import OracleContext as OracleContext
     from maesn.envs import FAMILIES as FAMILIES
     from maesn.envs import AbstractMujocoEnv as AbstractMujocoEnv
     from maesn.envs import AbstractPureEnv as AbstractPureEnv
@@ -39,16 +28,21 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.envs import TaskSet as TaskSet
     from maesn.envs import find_family as find_family
     from maesn.envs.foreign import gymnasium_family as gymnasium_family
-    from maesn.episodes import Collect as Collect
-    from maesn.episodes import Episodes as Episodes
-    from maesn.film import render as render
+    from maesn.evaluation.film import render as render
+    from maesn.evaluation.test_time import AtTestTime as AtTestTime
+    from maesn.experience.episodes import Collect as Collect
+    from maesn.experience.episodes import Episodes as Episodes
+    from maesn.inner.adaptation import Adaptation as Adaptation
+    from maesn.inner.adaptation import InnerStep as InnerStep
+    from maesn.inner.adaptation import StepSchedule as StepSchedule
+    from maesn.inner.advantage import AdvantageEstimator as AdvantageEstimator
     from maesn.learners import METHODS as METHODS
     from maesn.learners import PRESETS as PRESETS
     from maesn.learners import SCRATCH as SCRATCH
     from maesn.learners import AbstractFastLearner as AbstractFastLearner
     from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
-    from maesn.learners import CuriousFastLearner as CuriousFastLearner
-    from maesn.learners import CuriousMetaLearner as CuriousMetaLearner
+    from maesn.learners import BonusFastLearner as BonusFastLearner
+    from maesn.learners import BonusMetaLearner as BonusMetaLearner
     from maesn.learners import FineTuning as FineTuning
     from maesn.learners import GradientMetaLearner as GradientMetaLearner
     from maesn.learners import PolicyGradient as PolicyGradient
@@ -65,24 +59,30 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import oracle as oracle
     from maesn.learners import rl2 as rl2
     from maesn.learners import rl2_trpo as rl2_trpo
+    from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
     from maesn.numerics import MinibatchDescent as MinibatchDescent
+    from maesn.numerics.trust_region import TrustRegion as TrustRegion
     from maesn.policies import CategoricalMLP as CategoricalMLP
     from maesn.policies import GaussianMLP as GaussianMLP
     from maesn.policies import Recurrent as Recurrent
-    from maesn.rollout import Collector as Collector
     from maesn.runs.config import RunSettings as RunSettings
-    from maesn.runs.contest import Conditions as Conditions
     from maesn.runs.run import Run as Run
     from maesn.runs.storage import RunError as RunError
-    from maesn.runs.test_time import AtTestTime as AtTestTime
-    from maesn.trust_region import TrustRegion as TrustRegion
+    from maesn.studies.ablation import Ablation as Ablation
+    from maesn.studies.ablation import ablate as ablate
+    from maesn.studies.checks import Changes as Changes
+    from maesn.studies.comparison import WorldSettings as WorldSettings
+    from maesn.studies.comparison import compare as compare
+    from maesn.studies.curves import Conditions as Conditions
+    from maesn.studies.lines import Scratch as Scratch
     from maesn.worlds import EpisodeError as EpisodeError
     from maesn.worlds import make_world as make_world
+    from maesn.worlds.collector import Collector as Collector
 
 # Module -> the names that it gives to the public surface. A name must not equal that of a module
 # of this package: importing the module would silently put it in the name's place.
 _PUBLIC: dict[str, tuple[str, ...]] = {
-    "maesn.ablation": (
+    "maesn.studies.ablation": (
         "Ablation",
         "ablate",
     ),
@@ -93,25 +93,25 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "resume",
         "train",
     ),
-    "maesn.adaptation": (
+    "maesn.inner.adaptation": (
         "Adaptation",
         "InnerStep",
         "StepSchedule",
     ),
-    "maesn.admission": ("Changes",),
-    "maesn.advantage": ("AdvantageEstimator",),
-    "maesn.comparison": (
-        "Place",
+    "maesn.studies.checks": ("Changes",),
+    "maesn.inner.advantage": ("AdvantageEstimator",),
+    "maesn.studies.comparison": (
+        "WorldSettings",
         "compare",
     ),
     "maesn.context": (
         "BiasContext",
         "LatentContext",
         "NoContext",
-        "ToldContext",
+        "OracleContext",
     ),
-    "maesn.curiosity": ("Curiosity",),
-    "maesn.entries": ("Scratch",),
+    "maesn.learners.wrappers.curiosity": ("CuriosityBonus",),
+    "maesn.studies.lines": ("Scratch",),
     "maesn.envs": (
         "FAMILIES",
         "AbstractMujocoEnv",
@@ -122,19 +122,19 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "find_family",
     ),
     "maesn.envs.foreign": ("gymnasium_family",),
-    "maesn.episodes": (
+    "maesn.experience.episodes": (
         "Collect",
         "Episodes",
     ),
-    "maesn.film": ("render",),
+    "maesn.evaluation.film": ("render",),
     "maesn.learners": (
         "METHODS",
         "PRESETS",
         "SCRATCH",
         "AbstractFastLearner",
         "AbstractMetaLearner",
-        "CuriousFastLearner",
-        "CuriousMetaLearner",
+        "BonusFastLearner",
+        "BonusMetaLearner",
         "FineTuning",
         "GradientMetaLearner",
         "PolicyGradient",
@@ -158,13 +158,13 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "GaussianMLP",
         "Recurrent",
     ),
-    "maesn.rollout": ("Collector",),
+    "maesn.worlds.collector": ("Collector",),
     "maesn.runs.config": ("RunSettings",),
-    "maesn.runs.contest": ("Conditions",),
+    "maesn.studies.curves": ("Conditions",),
     "maesn.runs.run": ("Run",),
     "maesn.runs.storage": ("RunError",),
-    "maesn.runs.test_time": ("AtTestTime",),
-    "maesn.trust_region": ("TrustRegion",),
+    "maesn.evaluation.test_time": ("AtTestTime",),
+    "maesn.numerics.trust_region": ("TrustRegion",),
     "maesn.worlds": (
         "EpisodeError",
         "make_world",

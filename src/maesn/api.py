@@ -11,29 +11,29 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluate import AdaptationOutcome, tasks_at_once
-from maesn.evaluate import adapt as adapt_to_tasks
-from maesn.learners import AbstractFastLearner, AbstractMetaLearner
-from maesn.report.plot import plot_run_directories
-from maesn.rollout import Collector
-from maesn.runs.adaptation_files import (
+from maesn.evaluation.evaluate import AdaptationOutcome, tasks_at_once
+from maesn.evaluation.evaluate import adapt as adapt_to_tasks
+from maesn.evaluation.exploration import record_exploration
+from maesn.evaluation.record import adaptation_record, identity_of_run
+from maesn.evaluation.tables import (
     adaptation_file,
     engine_suffix,
     read_latents,
     write_outcome,
 )
-from maesn.runs.adaptation_record import adaptation_record, identity_of_run
+from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
+from maesn.learners import AbstractFastLearner, AbstractMetaLearner
+from maesn.report.plot import plot_run_directories
 from maesn.runs.beginning import begun_state
 from maesn.runs.config import RunSettings
-from maesn.runs.exploration import record_exploration
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.runs.shipped import find_run, working_copy
 from maesn.runs.starting import check_shown
 from maesn.runs.storage import RunError
-from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
+from maesn.worlds.collector import Collector
 
 
 def train(

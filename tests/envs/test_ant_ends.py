@@ -10,11 +10,11 @@ from playing import agents, assert_same, play
 
 from maesn.axes import Key
 from maesn.envs import Ant, Variant, ant
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.learners.presets import maesn
 from maesn.policies import GaussianMLP
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 TASKS = ant.task_set("training", size=4)
 EPISODES, HORIZON = 6, 8

@@ -14,7 +14,7 @@ import pytest
 from playing import agents, assert_same, keys, play, readings_at
 
 from maesn.envs import FAMILIES, PROBES, AnyEnv, BlockPushTask, Point, TaskFamily, TaskSet
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 
 EVERY = FAMILIES | PROBES
 

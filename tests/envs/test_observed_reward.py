@@ -13,7 +13,7 @@ import pytest
 from playing import agents, play
 
 from maesn.envs import FAMILIES, PROBES, AnyEnv, Point
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.policies import GaussianMLPPolicy
 
 EVERY = FAMILIES | PROBES

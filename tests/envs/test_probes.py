@@ -9,7 +9,6 @@ import pytest
 from playing import LATENT_SIZE, constant_agents, play
 from scipy import stats
 
-from maesn.agent import Agents
 from maesn.context import Latent
 from maesn.envs import (
     AnyEnv,
@@ -22,7 +21,8 @@ from maesn.envs import (
 )
 from maesn.envs.probes import HiddenEnd, HiddenSide
 from maesn.envs.target_probes import DelayedTarget, HiddenTarget
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear
 from maesn.policies import GaussianMLPPolicy
 

@@ -19,8 +19,8 @@ from playing import constant_agents, keys
 
 from maesn.cli import run as maesn
 from maesn.envs import TaskFamily
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NAMES = ("half_cheetah_velocity", "metaworld_reach")

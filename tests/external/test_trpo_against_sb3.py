@@ -12,11 +12,11 @@ from sb3_contrib import TRPO
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from maesn.envs.foreign import gymnasium_family
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
 from maesn.learners import SCRATCH
 from maesn.policies import CategoricalMLP
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 STEPS = 100_000
 HIDDEN = (64, 64)

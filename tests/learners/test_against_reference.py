@@ -23,11 +23,11 @@ from reference.maesn import Settings, TaskData, loss, mean_kl
 from reference.parameters import Array, Parameters, flatten, unflatten
 from reference.trust_region import TrustRegionSettings, curvature, loss_gradient, outer_step
 
-from maesn.agent import Agents
+from maesn.experience.agent import Agents
 from maesn.learners import GradientState
-from maesn.learners.curvature import step_weights
-from maesn.learners.objective import MetaObjective, MetaParameters
-from maesn.trust_region import Evaluation, TrustRegion
+from maesn.learners.gradient.curvature import step_weights
+from maesn.learners.gradient.objective import MetaObjective, MetaParameters
+from maesn.numerics.trust_region import Evaluation, TrustRegion
 
 CASES: dict[str, dict[str, Any]] = {
     "maesn": {"lengths": EQUAL},

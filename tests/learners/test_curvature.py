@@ -13,14 +13,14 @@ from learning_problems.prepared import ACTION, LATENT, OBSERVATION, UNEQUAL, mak
 from learning_problems.translation import experience_for
 
 from maesn.context import BiasContext, LatentContext
-from maesn.episodes import Thinning
+from maesn.experience.episodes import Thinning
+from maesn.inner.surrogate import post_distributions
 from maesn.learners import PRESETS
-from maesn.learners.curvature import sampled_distributions, step_weights
-from maesn.learners.gradient import GradientMetaLearner
-from maesn.learners.objective import MetaObjective, MetaParameters
+from maesn.learners.gradient.curvature import sampled_distributions, step_weights
+from maesn.learners.gradient.meta_learner import GradientMetaLearner
+from maesn.learners.gradient.objective import MetaObjective, MetaParameters
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
-from maesn.surrogate import post_distributions
-from maesn.trust_region import TrustRegion
 
 ROWS = (3, 0, 4)
 METHODS = ("maesn", "maesn_theta", "maml", "maml_bias", "maml_bias_only", "latent_space")

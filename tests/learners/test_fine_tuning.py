@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from playing import keys
 
-from maesn.curiosity import Curiosity
 from maesn.envs import point
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
 from maesn.learners import (
     IMPROVEMENTS,
     SCRATCH,
-    CuriousFastLearner,
+    BonusFastLearner,
     FineTuning,
     GradientFastLearner,
     PolicyGradient,
@@ -22,10 +21,11 @@ from maesn.learners import (
     maml,
     rl2,
 )
-from maesn.normalization import ObservationStatistics
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLP, Recurrent
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 TASKS = 2
 pytestmark = pytest.mark.usefixtures("quick_compiler")
@@ -103,13 +103,13 @@ def test_memory_is_refused_at_construction() -> None:
     settings = {"policy": Recurrent(hidden_size=4), "curvature_stride": 1, "meta_batch_size": 2}
     remembers = maesn(**settings)
     gradient = remembers.fast_learner(remembers.init(jax.random.key(0), 2, 2, TASKS))
-    for learner in (gradient, CuriousFastLearner(gradient, Curiosity(), 2, 2)):
+    for learner in (gradient, BonusFastLearner(gradient, CuriosityBonus(), 2, 2)):
         with pytest.raises(ValueError, match="`learner` must be without memory"):
             FineTuning(learner, IMPROVEMENTS["trpo"])
     with pytest.raises(ValueError, match="`policy` must be without memory, got Recurrent:"):
         PolicyGradient(2, 2, Recurrent())
     with pytest.raises(ValueError, match="`learner` must learn from what it is paid to be curious"):
-        CuriousFastLearner(recurrent, Curiosity(), 2, 2)
+        BonusFastLearner(recurrent, CuriosityBonus(), 2, 2)
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0: curiosity"):
         SCRATCH["vime"](0, 2)
 

@@ -14,9 +14,9 @@ from learning_problems.translation import META_BATCH, learner_for, to_library
 from reference.maesn import Settings
 from reference.parameters import flatten, unflatten
 
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.learners import GradientInfo, GradientState
-from maesn.learners.objective import MetaParameters
+from maesn.learners.gradient.objective import MetaParameters
 
 KEY = 4
 pytestmark = pytest.mark.usefixtures("quick_compiler")

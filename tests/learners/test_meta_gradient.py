@@ -11,7 +11,7 @@ from learning_problems.translation import experience_for
 
 from maesn.context import BiasContext
 from maesn.learners import maml_bias
-from maesn.learners.objective import MetaObjective
+from maesn.learners.gradient.objective import MetaObjective
 from maesn.policies import GaussianMLP
 
 ROWS = (3, 0)

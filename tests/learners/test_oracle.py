@@ -10,15 +10,15 @@ from playing import assert_same, keys
 from small_runs import create, finish, outcome
 
 from maesn import api
-from maesn.context import ToldContext
+from maesn.context import OracleContext
 from maesn.envs import FAMILIES, PROBES, BlockPushTask, hidden_target
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
-from maesn.rollout import Collector
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
@@ -39,7 +39,7 @@ def test_a_told_policy_is_fed_the_description_of_its_own_task() -> None:
 
 
 def test_a_told_context_is_neither_random_nor_learned_nor_paid_for() -> None:
-    context = ToldContext()
+    context = OracleContext()
     learned = context.init(jax.random.key(0), num_tasks=5, description_size=3)
     assert jax.tree.leaves(learned) == []
     assert (learned.size, learned.noise_size) == (3, 3)

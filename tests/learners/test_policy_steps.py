@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from maesn.learners import ProximalStep, TrustRegionStep
-from maesn.learners.trials import Trials
+from maesn.learners.recurrent.trials import Trials
 from maesn.numerics import Categorical, MinibatchDescent
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import PolicyInput, Recurrent, RecurrentPolicy
-from maesn.trust_region import TrustRegion
 
 TRIALS, STEPS, CHOICES, CLIP, ENTROPY = 5, 4, 3, 0.2, 0.1
 pytestmark = pytest.mark.usefixtures("quick_compiler")

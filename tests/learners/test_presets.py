@@ -14,9 +14,9 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.prepared import HORIZON
 
-from maesn.adaptation import Adaptation, InnerStep
-from maesn.agent import Agents
-from maesn.context import AbstractContext, LatentContext, NoContext, ToldContext
+from maesn.context import AbstractContextSettings, LatentContext, NoContext, OracleContext
+from maesn.experience.agent import Agents
+from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.learners import (
     PRESETS,
     GradientFastState,
@@ -284,8 +284,10 @@ def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> No
         PRESETS["maesn"](**{setting: value})
 
 
-@pytest.mark.parametrize("context", [NoContext(), ToldContext()], ids=["none", "told"])
-def test_a_context_in_which_nothing_moves_is_given_no_steps(context: AbstractContext) -> None:
+@pytest.mark.parametrize("context", [NoContext(), OracleContext()], ids=["none", "told"])
+def test_a_context_in_which_nothing_moves_is_given_no_steps(
+    context: AbstractContextSettings,
+) -> None:
     name = type(context).__name__
     with pytest.raises(ValueError, match=f"`adaptation.context` must be None with {name}, in"):
         GradientMetaLearner(context, Adaptation(context=InnerStep(1.0)))

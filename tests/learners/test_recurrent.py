@@ -10,27 +10,27 @@ import pytest
 from maesn.axes import Carry, TaskKeys
 from maesn.context import Latent
 from maesn.envs import HiddenEnd, HiddenSide, TaskSet
-from maesn.episodes import Collect, Episodes, TrialMemory
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
+from maesn.experience.episodes import Collect, Episodes, TrialState
 from maesn.learners import (
     PRESETS,
     GradientMetaLearner,
     ProximalStep,
     RecurrentMetaLearner,
-    RecurrentState,
+    RecurrentMetaState,
     RecurrentValue,
     TrustRegionStep,
     maesn,
     method_name,
     rl2,
 )
-from maesn.learners.trials import Trials, join_episodes
+from maesn.learners.recurrent.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP, Recurrent
-from maesn.rollout import Collector
 from maesn.runs.compilation import CompileClock
-from maesn.trust_region import TrustRegion
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 TASKS, EPISODES, TRIAL = 4, 3, 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
@@ -55,7 +55,7 @@ class Watching:
 
     def __init__(self, collect: Collect) -> None:
         self.collect = collect
-        self.carries: list[TrialMemory | None] = []
+        self.carries: list[TrialState | None] = []
         self.played: list[Episodes] = []
 
     @property
@@ -77,7 +77,7 @@ def mortal() -> Collector:
     return Collector(make_world(HiddenEnd(horizon=6), TaskSet(lifetimes)), EPISODES)
 
 
-def start(learner: RecurrentMetaLearner) -> RecurrentState:
+def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
     return learner.init(jax.random.key(0), 1, 1, TASKS)
 
 
@@ -108,7 +108,7 @@ def test_a_meta_iteration_plays_trials_and_improves(policy_step: Any) -> None:
 
 def test_advantages_span_the_trial() -> None:
     """Against loops over the steps that were played, episode after episode."""
-    learner, collect = small(discount=0.9, trace=0.8), Watching(mortal())
+    learner, collect = small(discount=0.9, gae_lambda=0.8), Watching(mortal())
     learner.step(jax.random.key(1), start(learner), collect)
     trials = join_episodes(collect.played)
     expected = np.random.default_rng(0).normal(size=trials.valid.shape).astype(np.float32)
@@ -215,7 +215,7 @@ def test_method_names() -> None:
         ({"meta_batch_size": 0}, "`meta_batch_size` must be at least 1, got 0"),
         ({"trial_episodes": 0}, "`trial_episodes` must be at least 1, got 0"),
         ({"discount": 1.5}, r"`discount` must lie in \[0, 1\], got 1.5"),
-        ({"trace": -0.5}, r"`trace` must lie in \[0, 1\], got -0.5"),
+        ({"gae_lambda": -0.5}, r"`gae_lambda` must lie in \[0, 1\], got -0.5"),
         ({"policy": GaussianMLP()}, "`trial_episodes` is 2, but a policy of `GaussianMLP` rememb"),
     ],
 )

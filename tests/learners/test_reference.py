@@ -105,7 +105,7 @@ def test_densities_agree_with_scipy_and_divergence_with_quadrature() -> None:
 def test_returns_and_advantages_by_hand() -> None:
     reward, value = np.array([1.0, 2.0, 4.0]), np.array([0.5, -1.0, 3.0])
     np.testing.assert_allclose(discounted_returns(reward, 0.5), [3.0, 4.0, 4.0])
-    # delta = (1 - .5 - .5, 2 + 1.5 + 1, 4 - 3) with discount 1/2, then trace 1/2.
+    # delta = (1 - .5 - .5, 2 + 1.5 + 1, 4 - 3) with discount 1/2, then gae_lambda 1/2.
     actual = generalized_advantages(reward, value, 0.5, 0.5)
     np.testing.assert_allclose(actual, [0.0 + 4.75 / 4, 4.5 + 1 / 4, 1.0])
 

@@ -14,25 +14,25 @@ from playing import keys
 from reference.policy_gradient import reinforce_step, trpo_step
 from reference.trust_region import TrustRegionSettings
 
-from maesn.advantage import AdvantageEstimator
-from maesn.agent import Agents
 from maesn.context import Nothing
 from maesn.envs import find_family
-from maesn.episodes import Episodes
-from maesn.evaluate import adapt
+from maesn.evaluation.evaluate import adapt
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import (
     SCRATCH,
-    GradientRule,
+    GradientStep,
     PolicyGradient,
     PolicyImprovement,
-    TrustRegionRule,
+    TrustRegionWeightStep,
 )
 from maesn.networks import MLP, Linear
 from maesn.numerics import DiagonalGaussian
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP, GaussianMLPPolicy
-from maesn.rollout import Collector
-from maesn.trust_region import TrustRegion
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 ROWS = (0, 3)
@@ -44,7 +44,10 @@ ROWS = (0, 3)
 def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: float) -> None:
     problem = make_problem(2, UNEQUAL, inner_updates=0, latent=0)
     theta = to_policy(problem.parameters)
-    rules = {"reinforce": GradientRule(0.3), "trpo": TrustRegionRule(TrustRegion(cg_steps=10), 1)}
+    rules = {
+        "reinforce": GradientStep(0.3),
+        "trpo": TrustRegionWeightStep(TrustRegion(cg_steps=10), 1),
+    }
     improvement = PolicyImprovement(rules[method])
     state = improvement.begin(keys(2), Agents(stacked(theta, 2), Nothing(), shares_policy=False))
     batch = problem.batches(0)
@@ -84,7 +87,7 @@ def quadratic_bandit() -> tuple[Agents, Episodes]:
     return Agents(policy, Nothing(), shares_policy=False), paid
 
 
-def moved_by(rule: GradientRule | TrustRegionRule) -> np.ndarray:
+def moved_by(rule: GradientStep | TrustRegionWeightStep) -> np.ndarray:
     """How far one step moves (mean, log std)."""
     agents, episodes = quadratic_bandit()
     improvement = PolicyImprovement(rule, AdvantageEstimator(ridge=1e-3))
@@ -105,7 +108,7 @@ TOLERANCE = 4 * np.array([6.0, 8.0]) / np.sqrt(NUMBER)
 
 
 def test_reinforce_follows_the_gradient_of_the_expected_reward() -> None:
-    found = moved_by(GradientRule(step_size=0.1)) / 0.1
+    found = moved_by(GradientStep(step_size=0.1)) / 0.1
     np.testing.assert_array_less(np.abs(found - SLOPE / REWARD_STD), TOLERANCE)
     assert np.all(np.abs(SLOPE / REWARD_STD) > 2 * TOLERANCE)
 
@@ -114,7 +117,7 @@ def test_trpo_follows_the_natural_gradient() -> None:
     # The Fisher information of (m, log s) is diag(1/s², 2). With g the slope and F that, the step
     # is sqrt(2 max_kl / g'F⁻¹g) F⁻¹g, shortened by 0.8 if the divergence exceeds the bound.
     bound = 1e-4
-    found = moved_by(TrustRegionRule(TrustRegion(max_kl=bound), 1))
+    found = moved_by(TrustRegionWeightStep(TrustRegion(max_kl=bound), 1))
     natural = SLOPE * np.array([STD**2, 0.5])
     step = np.sqrt(2 * bound / (SLOPE @ natural)) * natural
     ratio = found / step
@@ -129,7 +132,7 @@ def test_trpo_follows_the_natural_gradient() -> None:
 
 def test_adam_scales_the_step() -> None:
     # Its first step has the size asked for, whatever the gradient.
-    found = moved_by(GradientRule(step_size=0.01, scaling="adam"))
+    found = moved_by(GradientStep(step_size=0.01, scaling="adam"))
     np.testing.assert_allclose(found, 0.01 * np.sign(SLOPE), rtol=1e-3)
 
 
@@ -190,9 +193,12 @@ def test_vpg_is_reinforce() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: GradientRule(step_size=float("inf")), "`step_size` must be positive and finite"),
-        (lambda: GradientRule(step_size=0.0), "`step_size` must be positive and finite, got 0.0"),
-        (lambda: TrustRegionRule(curvature_stride=0), "`curvature_stride` must be at least 1"),
+        (lambda: GradientStep(step_size=float("inf")), "`step_size` must be positive and finite"),
+        (lambda: GradientStep(step_size=0.0), "`step_size` must be positive and finite, got 0.0"),
+        (
+            lambda: TrustRegionWeightStep(curvature_stride=0),
+            "`curvature_stride` must be at least 1",
+        ),
     ],
 )
 def test_impossible_settings_are_refused_by_name(make: object, said: str) -> None:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from playing import keys
 
-from maesn.agent import Agents
 from maesn.axes import ObservedReward
 from maesn.context import Nothing
 from maesn.envs import Bandit, HiddenEnd, Point, TaskSet, point
-from maesn.episodes import Episodes
-from maesn.learners.trials import Trials, join_episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.inner.surrogate import action_distributions
+from maesn.learners.recurrent.trials import Trials, join_episodes
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import Recurrent, RecurrentPolicy
-from maesn.rollout import Collector
-from maesn.surrogate import action_distributions
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 HORIZON, SLOTS, EPISODES = 6, 2, 3
 LIFETIMES = np.float32([3, 5])

@@ -1,1 +1,1 @@
-"""Experience without worlds: what floors 4 and 5 are tested on."""
+"""Experience without worlds: what baselines 4 and 5 are tested on."""

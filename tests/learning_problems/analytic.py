@@ -10,9 +10,9 @@ from reference.policy import action_log_std, action_mean
 
 from learning_problems.prepared import HORIZON, stack
 from learning_problems.translation import policy_to_reference
-from maesn.agent import Agents
-from maesn.context import AbstractContextValue, Bias, Latent
-from maesn.episodes import Episodes
+from maesn.context import AbstractContext, Bias, Latent
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 
 OBSERVATION, ACTION = 3, 2
 
@@ -74,7 +74,7 @@ def policy_of(agents: Agents, slot: int) -> Parameters:
     return policy_to_reference(jax.tree.map(lambda x: np.asarray(x)[slot], agents.policy))
 
 
-def draw(context: AbstractContextValue, slot: int, noise: Array) -> Array:
+def draw(context: AbstractContext, slot: int, noise: Array) -> Array:
     """Return what the policy of one task slot is fed."""
     if isinstance(context, Latent):
         mean, log_std = (np.float64(x)[slot] for x in (context.mean, context.log_std))

@@ -11,8 +11,8 @@ from reference.maesn import Agent, Settings, TaskData, adapted, inner_update, st
 from reference.parameters import Array, Parameters, random_parameters
 from reference.policy import action_log_std, action_mean
 
-from maesn.agent import Agents
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.numerics import DiagonalGaussian
 
 HORIZON = 6

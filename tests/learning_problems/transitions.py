@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.numerics import DiagonalGaussian
 
 

@@ -10,16 +10,16 @@ from reference.policy import num_layers
 from reference.trust_region import TrustRegionSettings
 
 from learning_problems.prepared import LATENT, ROWS, SIZES, Problem, stack
-from maesn.adaptation import Adaptation, InnerStep, StepSizes
-from maesn.advantage import AdvantageEstimator, Advantages
 from maesn.context import Latent, LatentContext, NoContext, Nothing
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
+from maesn.inner.adaptation import Adaptation, InnerStep, StepSizes
+from maesn.inner.advantage import AdvantageEstimator, Advantages
 from maesn.learners import GradientMetaLearner
-from maesn.learners.objective import Experience, MetaObjective, MetaParameters
+from maesn.learners.gradient.objective import Experience, MetaObjective, MetaParameters
 from maesn.networks.mlp import MLP, Linear
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
 from maesn.policies.gaussian_mlp import GaussianMLPPolicy
-from maesn.trust_region import TrustRegion
 
 META_BATCH = 3
 

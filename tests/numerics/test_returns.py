@@ -43,7 +43,7 @@ def _loop_advantages(
     bootstrap_value: float,
     length: int,
     discount: float,
-    trace: float,
+    gae_lambda: float,
 ) -> np.ndarray:
     """The definition as an explicit double sum, A_t = Σ_k (γλ)ᵏ δ_{t+k}."""
     values = [*np.float64(value)[:length], bootstrap_value]
@@ -51,7 +51,7 @@ def _loop_advantages(
     advantages = np.zeros(TIME)
     for t in range(length):
         for k in range(length - t):
-            advantages[t] += (discount * trace) ** k * errors[t + k]
+            advantages[t] += (discount * gae_lambda) ** k * errors[t + k]
     return advantages
 
 
@@ -76,12 +76,14 @@ def test_returns_of_discount_zero_are_the_rewards() -> None:
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-@pytest.mark.parametrize(("discount", "trace"), [(0.9, 0.7), (1.0, 0.5), (0.5, 1.0)])
-def test_advantages_agree_with_a_double_loop(length: int, discount: float, trace: float) -> None:
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.9, 0.7), (1.0, 0.5), (0.5, 1.0)])
+def test_advantages_agree_with_a_double_loop(
+    length: int, discount: float, gae_lambda: float
+) -> None:
     reward, value, valid = _episode(length)
-    actual = generalized_advantages(reward, value, -0.8, valid, discount, trace)
+    actual = generalized_advantages(reward, value, -0.8, valid, discount, gae_lambda)
     expected = _loop_advantages(
-        np.asarray(reward), np.asarray(value), -0.8, length, discount, trace
+        np.asarray(reward), np.asarray(value), -0.8, length, discount, gae_lambda
     )
     np.testing.assert_allclose(actual, expected, atol=1e-5)
 

@@ -41,7 +41,7 @@ def random_inputs() -> PolicyInput:
 
 
 def fresh_memory(policy: AbstractPolicy) -> Carry:
-    return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_carry())
+    return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_recurrent_state())
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -101,7 +101,7 @@ def test_kinds_of_actions() -> None:
     }
     policy = SETTINGS["recurrent, discrete"].init(jax.random.key(0), OBSERVATION, ACTION, 0)
     first = jax.tree.map(lambda x: x[0, 0], random_inputs())
-    distribution, _ = policy(first, jnp.zeros(0), policy.initial_carry())
+    distribution, _ = policy(first, jnp.zeros(0), policy.initial_recurrent_state())
     assert isinstance(distribution, Categorical)
 
 

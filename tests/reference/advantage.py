@@ -41,7 +41,7 @@ class Experience:
 @dataclass(frozen=True)
 class AdvantageSettings:
     discount: float = 0.99
-    trace: float = 1.0
+    gae_lambda: float = 1.0
     ridge: float = 1e-5
 
 
@@ -70,10 +70,12 @@ def fit_baseline(rows: Array, target: Array, ridge: float) -> Array:
     return np.linalg.lstsq(extended, np.append(target, np.zeros(size)), rcond=None)[0]
 
 
-def generalized_advantages(reward: Array, value: Array, discount: float, trace: float) -> Array:
-    """Return A_t = sum_k (discount trace)^k delta_{t+k}; nothing is paid after the last step."""
+def generalized_advantages(
+    reward: Array, value: Array, discount: float, gae_lambda: float
+) -> Array:
+    """Return A_t = sum_k (discount gae_lambda)^k delta_{t+k}; no reward after the last step."""
     next_value = np.append(value[1:], 0.0)
-    return discounted_returns(reward + discount * next_value - value, discount * trace)
+    return discounted_returns(reward + discount * next_value - value, discount * gae_lambda)
 
 
 def standardize(values: Array) -> Array:
@@ -87,7 +89,7 @@ def experience(episodes: list[Episode], settings: AdvantageSettings) -> Experien
     coefficients = fit_baseline(rows, np.concatenate(returns), settings.ridge)
     values = [features(e.observation) @ coefficients for e in episodes]
     steps = [
-        generalized_advantages(e.reward, value, settings.discount, settings.trace)
+        generalized_advantages(e.reward, value, settings.discount, settings.gae_lambda)
         for e, value in zip(episodes, values, strict=True)
     ]
     first = np.array([g[0] - value[0] for g, value in zip(returns, values, strict=True)])

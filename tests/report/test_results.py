@@ -10,7 +10,7 @@ import pytest
 from scripts import ROOT, load_script
 from small_runs import create, tiny_maesn
 
-from maesn.runs.contest import Conditions
+from maesn.studies.curves import Conditions
 
 RESULTS = ROOT / "results"
 TABULATED = sorted(path.parent for path in RESULTS.rglob("tables.md"))

@@ -223,7 +223,7 @@ def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> 
         name: stream.normal(size=(count, num_tasks)) + 2.0 * stream.normal(size=(count, 1))
         for name, count in seeds.items()
     }
-    drawn["oracle"] += 20.0  # which of the two floors is above differs between resamples
+    drawn["oracle"] += 20.0  # which of the two baselines is above differs between resamples
     found = score_interval(drawn["values"], [drawn["first"], drawn["second"]], drawn["oracle"])
 
     def score(means: dict[str, float]) -> float:

@@ -17,7 +17,7 @@ from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError
-from maesn.worlds import check_promises
+from maesn.worlds import check_env_contract
 
 POINT = FAMILIES["point"]
 
@@ -228,7 +228,7 @@ def test_an_environment_that_contradicts_itself_is_refused(said: str, tmp_path: 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 @pytest.mark.parametrize("variant", ["reference", "paper"])
 def test_the_librarys_own_environments_keep_their_word(family: TaskFamily, variant: str) -> None:
-    check_promises(family.make_env(variant=variant), family.task_set("test")[0])
+    check_env_contract(family.make_env(variant=variant), family.task_set("test")[0])
 
 
 def test_what_a_function_raises_is_not_hidden(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
 from maesn.api import adapt, export, plot
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
-from maesn.film import render
+from maesn.evaluation.film import render
 from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.run import Run

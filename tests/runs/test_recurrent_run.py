@@ -10,10 +10,10 @@ import pytest
 from small_runs import create, finish, metrics, outcome, reopened
 
 from maesn import api
+from maesn.evaluation.tables import write_arrays
 from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
-from maesn.runs.adaptation_files import write_arrays
 from maesn.runs.serialization import from_json, to_json
 from maesn.runs.storage import RunError
 

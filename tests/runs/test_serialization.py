@@ -7,9 +7,10 @@ from typing import Any
 import equinox as eqx
 import pytest
 
-from maesn.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.context import AbstractContext, BiasContext, LatentContext
+from maesn.context import AbstractContextSettings, BiasContext, LatentContext
+from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners import PRESETS, AbstractMetaLearner, maesn
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import (
@@ -20,7 +21,6 @@ from maesn.runs.serialization import (
     from_json,
     to_json,
 )
-from maesn.trust_region import TrustRegion
 
 OTHERS = {
     "sizes": maesn(policy=GaussianMLP(hidden_sizes=(), initial_std=0.5)),
@@ -67,7 +67,9 @@ def concrete_subclasses(parent: type) -> Iterator[type]:
             yield child
 
 
-@pytest.mark.parametrize("slot", [AbstractContext, AbstractPolicySettings, AbstractMetaLearner])
+@pytest.mark.parametrize(
+    "slot", [AbstractContextSettings, AbstractPolicySettings, AbstractMetaLearner]
+)
 def test_every_filling_of_a_slot_can_be_stored(slot: type) -> None:
     fillings = {child.__name__ for child in concrete_subclasses(slot)}
     assert fillings

@@ -11,21 +11,21 @@ from pictures import can_draw, drawn
 from scripts import load_script
 from small_runs import Drift, create, finish, tiny_settings
 
-from maesn import api, cli, film
+from maesn import api, cli
 from maesn.commands.options import parse
 from maesn.commands.train import Options
 from maesn.context import LatentContext
 from maesn.envs import find_family
+from maesn.evaluation import exploration, film
 from maesn.learners import AbstractMetaLearner, maesn
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP
-from maesn.runs import exploration
 from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
 from maesn.runs.storage import RunError
 from maesn.runtime import Explorer
-from maesn.trust_region import TrustRegion
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 

@@ -13,10 +13,10 @@ import pytest
 from jaxtyping import Array, Float
 from runtime.robot import fast_learner, policy_file
 
-from maesn.adaptation import Adaptation, InnerStep
-from maesn.advantage import AdvantageEstimator
 from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
+from maesn.inner.adaptation import Adaptation, InnerStep
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import PRESETS
 from maesn.policies import GaussianMLP
 from maesn.runs.export import export_policy, exported_policy, probe_actuators

@@ -10,18 +10,18 @@ import pytest
 from playing import keys
 from runtime.robot import fast_learner
 
-from maesn.adaptation import StepSchedule
-from maesn.advantage import FEATURE_CLIP, FEATURE_TIME_SCALE
 from maesn.context import Latent
 from maesn.envs import Point, point
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
+from maesn.inner.adaptation import StepSchedule
+from maesn.inner.advantage import FEATURE_CLIP, FEATURE_TIME_SCALE
 from maesn.learners import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
-from maesn.rollout import Collector
 from maesn.runs.export import exported_policy
 from maesn.runtime import Episode, Explorer, ExplorerState, baseline
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 NUM_TASKS = 3
 NUM_EPISODES = 20

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from playing import agents, keys, play
 
-from maesn.agent import Agents
 from maesn.envs import AbstractPureEnv, DelayedTarget, HiddenSide, Point, TaskSet
+from maesn.experience.agent import Agents
 from maesn.worlds import DeviceWorld, make_world
 
 GOALS = TaskSet(np.float32([[2.0, 0.0], [0.0, 2.0], [-1.2, 1.6]]))

@@ -19,13 +19,13 @@ from strange_families import (
 )
 from strangers import HORIZON, Chooser, Walker, draw_walks, make_walker
 
-from maesn.agent import Agents
 from maesn.context import Nothing
 from maesn.envs import RewardKind, TaskSet
-from maesn.episodes import Episodes
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
 from maesn.policies import CategoricalMLP, Recurrent
-from maesn.rollout import Collector
 from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 
 def flat(seen: Any) -> np.ndarray:

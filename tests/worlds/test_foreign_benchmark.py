@@ -13,8 +13,8 @@ from strange_families import EPISODES, walkers
 from strangers import HORIZON, draw_walks
 
 from maesn.envs import TaskSet
-from maesn.episodes import Episodes
-from maesn.rollout import Collector
+from maesn.experience.episodes import Episodes
+from maesn.worlds.collector import Collector
 from maesn.worlds.foreign import GymnasiumWorld
 
 NUM_TASKS = 5

@@ -30,8 +30,8 @@ from strangers import Diarist, Walker, make_hopeless
 
 from maesn import cli
 from maesn.envs import TaskSet
-from maesn.rollout import Collector
 from maesn.worlds import EpisodeError, make_world
+from maesn.worlds.collector import Collector
 
 FAILURES = {
     10: "the observation is not finite: component 9 is nan",

@@ -15,10 +15,10 @@ from playing import agents, assert_same, constant_agents, keys, play
 
 from maesn.axes import Key
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
-from maesn.episodes import Episodes
+from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.rollout import Collector
 from maesn.worlds import NativeWorld, make_world
+from maesn.worlds.collector import Collector
 
 TASK_INDEX = [17, 3]
 EPISODES = 3

@@ -3,14 +3,14 @@
 import dataclasses
 from pathlib import Path
 
-from maesn.ablation import Ablation, ablate, radius_label
 from maesn.commands.options import parse
-from maesn.comparison import USUAL
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
-from maesn.runs.contest import Conditions
 from maesn.runs.storage import RunError
+from maesn.studies.ablation import Ablation, ablate, radius_label
+from maesn.studies.comparison import USUAL
+from maesn.studies.curves import Conditions
 
 
 @dataclasses.dataclass(frozen=True)

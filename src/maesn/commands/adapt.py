@@ -9,11 +9,11 @@ import tyro
 from maesn import api
 from maesn.commands.options import parse
 from maesn.envs import RewardKind
+from maesn.evaluation.tables import adaptation_file, engine_suffix
+from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
 from maesn.report import print_adaptation_summary
-from maesn.runs.adaptation_files import adaptation_file, engine_suffix
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.shipped import working_copy
-from maesn.runs.test_time import NOTHING_ADDED, AtTestTime
 from maesn.worlds import EngineName
 
 

@@ -6,16 +6,16 @@ from typing import Annotated
 
 import tyro
 
-from maesn.admission import Changes
 from maesn.commands.options import parse
-from maesn.comparison import ANYWHERE, NOBODY, USUAL, Place, compare
-from maesn.curiosity import Curiosity
-from maesn.entries import Scratch
+from maesn.evaluation.test_time import AtTestTime, FineTuneRule
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.contest import Conditions
 from maesn.runs.storage import RunError
-from maesn.runs.test_time import AtTestTime, FineTuneRule
+from maesn.studies.checks import Changes
+from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, USUAL, WorldSettings, compare
+from maesn.studies.curves import Conditions
+from maesn.studies.lines import Scratch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Options:
     """Directories of trained runs; those that differ in their seed alone become one line."""
     out: Path = Path("comparison")
     """Directory of figure, tables and curves; a comparison that was interrupted goes on there."""
-    place: Annotated[Place, tyro.conf.arg(name="")] = ANYWHERE
+    place: Annotated[WorldSettings, tyro.conf.arg(name="")] = SAME_AS_RUNS
     conditions: Annotated[Conditions, tyro.conf.arg(name="")] = USUAL
-    scratch: Annotated[Scratch, tyro.conf.arg(name="")] = NOBODY
+    scratch: Annotated[Scratch, tyro.conf.arg(name="")] = NO_SCRATCH
     oracle: Path | None = None
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
     fine_tune: FineTuneRule | None = None
@@ -79,7 +79,7 @@ def _changes(options: Options) -> Changes:
             fine_tune_size=options.fine_tune_size,
             after=options.after,
             curious=options.curious,
-            curiosity=Curiosity(options.scratch.curiosity_weight),
+            curiosity=CuriosityBonus(options.scratch.curiosity_weight),
         )
         paces = {
             method: AtTestTime(step_scale=scales.get(method, 1.0), full_steps=steps.get(method))

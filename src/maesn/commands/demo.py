@@ -5,9 +5,9 @@ from pathlib import Path
 
 from maesn import api
 from maesn.commands.options import parse
+from maesn.evaluation.tables import adaptation_file
 from maesn.learners import maesn
 from maesn.report import print_adaptation_summary
-from maesn.runs.adaptation_files import adaptation_file
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run

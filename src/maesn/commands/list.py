@@ -4,7 +4,7 @@ import dataclasses
 
 from maesn.commands.options import parse
 from maesn.envs import FAMILIES, PROBES
-from maesn.learners import CURIOUS, PRESETS, SCRATCH
+from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.shipped import TRAINED, policy_names
 
@@ -20,9 +20,7 @@ def main(arguments: list[str]) -> None:
     print("methods:")
     for name, preset in PRESETS.items():
         print(f"  {name:16s}{_first_line(preset.__doc__)}")
-    print(
-        f"  {'NAME' + CURIOUS:16s}Any of these, paid for what it finds out about the world as well."
-    )
+    print(f"  {'NAME' + BONUS_SUFFIX:16s}Any of these, with a bonus for what it finds out in it.")
     print("from scratch, for `maesn compare --scratch`:")
     for name, make in SCRATCH.items():
         print(f"  {name:16s}{_first_line(make.__doc__)}")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import tyro
 
-from maesn import film
 from maesn.commands.options import parse
 from maesn.envs import RewardKind
+from maesn.evaluation import film
 from maesn.runs.compilation import enable_compilation_cache
 
 

@@ -10,7 +10,7 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.learners import CURIOUS, METHODS, PRESETS, SCRATCH, AbstractMetaLearner
+from maesn.learners import BONUS_SUFFIX, METHODS, PRESETS, SCRATCH, AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.storage import RunError
@@ -55,7 +55,7 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
-            f"METHOD{CURIOUS} is paid for what it finds out about the world as well.\n"
+            f"METHOD{BONUS_SUFFIX} is paid for what it finds out about the world as well.\n"
             "`maesn train METHOD --help` lists all settings with the method's defaults."
         )
         sys.exit(0)

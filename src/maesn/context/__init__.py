@@ -11,19 +11,19 @@ one gives their ceiling:
 * `LatentContext`: a Gaussian per training task, from which one z is drawn per episode. This is
   MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
   LatentSpace.
-* `ToldContext`: the task itself. This is the oracle, which has nothing to find out.
+* `OracleContext`: the task itself. This is the oracle, which has nothing to find out.
 
-Each filling comes as two types. The *settings* (`AbstractContext`) know how contexts start and what
-they cost. The *values* (`AbstractContextValue`) hold the arrays of one task.
+Each filling comes as two types. The *settings* (`AbstractContextSettings`) know how contexts start
+and what they cost. The *values* (`AbstractContext`) hold the arrays of one task.
 """
 
-from maesn.context.settings import AbstractContext as AbstractContext
+from maesn.context.settings import AbstractContextSettings as AbstractContextSettings
 from maesn.context.settings import BiasContext as BiasContext
 from maesn.context.settings import LatentContext as LatentContext
 from maesn.context.settings import NoContext as NoContext
-from maesn.context.settings import ToldContext as ToldContext
-from maesn.context.values import AbstractContextValue as AbstractContextValue
+from maesn.context.settings import OracleContext as OracleContext
+from maesn.context.values import AbstractContext as AbstractContext
 from maesn.context.values import Bias as Bias
 from maesn.context.values import Latent as Latent
 from maesn.context.values import Nothing as Nothing
-from maesn.context.values import Told as Told
+from maesn.context.values import TaskDescription as TaskDescription

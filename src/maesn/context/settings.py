@@ -9,14 +9,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
-from maesn.context.values import AbstractContextValue, Bias, Latent, Nothing, Told
+from maesn.context.values import AbstractContext, Bias, Latent, Nothing, TaskDescription
 from maesn.numerics import DiagonalGaussian
 from maesn.settings import check_choice
 
-Value = TypeVar("Value", bound=AbstractContextValue)
+Value = TypeVar("Value", bound=AbstractContext)
 
 
-class AbstractContext(eqx.Module, Generic[Value]):
+class AbstractContextSettings(eqx.Module, Generic[Value]):
     """Settings of a context: how it starts, what it costs, how its draw is differentiated."""
 
     @abstractmethod
@@ -73,7 +73,7 @@ class AbstractContext(eqx.Module, Generic[Value]):
         """Return what the outer loss charges for one task's pre-update context."""
 
 
-class NoContext(AbstractContext[Nothing]):
+class NoContext(AbstractContextSettings[Nothing]):
     """No context: the policy sees observations alone."""
 
     @property
@@ -106,7 +106,7 @@ class NoContext(AbstractContext[Nothing]):
         return jnp.zeros(())
 
 
-class ToldContext(AbstractContext[Told]):
+class OracleContext(AbstractContextSettings[TaskDescription]):
     """The task itself: the policy sees what tells the task from all others.
 
     Nothing in it is learned or adapted, and nothing is charged for it.
@@ -116,33 +116,33 @@ class ToldContext(AbstractContext[Told]):
     def is_adaptable(self) -> bool:
         return False
 
-    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Told:
-        return Told(description_size)
+    def init(self, key: Key, num_tasks: int, description_size: int = 0) -> TaskDescription:
+        return TaskDescription(description_size)
 
-    def start(self, learned: Told, task_index: Int[Array, " task"]) -> Told:
+    def start(self, learned: TaskDescription, task_index: Int[Array, " task"]) -> TaskDescription:
         return learned
 
-    def start_new(self, learned: Told, num_tasks: int) -> Told:
+    def start_new(self, learned: TaskDescription, num_tasks: int) -> TaskDescription:
         return learned
 
     def inner_draw(
-        self, value: Told, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
+        self, value: TaskDescription, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
     ) -> Float[Array, " context"]:
         return drawn
 
     def draw_loss(
         self,
-        value: Told,
+        value: TaskDescription,
         drawn: Float[Array, "episode context"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
         return jnp.zeros(())
 
-    def penalty(self, value: Told) -> Float[Array, ""]:
+    def penalty(self, value: TaskDescription) -> Float[Array, ""]:
         return jnp.zeros(())
 
 
-class BiasContext(AbstractContext[Bias]):
+class BiasContext(AbstractContextSettings[Bias]):
     """A deterministic vector, shared by all tasks before adaptation.
 
     Its inner gradient runs through the policy (pathwise), and nothing is charged for it.
@@ -188,7 +188,7 @@ class BiasContext(AbstractContext[Bias]):
 LatentGradient: TypeAlias = Literal["likelihood_ratio", "reparameterized"]
 
 
-class LatentContext(AbstractContext[Latent]):
+class LatentContext(AbstractContextSettings[Latent]):
     """A Gaussian latent per training task; one z is drawn per episode.
 
     The latent is the zeroth action of an episode (z, a_0, ..., a_{T-1}). Its inner gradient is the

@@ -10,7 +10,7 @@ from maesn.axes import Key
 from maesn.numerics import DiagonalGaussian
 
 
-class AbstractContextValue(eqx.Module):
+class AbstractContext(eqx.Module):
     """The context of one task: arrays only."""
 
     @abstractmethod
@@ -37,7 +37,7 @@ class AbstractContextValue(eqx.Module):
         return jax.random.normal(key, (self.noise_size,))
 
 
-class Nothing(AbstractContextValue):
+class Nothing(AbstractContext):
     """The value of `NoContext`."""
 
     @property
@@ -52,7 +52,7 @@ class Nothing(AbstractContextValue):
         return noise
 
 
-class Bias(AbstractContextValue):
+class Bias(AbstractContext):
     """The value of `BiasContext`: fed to the policy as it is."""
 
     value: Float[Array, "*batch context"]
@@ -69,7 +69,7 @@ class Bias(AbstractContextValue):
         return self.value
 
 
-class Latent(AbstractContextValue):
+class Latent(AbstractContext):
     """The value of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
 
     mean: Float[Array, "*batch context"]
@@ -93,8 +93,8 @@ class Latent(AbstractContextValue):
         return self.distribution.sample_from_noise(noise)
 
 
-class Told(AbstractContextValue):
-    """The value of `ToldContext`: the description of the task takes the place of the noise.
+class TaskDescription(AbstractContext):
+    """The value of `OracleContext`: the description of the task takes the place of the noise.
 
     So whoever plays an episode hands the description over, and it is recorded with the episode.
     """

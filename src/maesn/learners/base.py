@@ -13,10 +13,10 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Int
 
-from maesn.agent import Agents
 from maesn.axes import ActionKind, Key, TaskKeys
-from maesn.context import AbstractContextValue
-from maesn.episodes import Collect, Episodes, TrialMemory
+from maesn.context import AbstractContext
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes, TrialState
 from maesn.policies import AbstractPolicy
 
 FastState = TypeVar("FastState")
@@ -44,7 +44,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
     def update(self, state: FastState, episodes: Episodes) -> FastState:
         """Learn from the episodes that `agents(state)` has played, `[task, episode, ...]`."""
 
-    def memory(self, state: FastState) -> TrialMemory | None:
+    def memory(self, state: FastState) -> TrialState | None:
         """Return what the policies remember when the next episodes begin; None for nothing."""
         return None
 
@@ -65,7 +65,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         return None
 
     @property
-    def has_memory(self) -> bool:
+    def is_recurrent(self) -> bool:
         """Whether the policies remember earlier steps: a step then cannot be judged by itself."""
         return False
 
@@ -78,7 +78,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         return True
 
     @property
-    def is_curious(self) -> bool:
+    def has_bonus(self) -> bool:
         """Whether a bonus is added to the rewards before updates see them."""
         return False
 
@@ -104,7 +104,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """
         return change(self)
 
-    def resume(self, context: AbstractContextValue, update: int = 0) -> FastState:
+    def resume(self, context: AbstractContext, update: int = 0) -> FastState:
         """Return the state of an earlier adaptation of which the contexts were kept.
 
         Args:

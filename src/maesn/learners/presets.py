@@ -7,14 +7,14 @@ slots, which follow the reference.
 from collections.abc import Callable
 from typing import Any
 
-from maesn.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.context import BiasContext, LatentContext, NoContext, ToldContext
+from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
+from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.curious import CuriousMetaLearner
-from maesn.learners.gradient import GradientMetaLearner
-from maesn.learners.policy_steps import TrustRegionStep
-from maesn.learners.recurrent import RecurrentMetaLearner
-from maesn.trust_region import TrustRegion
+from maesn.learners.gradient.meta_learner import GradientMetaLearner
+from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
+from maesn.learners.recurrent.policy_steps import TrustRegionStep
+from maesn.learners.wrappers.bonus import BonusMetaLearner
+from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
@@ -129,7 +129,7 @@ def oracle(**settings: Any) -> GradientMetaLearner:
     """
     return _fill(
         settings,
-        context=ToldContext(),
+        context=OracleContext(),
         adaptation=Adaptation(),
         inner_updates=0,
         outer_batches=2,
@@ -172,13 +172,13 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
 
 
 def _curious(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
-    return lambda **settings: CuriousMetaLearner(preset(**settings))
+    return lambda **settings: BonusMetaLearner(preset(**settings))
 
 
-CURIOUS = "+curiosity"
+BONUS_SUFFIX = "+curiosity"
 """What is appended to the name of a method that is paid for what it finds out."""
 
-METHODS = PRESETS | {name + CURIOUS: _curious(preset) for name, preset in PRESETS.items()}
+METHODS = PRESETS | {name + BONUS_SUFFIX: _curious(preset) for name, preset in PRESETS.items()}
 """Every preset, and every preset with curiosity."""
 
 

@@ -25,7 +25,7 @@ class RecurrentNetwork(eqx.Module):
     gru: GRU
     readout: MLP
 
-    def initial_carry(self) -> Float[Array, " hidden"]:
+    def initial_recurrent_state(self) -> Float[Array, " hidden"]:
         """Return h = 0."""
         return jnp.zeros(self.gru.hidden_size)
 

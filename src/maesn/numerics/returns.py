@@ -38,7 +38,7 @@ def generalized_advantages(
     bootstrap_value: float | Float[Array, ""],
     valid: Bool[Array, "time"],
     discount: float | Float[Array, ""],
-    trace: float | Float[Array, ""],
+    gae_lambda: float | Float[Array, ""],
 ) -> Float[Array, "time"]:
     """Generalised advantage estimates.
 
@@ -57,7 +57,7 @@ def generalized_advantages(
             there, or if the task ends with its horizon.
         valid: true for t in [0, n-1].
         discount: γ in [0, 1].
-        trace: λ in [0, 1]; 0 trusts the values (bias), 1 the sampled rewards (variance).
+        gae_lambda: λ in [0, 1]; 0 trusts the values (bias), 1 the sampled rewards (variance).
 
     Returns:
         A_t for t in [0, n-1], then 0.
@@ -65,7 +65,7 @@ def generalized_advantages(
     next_valid = jnp.roll(valid, -1).at[-1].set(False)
     next_value = jnp.where(next_valid, jnp.roll(value, -1), bootstrap_value)
     difference = jnp.where(valid, reward + discount * next_value - value, 0.0)
-    return _discounted_sum(difference, discount * trace)
+    return _discounted_sum(difference, discount * gae_lambda)
 
 
 def trial_advantages(
@@ -73,7 +73,7 @@ def trial_advantages(
     value: Float[Array, "time"],
     valid: Bool[Array, "time"],
     discount: float | Float[Array, ""],
-    trace: float | Float[Array, ""],
+    gae_lambda: float | Float[Array, ""],
 ) -> Float[Array, "time"]:
     """Generalised advantage estimates over a trial: several episodes, one behind the other.
 
@@ -87,7 +87,7 @@ def trial_advantages(
         value: V_t, estimated before the action of step t.
         valid: true where a step was played.
         discount: γ in [0, 1].
-        trace: λ in [0, 1].
+        gae_lambda: λ in [0, 1].
 
     Returns:
         A_t where valid, else 0.
@@ -98,7 +98,7 @@ def trial_advantages(
     ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]:
         next_value, next_advantage = following
         paid, expected, is_valid = now
-        advantage = paid + discount * next_value - expected + discount * trace * next_advantage
+        advantage = paid + discount * next_value - expected + discount * gae_lambda * next_advantage
         passed_on = (
             jnp.where(is_valid, expected, next_value),
             jnp.where(is_valid, advantage, next_advantage),

@@ -37,7 +37,7 @@ class AbstractPolicy(eqx.Module):
         """Return the distribution of the action at one step, and the new memory."""
 
     @abstractmethod
-    def initial_carry(self) -> Carry:
+    def initial_recurrent_state(self) -> Carry:
         """Return the memory at the start of a trial; `None` for a policy without one."""
 
     @property
@@ -84,7 +84,7 @@ class AbstractPolicySettings(eqx.Module):
     """Settings of a policy: builds its weights for an environment's sizes."""
 
     @property
-    def has_memory(self) -> bool:
+    def is_recurrent(self) -> bool:
         """Whether the policy remembers earlier steps."""
         return False
 

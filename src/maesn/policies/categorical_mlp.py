@@ -19,7 +19,7 @@ class CategoricalMLPPolicy(AbstractPolicy):
     ) -> tuple[Categorical, Carry]:
         return Categorical(self.mlp(jnp.concatenate([policy_input.observation, context]))), carry
 
-    def initial_carry(self) -> Carry:
+    def initial_recurrent_state(self) -> Carry:
         return None
 
     @property

@@ -27,7 +27,7 @@ class GaussianMLPPolicy(AbstractPolicy):
         mean = self.mlp(jnp.concatenate([policy_input.observation, context]))
         return DiagonalGaussian(mean, jnp.maximum(self.log_std, math.log(MINIMUM_STD))), carry
 
-    def initial_carry(self) -> Carry:
+    def initial_recurrent_state(self) -> Carry:
         return None
 
 

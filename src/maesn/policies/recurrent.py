@@ -32,8 +32,8 @@ class RecurrentPolicy(AbstractPolicy):
         outputs, carry = self.network(input_features(policy_input, context), carry)
         return self.head(outputs), carry
 
-    def initial_carry(self) -> Float[Array, " hidden"]:
-        return self.network.initial_carry()
+    def initial_recurrent_state(self) -> Float[Array, " hidden"]:
+        return self.network.initial_recurrent_state()
 
     @property
     def action_kind(self) -> ActionKind:
@@ -85,7 +85,7 @@ class Recurrent(AbstractPolicySettings):
         check_choice("observed_reward", self.observed_reward, ObservedReward)
 
     @property
-    def has_memory(self) -> bool:
+    def is_recurrent(self) -> bool:
         return True
 
     def for_actions(self, kind: ActionKind) -> "Recurrent":

@@ -158,12 +158,12 @@ def _score(comparison: Comparison, line: Line) -> str:
     """Return the score of the last point with its interval; empty if there is no score."""
     if comparison.oracle is None or comparison.score(np.zeros(1), line.num_tasks) is None:
         return ""
-    oracle, *floors = (
+    oracle, *baselines = (
         one.measure("mean_return")[:, : line.num_tasks, 0]
         for one in (comparison.oracle, *comparison.floor)
     )
     last = line.measure("mean_return")[..., -1]
-    return _text(score_interval(last, floors, oracle), _SCORE)
+    return _text(score_interval(last, baselines, oracle), _SCORE)
 
 
 def _scoreless(comparison: Comparison) -> str:

@@ -135,7 +135,7 @@ def difference_interval(
 
 def score_interval(
     values: SeedTaskValues,
-    floors: Sequence[Float[np.ndarray, "_ floor_task"]],
+    baselines: Sequence[Float[np.ndarray, "_ floor_task"]],
     oracle: Float[np.ndarray, "oracle_seed oracle_task"],
     *,
     confidence: float = CONFIDENCE_LEVEL,
@@ -149,19 +149,19 @@ def score_interval(
 
     Args:
         values: x, one value per seed and task.
-        floors: of the agents that learn nothing, in the same tasks in the same order.
+        baselines: of the agents that learn nothing, in the same tasks in the same order.
         oracle: o, of the agent that is told the task, as well.
         confidence: probability that the interval covers the truth.
 
     Raises:
         ValueError: if the numbers of tasks differ.
     """
-    for other in (*floors, oracle):
+    for other in (*baselines, oracle):
         _check_paired(values, other)
     with warnings.catch_warnings():
         # An interval without ends is told by `is_known`.
         warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        return _interval([values, oracle, *floors], _score, " of the score", confidence)
+        return _interval([values, oracle, *baselines], _score, " of the score", confidence)
 
 
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
@@ -196,8 +196,8 @@ def _improvement(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
 
 
-def _score(x: np.ndarray, oracle: np.ndarray, *floors: np.ndarray) -> np.ndarray:
-    floor = np.max([_mean(one) for one in floors], axis=0)
+def _score(x: np.ndarray, oracle: np.ndarray, *baselines: np.ndarray) -> np.ndarray:
+    floor = np.max([_mean(one) for one in baselines], axis=0)
     above = _mean(oracle) - floor
     return np.asarray((_mean(x) - floor) / np.where(above > 0, above, np.nan))
 

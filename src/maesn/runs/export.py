@@ -10,8 +10,8 @@ import numpy as np
 from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
-from maesn.learners import AbstractFastLearner, CuriousFastLearner, GradientFastLearner
-from maesn.normalization import ObservationStatistics
+from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
+from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.gaussian_mlp import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
@@ -117,7 +117,7 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         "a policy can be exported if its latent alone adapts, by the likelihood-ratio gradient: "
         "the methods `maesn` and `latent_space`"
     )
-    if isinstance(learner, CuriousFastLearner):
+    if isinstance(learner, BonusFastLearner):
         raise ValueError(f"`learner` is paid for what it finds out, which needs a model; {advice}.")
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")

@@ -13,22 +13,22 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import equinox as eqx
 
-from maesn.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.advantage import AdvantageEstimator
-from maesn.context import BiasContext, LatentContext, NoContext, ToldContext
-from maesn.curiosity import Curiosity
+from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
+from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import (
-    CuriousMetaLearner,
+    BonusMetaLearner,
     GradientMetaLearner,
     ProximalStep,
     RecurrentMetaLearner,
     RecurrentValue,
     TrustRegionStep,
 )
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics import MinibatchDescent
+from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
 from maesn.settings import is_left_out, may_be_missing
-from maesn.trust_region import TrustRegion
 
 Settings = TypeVar("Settings")
 
@@ -41,8 +41,8 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         AdvantageEstimator,
         BiasContext,
         CategoricalMLP,
-        CuriousMetaLearner,
-        Curiosity,
+        BonusMetaLearner,
+        CuriosityBonus,
         GaussianMLP,
         GradientMetaLearner,
         InnerStep,
@@ -54,7 +54,7 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         RecurrentMetaLearner,
         RecurrentValue,
         StepSchedule,
-        ToldContext,
+        OracleContext,
         TrustRegion,
         TrustRegionStep,
     )

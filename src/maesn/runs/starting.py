@@ -12,7 +12,7 @@ from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL, AbstractPolicy
 from maesn.runs.storage import RunError
-from maesn.worlds import BrokenPromiseError, check_promises
+from maesn.worlds import EnvContractError, check_env_contract
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
 # instead would yield the keys of iterations 0 and 1 a second time.
@@ -69,14 +69,14 @@ def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
 
 
 def check_env(env: AnyEnv, tasks: TaskSet) -> None:
-    """Refuse an environment that is not what it says; see `maesn.worlds.check_promises`.
+    """Refuse an environment that is not what it says; see `maesn.worlds.check_env_contract`.
 
     Raises:
         RunError: it is not.
     """
     try:
-        check_promises(env, tasks[0])
-    except BrokenPromiseError as error:
+        check_env_contract(env, tasks[0])
+    except EnvContractError as error:
         raise RunError(str(error)) from error
 
 

@@ -10,10 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Int
 
-from maesn.agent import Agents
 from maesn.axes import Carry, TaskKeys
-from maesn.episodes import Collect, Episodes
-from maesn.rollout import Collector
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
 from maesn.runs.compilation import CompileClock
 from maesn.runs.config import CONFIG, installed_versions
@@ -21,6 +20,7 @@ from maesn.runs.log import Progress, RunLog
 from maesn.runs.run import Run
 from maesn.runs.storage import RunError, locked
 from maesn.worlds import AbstractWorld
+from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
 

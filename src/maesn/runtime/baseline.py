@@ -1,7 +1,7 @@
 """From recorded episodes to the advantages of their draws of z, in double precision.
 
-The mathematics of `maesn.advantage`, for episodes of any lengths. Only the first step's advantage
-is needed here, because the policy's weights stay as they are.
+The mathematics of `maesn.inner.advantage`, for episodes of any lengths. Only the advantage of the
+first step is needed here, because the policy's weights stay as they are.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from maesn.runtime.arrays import FloatArray
 
 # Range that observations are clipped to and time that t is divided by: those of
-# `maesn.advantage`, from the reference's linear feature baseline.
+# `maesn.inner.advantage`, from the reference's linear feature baseline.
 FEATURE_CLIP = 10.0
 FEATURE_TIME_SCALE = 100.0
 # Added to the standard deviation that advantages are divided by, from the reference.

@@ -16,11 +16,11 @@ from maesn.worlds.base import EpisodeError as EpisodeError
 from maesn.worlds.base import Moment as Moment
 from maesn.worlds.base import SimulationFailure as SimulationFailure
 from maesn.worlds.base import Trajectory as Trajectory
+from maesn.worlds.contract import EnvContractError as EnvContractError
+from maesn.worlds.contract import check_env_contract as check_env_contract
 from maesn.worlds.device import DeviceWorld as DeviceWorld
 from maesn.worlds.mjx import MjxWorld as MjxWorld
 from maesn.worlds.native import NativeWorld as NativeWorld
-from maesn.worlds.promises import BrokenPromiseError as BrokenPromiseError
-from maesn.worlds.promises import check_promises as check_promises
 from maesn.worlds.scene import Scene as Scene
 from maesn.worlds.scene import arena as arena
 from maesn.worlds.scene import places as places

@@ -3,7 +3,7 @@
 A world joins an environment (pure functions of one episode), a finite set of tasks, and something
 that moves states. It plays a whole batch when it is given a policy to ask, and hands back what
 was read and done at every step. Rewards, observations and masks are not its business: they are
-pure functions of the readings, computed once for the whole batch by `maesn.rollout`.
+pure functions of the readings, computed once for the whole batch by `maesn.worlds.collector`.
 """
 
 from abc import ABC, abstractmethod
@@ -13,11 +13,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.agent import Agents
 from maesn.axes import Carry, HostReadings, Readings
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
-from maesn.episodes import TrialMemory
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import TrialState
 from maesn.numerics import AbstractDistribution
 
 
@@ -31,7 +31,7 @@ class Actors(eqx.Module):
     context: Float[Array, "task episode context"]
     action_noise: Float[Array, "time task episode action"]
     """What makes the actions random, drawn for all steps at once."""
-    memory: TrialMemory
+    memory: TrialState
     """What the trials have left so far, `[task, episode, ...]` each."""
 
 
@@ -96,7 +96,7 @@ class EpisodeError(RuntimeError):
 
 
 class SimulationFailure(RuntimeError):
-    """Some simulations of a batch failed at one step; `maesn.rollout` names their episodes."""
+    """Some simulations of a batch failed at one step; the collector names their episodes."""
 
     def __init__(self, simulation: int, step: int, reason: str) -> None:
         super().__init__(f"simulation {simulation}, step {step}: {reason}")

@@ -1,0 +1,128 @@
+"""The files that adaptation leaves: tables of curves, and the latents beside them."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import jax.numpy as jnp
+import numpy as np
+
+from maesn.context import AbstractContext, Latent
+from maesn.envs import NAMED_SETS, RewardKind
+from maesn.evaluation.evaluate import AdaptationOutcome, as_rows
+from maesn.runs.storage import RunError, explained, write_json, write_whole
+
+
+def adaptation_file(
+    directory: Path, tasks: str, reward: RewardKind, first_update: int = 0, suffix: str = ""
+) -> Path:
+    """Return where a table of adaptation curves goes by default.
+
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
+    `from-UPDATE-` before it if the adaptation went on from an earlier one. The suffix says what
+    was added to the learner, and which engine was asked for by name.
+    """
+    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
+    prefix = f"from-{first_update}-" if first_update else ""
+    return directory / "adaptation" / f"{prefix}{name}-{reward}{suffix}.csv"
+
+
+def engine_suffix(engine: str | None) -> str:
+    """Return the suffix of a table that an engine has played which was asked for by name.
+
+    Two engines' tables never share a file, and so never a figure.
+    """
+    return "" if engine is None else f"-on-{engine}"
+
+
+def latents_file(table: Path) -> Path:
+    """Return the path of the latents that belong to a table of adaptation curves."""
+    return table.with_suffix(".latents.npz")
+
+
+def record_file(table: Path) -> Path:
+    """Return the path of the file that says how a table of adaptation curves was made."""
+    return table.with_suffix(".settings.json")
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows of the same columns, at least one, as a `.csv` file."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    _write(path, text.getvalue().encode())
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a `.csv` file that `write_rows` wrote, as texts."""
+    with explained("read", path), path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> None:
+    """Write curves as a `.csv` file; beside it adapted latents, and how both were made.
+
+    Args:
+        table: path of the curves.
+        outcome: what to write.
+        record: how it was made, as JSON values.
+    """
+    # In this order: a record never stands beside curves that it does not belong to.
+    with explained("replace", record_file(table)):
+        record_file(table).unlink(missing_ok=True)
+    write_rows(table, list(as_rows(outcome)))
+    write_json(record_file(table), dict(record))
+    if isinstance(outcome.contexts, Latent):
+        arrays = {
+            "mean": outcome.contexts.mean.swapaxes(0, 1),
+            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
+            "first_update": np.asarray(outcome.first_update),
+        }
+        write_arrays(latents_file(table), arrays)
+
+
+def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
+    """Read the last latents that an adaptation has saved, and the number of updates behind them.
+
+    Args:
+        path: of the file.
+        like: contexts of the method and the tasks that are to go on from it.
+
+    Raises:
+        RunError: the file cannot be read, or belongs to another method or other tasks.
+    """
+    if not isinstance(like, Latent):
+        raise RunError(
+            f"`{path}` cannot be a start: this run's method has no latents that are adapted."
+        )
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            mean, log_std = arrays["mean"], arrays["log_std"]
+            first = int(arrays["first_update"])
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
+    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
+    if mean.shape[1:] != like.mean.shape:
+        raise RunError(
+            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
+            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
+        )
+    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
+
+
+def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    """Write an `.npz` file of plain arrays, and the directories above it."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
+    _write(path, content.getvalue())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)

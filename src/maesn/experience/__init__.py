@@ -1,0 +1,1 @@
+"""Experience: who acts, the episodes that were played, and the transitions in them."""

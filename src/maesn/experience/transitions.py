@@ -1,0 +1,62 @@
+"""What the dynamics of a world did, step by step: what a model of them is fitted to."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.experience.episodes import Episodes
+
+# Standard deviations beyond which inputs and changes are cut off: contacts have heavy tails.
+FEATURE_CLIP = 10.0
+
+
+class Transitions(NamedTuple):
+    """What the dynamics did, step by step, episodes behind each other."""
+
+    rows: Float[Array, "transition feature"]
+    """Observation, action, and change of the observation, side by side."""
+    valid: Bool[Array, " transition"]
+    """False for steps beyond the end of an episode, and where an observation is not finite."""
+
+
+class Scale(NamedTuple):
+    """Mean and standard deviation of each feature of the pool."""
+
+    mean: Float[Array, " feature"]
+    std: Float[Array, " feature"]
+
+    def __call__(self, row: Float[Array, " feature"]) -> Float[Array, " feature"]:
+        """Return the standardised features of one transition."""
+        return jnp.clip((row - self.mean) / self.std, -FEATURE_CLIP, FEATURE_CLIP)
+
+
+def check_observed(observation_size: int) -> None:
+    """Refuse worlds without observations, in which there is nothing to predict.
+
+    Raises:
+        ValueError: there are none.
+    """
+    if observation_size < 1:
+        raise ValueError(
+            "`observation_size` must be at least 1, got "
+            f"{observation_size}: curiosity predicts observations, and there are none."
+        )
+
+
+def transitions(episodes: Episodes) -> Transitions:
+    """Return what happened in all steps of all episodes.
+
+    Raises:
+        ValueError: the episodes do not hold what was observed after their last step.
+    """
+    time, states = episodes.action.shape[-2], episodes.observation.shape[-2]
+    if states != time + 1:
+        raise ValueError(
+            f"`episodes` must hold an observation after every step, {time + 1} for {time} steps, "
+            f"got {states}: curiosity judges a step by what is observed next."
+        )
+    before, after = episodes.observation[..., :-1, :], episodes.observation[..., 1:, :]
+    finite = jnp.isfinite(before).all(-1) & jnp.isfinite(after).all(-1)
+    rows = jnp.concatenate([before, episodes.action, after - before], axis=-1)
+    return Transitions(rows.reshape(-1, rows.shape[-1]), (episodes.valid & finite).reshape(-1))

@@ -1,0 +1,1 @@
+"""From experience to change inside one task: advantages, the surrogate losses, the inner step."""

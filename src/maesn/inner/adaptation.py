@@ -1,0 +1,193 @@
+"""The inner step: which parts of an agent change in a new task, and how far."""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from maesn.context import AbstractContextSettings
+from maesn.experience.agent import Agent, Agents
+from maesn.experience.episodes import Episodes
+from maesn.inner.advantage import Advantages
+from maesn.inner.surrogate import inner_loss
+from maesn.settings import added_later
+
+
+class InnerStep(eqx.Module):
+    """How one part of an agent moves along its policy gradient."""
+
+    initial_size: float = 1.0
+    """Step size of every parameter before it is learned."""
+    learned: bool = True
+    """Whether each parameter's step size is meta-learned (the paper calls this crucial)."""
+    first_iteration: int = 0
+    """First meta-iteration in which this part moves (stage-wise training)."""
+
+    def __check_init__(self) -> None:
+        if not math.isfinite(self.initial_size):
+            raise ValueError(f"`initial_size` must be finite, got {self.initial_size}.")
+        if self.first_iteration < 0:
+            raise ValueError(f"`first_iteration` must be at least 0, got {self.first_iteration}.")
+
+
+class StepSizes(eqx.Module):
+    """Step sizes, one per parameter; `None` for a part that has none."""
+
+    policy: Any
+    """Same structure as the policy of one agent."""
+    context: Any
+    """Same structure as the context of one task; shared by all tasks."""
+
+
+class Adaptation(eqx.Module):
+    """One step of policy gradient on the parts that have an `InnerStep`.
+
+    parameter' = parameter - step size * d(inner loss)/d(parameter), elementwise
+    (equations (4) to (6); the third one, for the policy, is optional there and omitted by MAESN).
+    """
+
+    policy: InnerStep | None = None
+    """How the policy's weights move; None to leave them alone."""
+    context: InnerStep | None = None
+    """How the context moves; None to leave it alone."""
+
+    def init(self, agent: Agent) -> StepSizes:
+        """Return the step sizes that are to be meta-learned.
+
+        Args:
+            agent: one task's agent, for its structure.
+        """
+        return StepSizes(
+            policy=_initial_sizes(self.policy, agent.policy, learned=True),
+            context=_initial_sizes(self.context, agent.context, learned=True),
+        )
+
+    def at(self, iteration: int) -> "Adaptation":
+        """Return the adaptation of one meta-iteration: without the parts whose stage is to come."""
+        return Adaptation(
+            policy=_if_begun(self.policy, iteration), context=_if_begun(self.context, iteration)
+        )
+
+    def __call__(
+        self,
+        agents: Agents,
+        sizes: StepSizes,
+        context: AbstractContextSettings[Any],
+        episodes: Episodes,
+        advantages: Advantages,
+        scale: float | Float[Array, ""] = 1.0,
+    ) -> Agents:
+        """Move every task's agent once. Differentiable in the agents and in the step sizes.
+
+        Args:
+            agents: who played `episodes`.
+            sizes: the learned step sizes; parts with fixed ones are ignored.
+            context: rule of the context.
+            episodes: what the agents played, `[task, episode, ...]`.
+            advantages: of those episodes, `[task, ...]`.
+            scale: multiplies every step size.
+        """
+        moved_policy, moved_context = agents.one_by_one(
+            lambda agent, played, advantage: self.moved_parts(
+                agent, sizes, context, played, advantage, scale
+            )
+        )(episodes, advantages)
+        return Agents(
+            policy=agents.policy if self.policy is None else moved_policy,
+            context=agents.context if self.context is None else moved_context,
+            shares_policy=agents.shares_policy and self.policy is None,
+            statistics=agents.statistics,
+        )
+
+    def moved_parts(
+        self,
+        agent: Agent,
+        sizes: StepSizes,
+        context: AbstractContextSettings[Any],
+        episodes: Episodes,
+        advantages: Advantages,
+        scale: float | Float[Array, ""] = 1.0,
+    ) -> tuple[Any, Any]:
+        """Return the moved parts (policy, context) of one agent; None for a part that stays.
+
+        Args:
+            agent: of one task.
+            sizes: the learned step sizes; parts with fixed ones are ignored.
+            context: rule of the context.
+            episodes: what the agent played, `[episode, ...]`.
+            advantages: of those episodes.
+            scale: multiplies every step size.
+        """
+
+        def loss(parts: tuple[Any, Any]) -> Float[Array, ""]:
+            policy, value = parts
+            moving = Agent(
+                agent.policy if policy is None else policy,
+                agent.context if value is None else value,
+                agent.statistics,
+            )
+            return inner_loss(moving, context, episodes, advantages)
+
+        parts = (
+            None if self.policy is None else agent.policy,
+            None if self.context is None else agent.context,
+        )
+        part_sizes = (
+            _sizes_of(self.policy, agent.policy, sizes.policy),
+            _sizes_of(self.context, agent.context, sizes.context),
+        )
+        return jax.tree.map(
+            lambda x, size, slope: x - scale * size * slope,
+            parts,
+            part_sizes,
+            jax.grad(loss)(parts),
+        )
+
+
+def _initial_sizes(step: InnerStep | None, part: Any, *, learned: bool) -> Any:
+    """Return step sizes in the structure of `part`, or None if there are none of this kind."""
+    if step is None or step.learned != learned:
+        return None
+    return jax.tree.map(lambda x: jnp.full_like(x, step.initial_size), part)
+
+
+def _sizes_of(step: InnerStep | None, part: Any, learned_sizes: Any) -> Any:
+    if step is not None and step.learned:
+        return learned_sizes
+    return _initial_sizes(step, part, learned=False)
+
+
+def _if_begun(step: InnerStep | None, iteration: int) -> InnerStep | None:
+    return step if step is not None and iteration >= step.first_iteration else None
+
+
+class StepSchedule(eqx.Module):
+    """The test-time rule: full steps first, then each half of the one before.
+
+    With two full steps the sizes are a, a, a/2, a/4, ...; the latents stand still after about
+    eight updates. Source: the reference's test script, which halves the step after every update
+    but the first.
+    """
+
+    full_steps: int = 2
+    """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
+    factor: float = 0.5
+    """What the step size is multiplied by in every later update; 1 keeps it."""
+    scale: float = added_later(1.0)
+    """What every step size is multiplied by."""
+
+    def __check_init__(self) -> None:
+        if self.full_steps < 1:
+            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
+        if not 0 < self.factor <= 1:
+            raise ValueError(f"`factor` must lie in (0, 1], got {self.factor}.")
+        if not (math.isfinite(self.scale) and self.scale > 0):
+            raise ValueError(f"`scale` must be positive, got {self.scale}.")
+
+    def __call__(self, update: Array) -> Float[Array, ""]:
+        """Return the scale of the step sizes in update number 0, 1, ..."""
+        decays = jnp.maximum(update - (self.full_steps - 1), 0)
+        return self.scale * self.factor ** decays.astype(float)

@@ -1,0 +1,85 @@
+"""Losses whose gradients are policy gradients: the inner and the outer one."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from maesn.context import AbstractContextSettings
+from maesn.experience.agent import Agent
+from maesn.experience.episodes import Episodes
+from maesn.inner.advantage import Advantages
+from maesn.numerics import AbstractDistribution, masked_mean
+
+
+def inner_loss(
+    agent: Agent, context: AbstractContextSettings[Any], episodes: Episodes, advantages: Advantages
+) -> Float[Array, ""]:
+    """REINFORCE on one task, with the draw of z as the zeroth action.
+
+        L = -mean_{e,t}[log pi(a_t | o_t, z_e) A_t] - mean_e[log q(z_e) A_{e,0}]
+
+    (Equations (4) to (6) of section "Meta-Learning Latent Variable Policies", with the likelihood
+    ratio of section "Using the Latent Spaces for Exploration"; advantages as in the reference.)
+
+    Args:
+        agent: what is adapted; the gradient is taken with respect to it.
+        context: rule of the context.
+        episodes: one task's episodes, played by the agent before the step.
+        advantages: of those episodes.
+    """
+    drawn = jax.vmap(context.inner_draw, in_axes=(None, 0, 0))(
+        agent.context, episodes.noise, episodes.context
+    )
+    log_prob = action_distributions(agent, episodes, drawn).log_prob(_actions(episodes))
+    action_loss = -masked_mean(log_prob * advantages.step, episodes.valid)
+    return action_loss + context.draw_loss(agent.context, episodes.context, advantages.episode)
+
+
+def outer_loss(
+    new: AbstractDistribution, episodes: Episodes, advantages: Advantages
+) -> Float[Array, ""]:
+    """The likelihood-ratio surrogate of the return of one task's adapted agent.
+
+        L = -mean_{e,t}[ pi'(a_t | o_t, z'_e) / pi_old(a_t | o_t, z_e) * A_t ]
+
+    where z' is redrawn from the adapted context with the recorded noise (`post_distributions`).
+
+    Args:
+        new: action distributions under the parameters that vary, `[episode, time, action]`.
+        episodes: one task's episodes, played by the adapted agent.
+        advantages: of those episodes.
+    """
+    actions = _actions(episodes)
+    old_log_prob = episodes.behaviour.log_prob(actions)
+    log_ratio = jnp.where(episodes.valid, new.log_prob(actions) - old_log_prob, 0.0)
+    return -masked_mean(jnp.exp(log_ratio) * advantages.step, episodes.valid)
+
+
+def post_distributions(agent: Agent, episodes: Episodes) -> AbstractDistribution:
+    """Return the adapted agent's action distributions on its own episodes.
+
+    The path through z is differentiable: z' = draw(adapted context, recorded noise).
+    """
+    drawn = jax.vmap(agent.context.draw)(episodes.noise)
+    return action_distributions(agent, episodes, drawn)
+
+
+def action_distributions(
+    agent: Agent, episodes: Episodes, drawn: Float[Array, "episode context"]
+) -> AbstractDistribution:
+    """Return the policy's distribution at every step, `[episode, time, action]`.
+
+    Args:
+        agent: supplies the policy.
+        episodes: one task's episodes.
+        drawn: what the policy is fed in each episode.
+    """
+    told = agent.perceive(episodes.policy_inputs())
+    memory = None if episodes.start is None else episodes.start.hidden
+    return agent.policy.unroll(told, episodes.valid, drawn, memory)[0]
+
+
+def _actions(episodes: Episodes) -> Float[Array, "episode time action"]:
+    return jnp.where(episodes.valid[..., None], episodes.action, 0.0)

@@ -1,0 +1,1 @@
+"""Gradient-based meta-learning: MAESN, MAML, MAML + bias and LatentSpace are one learner."""

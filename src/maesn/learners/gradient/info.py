@@ -1,0 +1,102 @@
+"""What a human wants to know of one meta-iteration."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.experience.episodes import Episodes
+from maesn.inner.adaptation import StepSizes
+from maesn.learners.gradient.objective import MetaObjective, MetaParameters
+from maesn.numerics import masked_mean
+from maesn.numerics.trust_region import TrustRegionInfo
+
+
+class GroupShares(eqx.Module):
+    """Shares of the squared length of the outer step that fall on each group; they sum to 1.
+
+    Directions in which the policy has no curvature are held by damping alone, so it is worth a
+    look which group the step spends itself on.
+    """
+
+    policy: Float[Array, ""]
+    context: Float[Array, ""]
+    step_sizes: Float[Array, ""]
+
+
+class GradientInfo(eqx.Module):
+    """What a human wants to know of one meta-iteration: scalars only."""
+
+    return_before: Float[Array, ""]
+    """Mean undiscounted return before the inner updates."""
+    return_after: Float[Array, ""]
+    """Mean undiscounted return after them."""
+    success_after: Float[Array, ""]
+    """Share of the episodes after adaptation that reach the goal region."""
+    penalty: Float[Array, ""]
+    """Mean penalty of the pre-update contexts (weighted KL to the prior)."""
+    action_std: Float[Array, ""]
+    """Mean standard deviation of the actions after adaptation."""
+    trust_region: TrustRegionInfo
+    shares: GroupShares
+    step_sizes: StepSizes
+    """Mean of the learned step sizes of every array of parameters."""
+    nonfinite_tasks: Int[Array, ""]
+    """Number of tasks whose surrogate loss was not finite; the step was then rejected."""
+    first_nonfinite_task: Int[Array, ""]
+    """Index of one of them in the training set; -1 if there is none."""
+
+
+def describe_step(
+    objective: MetaObjective, old: MetaParameters, new: MetaParameters, step: TrustRegionInfo
+) -> GradientInfo:
+    """Return the scalars that describe one outer step from `old` to `new`."""
+    first = objective.pre[0][0] if objective.pre else objective.post
+    count, first_task = _nonfinite_tasks(objective, old, step.loss_before)
+    return GradientInfo(
+        return_before=first.undiscounted_return.mean(),
+        return_after=objective.post.undiscounted_return.mean(),
+        success_after=(objective.post.solved & objective.post.valid).any(-1).mean(),
+        penalty=objective.penalties(old).mean(),
+        action_std=_mean_std(objective.post),
+        trust_region=step,
+        shares=_group_shares(old, new),
+        step_sizes=jax.tree.map(lambda x: x.mean() if x.size else jnp.zeros(()), new.step_sizes),
+        nonfinite_tasks=count,
+        first_nonfinite_task=first_task,
+    )
+
+
+def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
+    def squared(before: Any, after: Any) -> Float[Array, ""]:
+        parts = jax.tree.map(lambda a, b: jnp.sum((b - a) ** 2), before, after)
+        return sum(jax.tree.leaves(parts), jnp.zeros(()))
+
+    policy = squared(old.policy, new.policy)
+    context = squared(old.context, new.context)
+    sizes = squared(old.step_sizes, new.step_sizes)
+    total = policy + context + sizes
+    scale = jnp.where(total > 0, 1.0 / jnp.where(total > 0, total, 1.0), 0.0)
+    return GroupShares(policy * scale, context * scale, sizes * scale)
+
+
+def _mean_std(episodes: Episodes) -> Float[Array, ""]:
+    return masked_mean(episodes.behaviour.std().mean(-1), episodes.valid)
+
+
+def _nonfinite_tasks(
+    objective: MetaObjective, parameters: MetaParameters, loss: Float[Array, ""]
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """Return number and first index of the tasks whose loss is not finite.
+
+    The tasks' losses are evaluated only if their mean is not finite.
+    """
+
+    def search() -> tuple[Int[Array, ""], Int[Array, ""]]:
+        broken = ~jnp.isfinite(objective.task_losses(parameters))
+        return broken.sum(), jnp.where(broken.any(), objective.index[broken.argmax()], -1)
+
+    nothing = (jnp.zeros((), int), jnp.full((), -1, int))
+    return jax.lax.cond(jnp.isfinite(loss), lambda: nothing, search)

@@ -1,0 +1,268 @@
+"""Learning across tasks by differentiating through learning inside them.
+
+MAML, MAML + bias, LatentSpace and MAESN are this one learner with two slots filled differently:
+the context that it conditions on, and the adaptation that it allows (`maesn.learners.presets`).
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from maesn.axes import ActionKind, Key
+from maesn.context import AbstractContextSettings
+from maesn.experience.agent import Agent, Agents
+from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
+from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
+from maesn.inner.advantage import AdvantageEstimator, Advantages
+from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.gradient.curvature import sampled_distributions, step_weights
+from maesn.learners.gradient.fast_learner import GradientFastLearner
+from maesn.learners.gradient.info import GradientInfo, describe_step
+from maesn.learners.gradient.objective import (
+    Experience,
+    MetaObjective,
+    MetaParameters,
+    start_agents,
+)
+from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.numerics.normalization import ObservationStatistics, no_observations
+from maesn.numerics.trust_region import TrustRegion
+from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.settings import added_later
+
+_STRIDES = ("curvature_stride", "hessian_stride")
+
+
+class GradientState(eqx.Module):
+    """State of a `GradientMetaLearner`."""
+
+    parameters: MetaParameters
+    iteration: Int[Array, ""]
+    statistics: ObservationStatistics | None = None
+    """Of all observations so far; None unless observations are normalised."""
+
+
+class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
+    """REINFORCE inside, TRPO outside (algorithm 1 of the paper)."""
+
+    context: AbstractContextSettings[Any]
+    """What the policy is conditioned on."""
+    adaptation: Adaptation
+    """What an inner step changes."""
+    policy: AbstractPolicySettings = GaussianMLP()
+    """The policy's network."""
+    advantage: AdvantageEstimator = AdvantageEstimator()
+    """How rewards become advantages."""
+    trust_region: TrustRegion = TrustRegion()
+    """The outer step."""
+    schedule: StepSchedule = StepSchedule()
+    """Step sizes in a new task, update by update."""
+    meta_batch_size: int = 20
+    """Training tasks per meta-iteration, drawn without replacement. (The reference draws with
+    replacement.)"""
+    inner_updates: int = 1
+    """Inner updates per meta-iteration, each on episodes of its own."""
+    outer_batches: int = 1
+    """Batches of episodes that the outer step learns from."""
+    curvature_stride: int = 20
+    """The curvature of the trust region is averaged over one of so many time steps (neighbouring
+    steps resemble each other); 1 for all. The reference uses all."""
+    hessian_stride: int | None = added_later(None)
+    """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
+    step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
+    of both signs and nearly cancel, so it needs more steps."""
+    normalize_observations: bool = added_later(False)
+    """Whether the policy sees observations divided by their standard deviation, less their mean.
+    The paper does not."""
+
+    def __check_init__(self) -> None:
+        for name in ("meta_batch_size", "outer_batches", *_STRIDES):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {value}.")
+        if self.inner_updates < 0:
+            raise ValueError(f"`inner_updates` must be at least 0, got {self.inner_updates}.")
+        self._check_adaptation()
+        for name in _STRIDES:
+            stride = getattr(self, name)
+            if stride is not None and stride > 1 and self.policy.is_recurrent:
+                raise ValueError(
+                    f"`{name}` is {stride}, but a policy with memory needs all steps of an "
+                    "episode: set it to 1."
+                )
+
+    def _check_adaptation(self) -> None:
+        """Refuse inner steps that could not move anything."""
+        moved = self.adaptation.policy, self.adaptation.context
+        if self.adaptation.context is not None and not self.context.is_adaptable:
+            raise ValueError(
+                f"`adaptation.context` must be None with {type(self.context).__name__}, in which "
+                "there is nothing to move."
+            )
+        if self.inner_updates > 0 and moved == (None, None):
+            raise ValueError(
+                f"`inner_updates` is {self.inner_updates}, but `adaptation` moves nothing: set it "
+                "to 0, or give `adaptation` a step of the policy or of the context."
+            )
+
+    def init(
+        self,
+        key: Key,
+        observation_size: int,
+        action_size: int,
+        num_tasks: int,
+        description_size: int = 0,
+    ) -> GradientState:
+        """See `AbstractMetaLearner.init`.
+
+        Raises:
+            ValueError: the training set holds fewer tasks than one meta-batch.
+        """
+        check_enough_tasks(num_tasks, self.meta_batch_size)
+        context_key, policy_key = jax.random.split(key)
+        context = self.context.init(context_key, num_tasks, description_size)
+        policy = self.policy.init(policy_key, observation_size, action_size, context.size)
+        one_task = jax.tree.map(lambda x: x[0], self.context.start_new(context, 1))
+        sizes = self.adaptation.init(Agent(policy, one_task))
+        parameters = MetaParameters(policy, context, sizes)
+        statistics = no_observations(observation_size) if self.normalize_observations else None
+        return GradientState(parameters, jnp.zeros((), int), statistics)
+
+    def iteration(self, state: GradientState) -> Int[Array, ""]:
+        return state.iteration
+
+    def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
+        """See `AbstractMetaLearner.for_actions`."""
+        return replace(self, policy=self.policy.for_actions(kind))
+
+    def slots(self) -> tuple[Any, ...]:
+        """Return the context, the parts that an inner step changes, and if training has one."""
+        return (
+            type(self),
+            type(self.context),
+            self.adaptation.policy is not None,
+            self.adaptation.context is not None,
+            self.inner_updates > 0,
+        )
+
+    def fast_learner(self, state: GradientState) -> GradientFastLearner:
+        """Return the learner of new tasks: starts at the prior, adapts by policy gradient."""
+        return GradientFastLearner(
+            context=self.context,
+            adaptation=self.adaptation.at(int(state.iteration)),
+            advantage=self.advantage,
+            schedule=self.schedule,
+            policy=state.parameters.policy,
+            learned_context=state.parameters.context,
+            step_sizes=state.parameters.step_sizes,
+            statistics=state.statistics,
+        )
+
+    def step(
+        self, key: Key, state: GradientState, collect: Collect
+    ) -> tuple[GradientState, GradientInfo]:
+        """See `AbstractMetaLearner.step`."""
+        self._check_rows(state.parameters, collect)
+        task_key, play_key, curvature_key = jax.random.split(key, 3)
+        parameters, adaptation = state.parameters, self.adaptation.at(int(state.iteration))
+        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
+        agents = self._start(state, index)
+        pre: list[Experience] = []
+        updated: list[Agents] = []
+        for phase in range(self.inner_updates):
+            episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
+            advantages = self._advantages(episodes)
+            agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
+            pre.append((episodes, advantages))
+            updated.append(agents)
+        post = self._play_outer(play_key, agents, index, collect)
+        objective = MetaObjective(
+            self.context,
+            adaptation,
+            index,
+            tuple(pre),
+            post,
+            self._advantages(post),
+            state.statistics,
+        )
+        return self._improve(state, objective, tuple(updated), curvature_key)
+
+    def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
+        """Refuse more tasks than there are contexts: JAX would silently take the last one."""
+        rows = partial(self.context.init, num_tasks=collect.num_tasks)
+        expected = jax.eval_shape(rows, jax.random.key(0))
+        shapes = ([x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context))
+        if len({tuple(found) for found in shapes}) > 1:
+            raise ValueError(
+                f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
+                "number: call `init` with the number of tasks that are played."
+            )
+
+    def _play_outer(
+        self, key: Key, agents: Agents, index: Int[Array, " task"], collect: Collect
+    ) -> Episodes:
+        """Collect the episodes that the outer step learns from."""
+        keys = [
+            task_keys(key, self.inner_updates + batch, index.shape[0])
+            for batch in range(self.outer_batches)
+        ]
+        post = collect(keys[0], agents, index)
+        for batch_keys in keys[1:]:
+            post = concatenate(post, collect(batch_keys, agents, index))
+        return post
+
+    @eqx.filter_jit
+    def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
+        return start_agents(self.context, state.parameters, index, state.statistics)
+
+    @eqx.filter_jit
+    def _advantages(self, episodes: Episodes) -> Advantages:
+        return self.advantage.of_tasks(episodes)
+
+    @eqx.filter_jit
+    def _adapt(
+        self,
+        adaptation: Adaptation,
+        agents: Agents,
+        sizes: StepSizes,
+        episodes: Episodes,
+        advantages: Advantages,
+    ) -> Agents:
+        return adaptation(agents, sizes, self.context, episodes, advantages)
+
+    @eqx.filter_jit
+    def _improve(
+        self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
+    ) -> tuple[GradientState, GradientInfo]:
+        """Do the outer step. Beyond this point only the meta-parameters vary.
+
+        Args:
+            state: before the step.
+            objective: of the episodes that were played from there.
+            updated: those who played after each inner update, `objective.updated(parameters)`.
+            key: draws the steps that the curvature takes.
+        """
+        parameters = state.parameters
+        outer, inner = self._thinnings(key, objective.post.action.shape[-2])
+        improved, step = self.trust_region.step(
+            parameters,
+            objective.evaluate,
+            lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
+            step_weights(objective.post.every(*outer)),
+        )
+        after = GradientState(improved, state.iteration + 1, objective.statistics_after())
+        return after, describe_step(objective, parameters, improved, step)
+
+    def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
+        """Draw which steps the curvature takes: after the update, and before it."""
+        if self.hessian_stride is None:
+            both = Thinning.draw(key, self.curvature_stride, time)
+            return both, both
+        outer_key, inner_key = jax.random.split(key)
+        outer = Thinning.draw(outer_key, self.curvature_stride, time)
+        return outer, Thinning.draw(inner_key, self.hessian_stride, time)

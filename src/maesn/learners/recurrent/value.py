@@ -1,0 +1,115 @@
+"""A baseline with memory: how much a trial is still going to be paid."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key
+from maesn.learners.recurrent.trials import Trials
+from maesn.networks import RecurrentNetwork, init_recurrent_network
+from maesn.numerics import MinibatchDescent, if_finite, masked_mean
+from maesn.policies import input_features, input_size
+
+# Ours: weight of the past in the running mean and standard deviation of returns, which then follow
+# the policy within some ten iterations.
+STATISTICS_DECAY = 0.9
+SMALLEST_STD = 1e-4  # in the unit of returns; keeps equal returns from being blown up
+
+
+class ValueState(eqx.Module):
+    """State of a `RecurrentValue`."""
+
+    network: RecurrentNetwork
+    optimizer: Any
+    """State of Adam."""
+    moments: Float[Array, " 3"]
+    """Running sums of 1, return, and squared return, from which mean and deviation follow."""
+
+
+class RecurrentValue(eqx.Module):
+    """V_t = mean + std * network(x_0 ... x_t), fitted to λ-returns.
+
+    A network of its own, as the baseline of Duan et al. (2016, section 3), so that it takes nothing
+    from the policy, whose step may be a natural gradient. x_t is what the policy is told, and the
+    share of the trial that is over. Returns are standardised by running statistics, which makes
+    learning rates independent of the unit of rewards (Yu et al. 2022, "The surprising effectiveness
+    of PPO in cooperative multi-agent games", section 5.1).
+    """
+
+    encoder_sizes: tuple[int, ...] = ()
+    """Widths of rectified linear layers before the memory."""
+    hidden_size: int = 64
+    """Components of the memory."""
+    readout_sizes: tuple[int, ...] = ()
+    """Widths of the hidden layers behind the memory."""
+    descent: MinibatchDescent = MinibatchDescent()
+    """How it is fitted."""
+
+    def init(self, key: Key, observation_size: int, action_size: int) -> ValueState:
+        """Return an untrained value function."""
+        network = init_recurrent_network(
+            key,
+            input_size(observation_size, action_size) + 1,
+            1,
+            encoder_sizes=self.encoder_sizes,
+            hidden_size=self.hidden_size,
+            readout_sizes=self.readout_sizes,
+        )
+        return ValueState(network, self.descent.init(network), jnp.zeros(3))
+
+    def values(self, state: ValueState, trials: Trials) -> Float[Array, "trial time"]:
+        """Return V_t, in the unit of returns."""
+        mean, std = _mean_and_std(state.moments)
+        return mean + std * _outputs(state.network, trials)
+
+    def fit(
+        self, key: Key, state: ValueState, trials: Trials, returns: Float[Array, "trial time"]
+    ) -> tuple[ValueState, Bool[Array, ""]]:
+        """Return a value function that has been fitted to returns, and whether it has been.
+
+        It stays as it is if the fit does not end in numbers: the next one may.
+        """
+        moments = _moments_after(state.moments, trials, returns)
+        mean, std = _mean_and_std(moments)
+
+        def loss(
+            network: RecurrentNetwork, batch: tuple[Trials, Array]
+        ) -> tuple[Float[Array, ""], None]:
+            played, wanted = batch
+            return masked_mean((_outputs(network, played) - wanted) ** 2, played.valid), None
+
+        network, optimizer, _ = self.descent.run(
+            key, state.network, state.optimizer, loss, (trials, (returns - mean) / std)
+        )
+        return if_finite(ValueState(network, optimizer, moments), state)
+
+
+def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial time"]:
+    steps = trials.valid.shape[1]
+    share = jnp.arange(steps)[:, None] / steps
+
+    def along(played: Trials) -> Float[Array, " time"]:
+        told = jax.vmap(input_features, in_axes=(0, None))(played.inputs, jnp.zeros(0))
+        features = jnp.concatenate([told, share], axis=-1)
+        return network.unroll(features, played.valid, network.initial_recurrent_state())[0][:, 0]
+
+    return jax.vmap(along)(trials)
+
+
+def _moments_after(
+    moments: Float[Array, " 3"], trials: Trials, returns: Float[Array, "trial time"]
+) -> Float[Array, " 3"]:
+    means = [masked_mean(power, trials.valid) for power in (returns, returns**2)]
+    new = jnp.stack([jnp.ones(()), *means])
+    return STATISTICS_DECAY * moments + (1.0 - STATISTICS_DECAY) * new
+
+
+def _mean_and_std(moments: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return 0 and 1 before any return is known."""
+    weight = jnp.where(moments[0] > 0, moments[0], 1.0)
+    mean, square = moments[1] / weight, moments[2] / weight
+    std = jnp.sqrt(jnp.maximum(square - mean**2, SMALLEST_STD**2))
+    return mean, jnp.where(moments[0] > 0, std, 1.0)

@@ -1,0 +1,234 @@
+"""Curiosity: pay an agent for what it finds out about the dynamics of its world, as VIME does.
+
+A Bayesian neural network models p(s' | s, a). A transition is worth the information that it brings
+about the network's weights, KL(posterior after it || posterior before it). Nothing here knows a
+task or a learner: any learner that is handed the episodes with the bonus added is curious
+(`maesn.learners.wrappers.bonus`).
+
+Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration" (2016),
+https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key
+from maesn.experience.episodes import Episodes
+from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
+from maesn.networks import BayesianNetwork, init_bayesian_network
+from maesn.numerics import DiagonalGaussian, Ring, first_order_step
+
+# Transitions whose gradients are held at once; bounds the memory.
+CHUNK_SIZE = 256
+
+
+class CuriosityState(eqx.Module):
+    """What one model knows: arrays only."""
+
+    network: BayesianNetwork
+    optimizer: Any
+    """Moments of Adam."""
+    pool: Ring
+    """Transitions to learn from."""
+    medians: Ring
+    """Median information gains of the last batches."""
+    has_learned: Bool[Array, ""]
+    """Whether the network has learned from anything yet."""
+
+
+class CuriosityBonus(eqx.Module):
+    """How a bonus is computed: r'(s, a, s') = r + weight * gain(s, a, s') / typical gain.
+
+    The typical gain is the mean of the medians of the last batches. A model that has learned
+    nothing yet is not asked, as in the published code: to it, everything is worth so much more than
+    later on that its median would leave hardly any bonus to the next batches.
+
+    Methods are written for one model of one world's dynamics, and mapped over tasks by whoever has
+    several.
+    """
+
+    weight: float = 1e-4
+    """eta, what a transition of typical information gain is paid. Published: 1e-4."""
+    hidden_sizes: tuple[int, ...] = (32,)
+    """Widths of the network's hidden layers. Published: 32."""
+    prior_std: float = 0.5
+    """Standard deviation of every weight under the prior, and at the start. Published: 0.5."""
+    likelihood_std: float = 0.5
+    """Standard deviation of the model's noise, in standard deviations of the changes. (Published
+    code: 5, with the divergence from the prior weighted as if there were 50 transitions.)"""
+    samples: int = 10
+    """Draws of the network behind each expectation. Published: 10."""
+    learning_rate: float = 1e-3
+    """Of Adam. Published: 1e-3 by default, 1e-4 in the experiments with ten times the updates."""
+    updates: int = 500
+    """Steps of Adam after each batch of episodes. Published: 500 by default, 5000 in the
+    experiments, whose batches were five times as large."""
+    batch_size: int = 10
+    """Transitions per step of Adam. Published: 10."""
+    pool_size: int = 20_000
+    """Transitions that are kept to learn from. Published: 1e5 by default, 1e6 in the experiments,
+    for one task."""
+    pool_additions: int = 500
+    """Transitions of each batch that enter the pool, drawn at random. (Published code: all.)"""
+    median_window: int = 10
+    """Number of batches whose median gains are averaged. Published: 10."""
+
+    def __check_init__(self) -> None:
+        for name in ("samples", "batch_size", "pool_size", "pool_additions", "median_window"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+        for name in ("prior_std", "likelihood_std", "learning_rate"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"`{name}` must be positive and finite, got {getattr(self, name)}."
+                )
+        for name in ("updates", "weight"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"`{name}` must be finite and at least 0, got {getattr(self, name)}."
+                )
+        if any(size < 1 for size in self.hidden_sizes):
+            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
+
+    def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
+        """Return a model that knows nothing; raises `ValueError` if there is nothing to predict."""
+        check_observed(observation_size)
+        sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
+        network = init_bayesian_network(key, sizes, self.prior_std)
+        pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
+        return self._begin(network, pool, jnp.zeros((), bool))
+
+    def start(self, known: CuriosityState) -> CuriosityState:
+        """Return a state that begins with what another one knows: its network and its pool.
+
+        The network's inputs and outputs are in units of the pool's moments: it means nothing
+        without them.
+        """
+        return self._begin(known.network, known.pool, known.has_learned)
+
+    def _begin(
+        self, network: BayesianNetwork, pool: Ring, has_learned: Bool[Array, ""]
+    ) -> CuriosityState:
+        return CuriosityState(
+            network=network,
+            optimizer=optax.adam(self.learning_rate).init(network),
+            pool=pool,
+            medians=Ring.empty(self.median_window, 1),
+            has_learned=has_learned,
+        )
+
+    def pay(
+        self, key: Key, state: CuriosityState, episodes: Episodes
+    ) -> tuple[CuriosityState, Float[Array, "*batch time"]]:
+        """Return the bonus of every step, by what the model has learned before; 0 where invalid.
+
+        The state that comes back holds some of the transitions and their median gain; it has not
+        learned from them yet. As long as it has learned nothing, the bonus is 0, and no median is
+        kept.
+
+        Args:
+            key: random key.
+            state: of the model.
+            episodes: of any number of tasks, if their dynamics are the same.
+        """
+        pool_key, noise_key = jax.random.split(key)
+        seen = transitions(episodes)
+        pool = state.pool.extend(*self._draw_additions(pool_key, seen))
+        gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), seen)
+        median = jnp.nanmedian(jnp.where(seen.valid, gain, jnp.nan))
+        counts = state.has_learned & seen.valid.any()
+        medians = state.medians.extend(median[None, None], counts[None])
+        # 0 if there are none.
+        typical = medians.moments()[0][0]
+        bonus = jnp.where(typical > 0, self.weight * gain / typical, 0.0)
+        return replace(state, pool=pool, medians=medians), bonus.reshape(episodes.valid.shape)
+
+    def information_gains(
+        self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
+    ) -> Float[Array, " transition"]:
+        """Return the information gain of each transition, in nats for a step of size 1.
+
+        All transitions are judged with the same draws of the network: what they differ by is then
+        not the draws. The size of the step cancels in the bonus.
+        """
+        noise = jax.random.normal(key, (self.samples, network.noise_size))
+
+        def gain(transition: tuple[Array, Array]) -> Float[Array, ""]:
+            row, valid = transition
+            known = jnp.where(valid, row, scale.mean)
+            gradient = jax.grad(self.surprise)(network, scale(known), noise)
+            return jnp.where(valid, network.information_gain(gradient), 0.0)
+
+        return jax.lax.map(gain, tuple(seen), batch_size=CHUNK_SIZE)
+
+    def surprise(
+        self,
+        network: BayesianNetwork,
+        row: Float[Array, " feature"],
+        noise: Float[Array, "sample unit"],
+    ) -> Float[Array, ""]:
+        """Return -E_q[log p(change | observation, action, weights)] of one transition, in nats.
+
+        Args:
+            network: the model.
+            row: standardised features of the transition.
+            noise: of each draw of the network.
+        """
+        inputs = network.input_size
+        predicted = jax.vmap(network, in_axes=(None, 0))(row[:inputs], noise)
+        log_std = jnp.full_like(predicted, jnp.log(self.likelihood_std))
+        return -DiagonalGaussian(predicted, log_std).log_prob(row[inputs:]).mean()
+
+    def objective(
+        self,
+        network: BayesianNetwork,
+        rows: Float[Array, "transition feature"],
+        noise: Float[Array, "transition sample unit"],
+        number: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Negative evidence lower bound per transition.
+
+            -mean_n E_q[log p(x_n | w)] + KL(q(w) || p(w)) / N,   p(w) = N(0, prior_std²)
+
+        Args:
+            network: the model.
+            rows: standardised transitions x_n, a sample of all.
+            noise: of each draw of the network.
+            number: N, the number of transitions that the posterior is given.
+        """
+        surprise = jax.vmap(self.surprise, in_axes=(None, 0, 0))(network, rows, noise).mean()
+        posterior = network.posterior
+        prior_std = jnp.full_like(posterior.log_std, jnp.log(self.prior_std))
+        prior = DiagonalGaussian(jnp.zeros_like(posterior.mean), prior_std)
+        return surprise + posterior.kl(prior) / number
+
+    def learn(self, key: Key, state: CuriosityState) -> CuriosityState:
+        """Return the state after `updates` steps of Adam on the transitions of the pool."""
+        adam, scale = optax.adam(self.learning_rate), Scale(*state.pool.moments())
+        number = jnp.maximum(state.pool.size, 1).astype(float)
+
+        def step(carry: tuple[BayesianNetwork, Any], step_key: Key) -> Any:
+            network, optimizer = carry
+            row_key, noise_key = jax.random.split(step_key)
+            rows = jax.vmap(scale.__call__)(state.pool.sample(row_key, self.batch_size))
+            shape = (self.batch_size, self.samples, network.noise_size)
+            noise = jax.random.normal(noise_key, shape)
+            gradient = jax.grad(self.objective)(network, rows, noise, number)
+            return first_order_step(adam, network, gradient, optimizer), None
+
+        start = (state.network, state.optimizer)
+        (network, optimizer), _ = jax.lax.scan(step, start, jax.random.split(key, self.updates))
+        has_learned = jnp.ones_like(state.has_learned)
+        return replace(state, network=network, optimizer=optimizer, has_learned=has_learned)
+
+    def _draw_additions(self, key: Key, seen: Transitions) -> Transitions:
+        number = seen.valid.shape[0]
+        chosen = jax.random.permutation(key, number)[: self.pool_additions]
+        return Transitions(seen.rows[chosen], seen.valid[chosen])

@@ -1,0 +1,1 @@
+"""Comparisons of many runs and methods on the same tasks."""

@@ -1,0 +1,236 @@
+"""Who takes part in a comparison: trained runs, methods from scratch, and the floor."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from maesn.envs import AnyEnv
+from maesn.evaluation.record import Identity, identity_of_run, written_out
+from maesn.evaluation.tables import adaptation_file, engine_suffix
+from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
+from maesn.learners import (
+    SCRATCH,
+    AbstractFastLearner,
+    GradientStep,
+    TrustRegionWeightStep,
+    baselines,
+    reinforce,
+    trpo,
+    vime,
+)
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.policies import USUAL
+from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
+from maesn.runs.run import Run
+from maesn.runs.storage import RunError
+from maesn.studies.curves import ComparisonWorld, SeededLearner
+from maesn.worlds import EngineName
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LineSpec:
+    """One line of a comparison, before it is adapted."""
+
+    name: str
+    style: MethodStyle
+    contestants: tuple[SeededLearner, ...]
+    """One per seed."""
+    trial_episodes: int | None = None
+    """Number of episodes that meta-training has prepared for; None if there is no such limit."""
+    training_steps: int | None = None
+    """Environment steps that meta-training took, the most of any seed; None without any."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scratch:
+    """Methods that begin anew in every task."""
+
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(name="scratch")] = ()
+    """Methods that begin anew in every task: trpo, reinforce (alias vpg), vime. NAME:COUNT adapts
+    to the first COUNT tasks alone, as in vime:30."""
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="scratch-seeds")] = (0,)
+    """Each method from scratch begins anew in every task with each of these seeds."""
+    step_size: float = GradientStep().step_size
+    """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    max_kl: float = TrustRegionWeightStep().trust_region.max_kl
+    """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
+    0.01."""
+    curiosity_weight: float = CuriosityBonus().weight
+    """Of vime, and of runs that are made curious: what a transition of typical information gain is
+    paid. Published: 1e-4."""
+
+    def __post_init__(self) -> None:
+        for name in ("step_size", "max_kl"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"`{name}` must be positive and finite, got {getattr(self, name)}."
+                )
+        distinct = self.seeds and len(set(self.seeds)) == len(self.seeds)
+        if not (distinct and all(0 <= seed < 2**32 for seed in self.seeds)):
+            raise ValueError(
+                "`seeds` (--scratch-seeds) must be different numbers between 0 and 2^32 - 1, at "
+                f"least one, got {self.seeds}."
+            )
+        if not 0 <= self.curiosity_weight < math.inf:
+            raise ValueError(
+                f"`curiosity_weight` must be finite and at least 0, got {self.curiosity_weight}."
+            )
+
+    def learner(self, name: str, env: AnyEnv) -> AbstractFastLearner[Any]:
+        """Return one of the methods, by its key in `SCRATCH`, for an environment."""
+        make = SCRATCH[name]
+        region = {"max_kl": self.max_kl}
+        settings: dict[Any, dict[str, Any]] = {
+            reinforce: {"step_size": self.step_size},
+            trpo: region,
+            vime: {**region, "curiosity": CuriosityBonus(self.curiosity_weight)},
+        }
+        policy = USUAL[env.action_kind]
+        try:
+            return make(env.observation_size, env.action_size, policy=policy, **settings[make])
+        except ValueError as error:
+            raise RunError(f"`{name}` cannot learn in `{env.name}`: {error}") from error
+
+
+def line_of_runs(
+    name: str,
+    style: MethodStyle,
+    runs: Sequence[Run],
+    ground: ComparisonWorld,
+    *,
+    updates: int | None = None,
+    engine: EngineName | None = None,
+    test_time: AtTestTime = NOTHING_ADDED,
+) -> LineSpec:
+    """Return trained runs that differ in their seed alone.
+
+    Args:
+        name: of the line.
+        style: of the line.
+        runs: each with its latest checkpoint, never the best one.
+        ground: where they are adapted.
+        updates: number of updates; None for what the conditions say.
+        engine: the engine, if it was asked for by name.
+        test_time: what is added to the learners in new tasks.
+
+    Raises:
+        RunError: the learner cannot be given that.
+    """
+    conditions = ground.conditions
+    tuned = test_time.fine_tune is not None
+    number = conditions.updates_of_runs(tuned=tuned) if updates is None else updates
+    suffix = test_time.suffix + engine_suffix(engine)
+    contestants, trial_episodes, training_steps = [], None, 0
+    for run in runs:
+        trained = run.latest()
+        training_steps = max(training_steps, trained.environment_steps)
+        learner = run.learner.fast_learner(trained.state)
+        learner = test_time.add_to(learner, run, ground.env)
+        trial_episodes = learner.trial_episodes
+        contestants.append(
+            SeededLearner(
+                name=name + test_time.suffix,
+                seed=run.settings.seed,
+                learner=learner,
+                record=ground.record(
+                    identity_of_run(run, test_time.written), conditions.seed, number
+                ),
+                num_tasks=ground.num_tasks,
+                earlier=adaptation_file(
+                    run.directory, conditions.tasks, conditions.reward, 0, suffix
+                ),
+            )
+        )
+    drawn = _tuned(style, test_time) if test_time.suffix else style
+    return LineSpec(
+        name + test_time.suffix, drawn, tuple(contestants), trial_episodes, training_steps
+    )
+
+
+def line_of_scratch(
+    name: str, num_tasks: int | None, scratch: Scratch, ground: ComparisonWorld
+) -> LineSpec:
+    """Return a method that begins anew in every task, with several seeds.
+
+    Args:
+        name: one of `SCRATCH`.
+        num_tasks: the first so many tasks alone; None for all of the comparison.
+        scratch: its settings; each seed is that of fresh policies and of the episodes.
+        ground: where it learns.
+    """
+    learner = scratch.learner(name, ground.env)
+    count = ground.num_tasks if num_tasks is None else min(num_tasks, ground.num_tasks)
+    contestants = [
+        _unlearned(name, learner, seed, ground, ground.conditions.updates, count)
+        for seed in scratch.seeds
+    ]
+    return LineSpec(name, METHOD_STYLES[name], tuple(contestants))
+
+
+def scratch_lines(scratch: Scratch, ground: ComparisonWorld) -> list[LineSpec]:
+    """Return the methods that begin anew in every task.
+
+    Raises:
+        RunError: there is no such method, or it is named twice.
+    """
+    chosen = [_method_and_count(text) for text in scratch.methods]
+    names = [name for name, _ in chosen]
+    for name in names:
+        if names.count(name) > 1:
+            raise RunError(
+                f"`scratch` must name each method once, got {' '.join(scratch.methods)}: `{name}` "
+                "is meant twice (`vpg` is `reinforce`)."
+            )
+    return [line_of_scratch(*one, scratch, ground) for one in chosen]
+
+
+def _method_and_count(text: str) -> tuple[str, int | None]:
+    """Read NAME or NAME:COUNT."""
+    name, colon, count = text.partition(":")
+    if name not in SCRATCH:
+        raise RunError(
+            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
+        )
+    if colon and not (count.isdecimal() and int(count)):
+        raise RunError(
+            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
+        )
+    return SCRATCH[name].__name__, int(count) if colon else None
+
+
+def baseline_lines(ground: ComparisonWorld) -> list[LineSpec]:
+    """Return the agents that learn nothing, of which the better one is the floor."""
+    env, seed = ground.env, ground.conditions.seed
+    entries = []
+    for name, learner in baselines(env.observation_size, env.action_size, env.action_kind).items():
+        contestant = _unlearned(name.replace(" ", "_"), learner, seed, ground, 0, ground.num_tasks)
+        style = MethodStyle(name, DARK_GREY, ":", ".")
+        entries.append(LineSpec(contestant.name, style, (contestant,)))
+    return entries
+
+
+def _unlearned(
+    name: str,
+    learner: AbstractFastLearner[Any],
+    seed: int,
+    ground: ComparisonWorld,
+    updates: int,
+    num_tasks: int,
+) -> SeededLearner:
+    """Return a contestant that has learned nothing before."""
+    written = " ".join(f"{name} {written_out(learner)}".split())
+    record = ground.record(Identity(written), seed, updates)
+    return SeededLearner(name, seed, learner, record, num_tasks)
+
+
+def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
+    """Return the style of a changed method: dashed, unless nothing but its steps is changed."""
+    # Into parentheses that are there already, as in "MAML (bias only)".
+    opened = f"{style.label[:-1]}; " if style.label.endswith(")") else f"{style.label} ("
+    named = dataclasses.replace(style, label=f"{opened}{test_time.label})")
+    if not (test_time.curious or test_time.fine_tune):
+        return named
+    return dataclasses.replace(named, line=(0, (2.0, 1.0)), marker="d")

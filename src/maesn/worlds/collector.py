@@ -1,0 +1,269 @@
+"""Play episodes in any world: makes the function `collect` that learners are given."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from maesn.axes import ActionKind, Carry, HostReadings, Key, ObservedReward, Readings, TaskKeys
+from maesn.envs.base import AnyEnv, Reward
+from maesn.experience.agent import Agent, Agents
+from maesn.experience.episodes import Episodes, TrialState
+from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
+from maesn.policies import PolicyInput
+from maesn.worlds import (
+    AbstractWorld,
+    Actors,
+    Decision,
+    EpisodeError,
+    Moment,
+    SimulationFailure,
+    Trajectory,
+)
+
+# What policies of each kind of actions make of a state: their noise is drawn before they are asked.
+_DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
+    "continuous": DiagonalGaussian,
+    "discrete": Categorical,
+}
+
+
+DRAWS = 2
+"""Which episodes a seed stands for: raised by every change after which it stands for others."""
+
+
+class Collector:
+    """`maesn.experience.episodes.Collect` on a world."""
+
+    def __init__(self, world: AbstractWorld, episodes_per_task: int) -> None:
+        self.world = world
+        self.episodes_per_task = episodes_per_task
+        # Compiled once per collector; the environment is a constant of the programs.
+        self._begin = jax.jit(self._begin_batch)
+        self._act = jax.jit(self._decide)
+        self._finish = jax.jit(self._assemble)
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks of the world."""
+        return len(self.world.tasks)
+
+    def __call__(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> Episodes:
+        """See `Collect`.
+
+        Raises:
+            EpisodeError: physics or reward of an episode became non-finite.
+            ValueError: the policy's actions are of another kind than the environment's.
+        """
+        return self.play(keys, agents, task_index, carry)[0]
+
+    def play(
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+    ) -> tuple[Episodes, Readings | HostReadings]:
+        """Play episodes as a call does, and keep the states.
+
+        Returns:
+            The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
+        """
+        self._check_policy(agents)
+        tasks = self.world.tasks[np.asarray(task_index)]
+        actors, start = self._begin(keys, agents, tasks)
+        if carry is not None:
+            actors = replace(actors, memory=carry)
+        try:
+            trajectory = self.world.play(self._act, actors, start)
+        except SimulationFailure as failure:
+            task_slot, episode = divmod(failure.simulation, self.episodes_per_task)
+            task = int(task_index[task_slot])
+            raise EpisodeError(
+                self.world.env.name, task, episode, failure.step, failure.reason
+            ) from failure
+        episodes, finite = self._finish(actors, trajectory)
+        self._refuse(finite, np.asarray(task_index))
+        return episodes, trajectory.readings
+
+    def _check_policy(self, agents: Agents) -> None:
+        env, kind = self.world.env, agents.policy.action_kind
+        if kind != env.action_kind:
+            raise ValueError(
+                f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
+                f"{kind}: choose a policy, or its `action_kind`, that fits."
+            )
+        env.check_shown(agents.policy.observed_reward)
+
+    def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
+        """Raise an error if something is not finite, about what went wrong first."""
+        found = [
+            (step, task_slot, episode, name)
+            for name, mask in finite._asdict().items()
+            for task_slot, episode, step in np.argwhere(~np.asarray(mask)).tolist()
+        ]
+        if found:
+            step, task_slot, episode, name = min(found, key=lambda one: one[0])
+            task, reason = int(task_index[task_slot]), f"the {name} is not finite"
+            raise EpisodeError(self.world.env.name, task, episode, step, reason)
+
+    def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
+        """Draw contexts, initial states, and the noise of the actions of all episodes."""
+        env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
+        distribution = _DISTRIBUTIONS[env.action_kind]
+
+        def begin_episode(agent: Agent, key: Key, task: Any, episode: Array) -> Any:
+            context_key, start_key, action_key = jax.random.split(
+                jax.random.fold_in(key, episode), 3
+            )
+            noise = agent.context.noise(context_key, env.describe(task))
+            action_noise = distribution.noise(action_key, (env.horizon, env.action_size))
+            hidden = agent.policy.initial_recurrent_state()
+            memory = TrialState(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
+            context = agent.context.draw(noise)
+            return noise, context, action_noise, memory, env.start(start_key, task)
+
+        def begin_task(agent: Agent, key: Key, task: Any) -> Any:
+            return jax.vmap(begin_episode, in_axes=(None, None, None, 0))(
+                agent, key, task, episodes
+            )
+
+        noise, context, action_noise, memory, start = agents.vmap(begin_task)(keys, tasks)
+        actors = Actors(agents, tasks, noise, context, jnp.moveaxis(action_noise, 2, 0), memory)
+        return actors, jax.tree.map(_join_batch_axes, start)
+
+    def _decide(self, actors: Actors, moment: Moment) -> Decision:
+        """Ask the policies for the step of every episode."""
+        env = self.world.env
+        shape = actors.context.shape[:2]
+        readings, previous = jax.tree.map(
+            lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
+        )
+        start = moment.step == 0
+
+        def decide(
+            agent: Agent, task: Any, context: Array, noise: Array, memory: TrialState,
+            now: Readings, before: Readings, previous_action: Array, hidden: Carry, ended: Array,
+        ) -> Any:  # fmt: skip
+            reward = env.observed_reward(
+                agent.policy.observed_reward, before, previous_action, now, task
+            )
+            policy_input = PolicyInput(
+                observation=_observe(env, now, task),
+                previous_action=jnp.where(start, memory.action, previous_action),
+                previous_reward=jnp.where(start, memory.reward, reward),
+                episode_start=start,
+            )
+            distribution, after = agent.policy(agent.perceive(policy_input), context, hidden)
+            action = distribution.sample_from_noise(noise)
+            # What is seen from here on may be NaN: it must not stay in the memory.
+            ended = ended | _ends(env, now)
+            hidden = jax.tree.map(lambda old, new: jnp.where(ended, old, new), hidden, after)
+            return env.control(action), action, distribution, hidden, ended
+
+        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
+        control, *others = actors.agents.vmap(per_task)(
+            actors.tasks, actors.context, actors.action_noise[moment.step], actors.memory,
+            readings, previous, moment.previous_action, moment.hidden, moment.ended,
+        )  # fmt: skip
+        return Decision(_join_batch_axes(control), *others)
+
+    def _assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
+        """Turn what was read and done into episodes; also say in which steps what is finite."""
+        shape = actors.context.shape[:2]
+        readings = jax.tree.map(
+            lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
+            trajectory.readings,
+        )
+        action, behaviour = jax.tree.map(
+            lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
+        )
+        shown = actors.agents.policy.observed_reward
+        judge = jax.vmap(jax.vmap(partial(self._judge, shown), in_axes=(0, 0, None)))
+        observation, reward, observed, solved, ended = judge(readings, action, actors.tasks)
+        terminated = jax.vmap(jax.vmap(partial(_ends_by_nature, self.world.env)))(readings)
+        valid = jnp.logical_not(ended[..., :-1])
+        remember = jax.vmap(jax.vmap(TrialState.after))
+        episodes = Episodes(
+            observation=observation,
+            action=action,
+            reward=reward.total,
+            goal_reward=reward.goal,
+            valid=valid,
+            solved=jnp.logical_and(solved[..., 1:], valid),
+            solved_at_start=solved[..., 0],
+            terminated=terminated,
+            noise=actors.noise,
+            context=actors.context,
+            behaviour=behaviour,
+            carry=remember(actors.memory, trajectory.hidden, action, observed, valid),
+            start=actors.memory,
+            observed_reward=observed,
+        )
+        finite = _Finite(
+            jnp.isfinite(observation[..., :-1, :]).all(-1) | ~valid,
+            jnp.isfinite(action).all(-1) | ~valid,
+            jnp.isfinite(reward.total) | ~valid,
+        )
+        return episodes, finite
+
+    def _judge(
+        self,
+        shown: ObservedReward,
+        readings: Readings,
+        action: Float[Array, "time action"],
+        task: Any,
+    ) -> tuple[Array, Reward, Array, Array, Array]:
+        """Evaluate the environment along one episode.
+
+        Returns:
+            Observations `[time_plus_1, observation]`, rewards as they are paid and as they are
+            shown `[time]`, whether each state lies in the goal region and whether the episode has
+            ended at or before it `[time_plus_1]`.
+        """
+        env = self.world.env
+        before = jax.tree.map(lambda x: x[:-1], readings)
+        after = jax.tree.map(lambda x: x[1:], readings)
+        observation = jax.vmap(lambda r: _observe(env, r, task))(readings)
+        reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
+        observed = jax.vmap(lambda r, a, n: env.observed_reward(shown, r, a, n, task))(
+            before, action, after
+        )
+        solved = jax.vmap(lambda r: env.solved(r, task))(readings)
+        ended = jnp.cumsum(jax.vmap(partial(_ends, env))(readings)) > 0
+        return observation, reward, observed, solved, ended
+
+
+class _Finite(NamedTuple):
+    """Which steps are finite, or over; what depends on what, in this order."""
+
+    observation: Bool[Array, "task episode time"]
+    action: Bool[Array, "task episode time"]
+    reward: Bool[Array, "task episode time"]
+
+
+def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
+    return jnp.concatenate([env.observe(readings), env.instruction(task)])
+
+
+def _ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether an episode ends in this state, by nature or by its world's own clock."""
+    return env.terminated(readings) | env.truncated(readings)
+
+
+def _ends_by_nature(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether an episode of states `[time_plus_1]` is ended by nature: what comes first counts."""
+    first = jnp.argmax(jax.vmap(partial(_ends, env))(readings))
+    return env.terminated(jax.tree.map(lambda x: x[first], readings))
+
+
+def _join_batch_axes(x: Array) -> Array:
+    """[task, episode, ...] -> [simulation, ...]."""
+    return x.reshape(-1, *x.shape[2:])
+
+
+def _split_batch_axes(x: Array, shape: tuple[int, ...]) -> Array:
+    """[simulation, ...] -> [task, episode, ...]."""
+    return x.reshape(*shape, *x.shape[1:])

@@ -1,0 +1,174 @@
+"""Evaluation: what is measured, and that neither chunks nor interruptions change it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from maesn.axes import Readings
+from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
+from maesn.evaluation.evaluate import adapt, as_rows, measure
+from maesn.evaluation.explore import FIXED_STD, explore
+from maesn.experience.episodes import Episodes
+from maesn.learners import GradientFastLearner, GradientFastState, maesn, maml, reinforce
+from maesn.numerics import DiagonalGaussian
+from maesn.policies import GaussianMLP
+from maesn.worlds import EpisodeError, make_world
+from maesn.worlds.collector import Collector
+
+EPISODES = 6
+NUM_TASKS = 5
+
+
+@pytest.fixture(scope="module")
+def collect() -> Collector:
+    env = point.make_env(reward_kind="sparse", sparse_radius=1.8)
+    return Collector(make_world(env, point.task_set("test", size=NUM_TASKS)), EPISODES)
+
+
+@pytest.fixture(scope="module")
+def learner() -> GradientFastLearner:
+    meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
+    return meta.fast_learner(meta.init(jax.random.key(3), 2, 2, 10))
+
+
+def test_measures_of_two_episodes_worked_out_by_hand() -> None:
+    # One task, two episodes of four steps; the second ends after its second step, so that its
+    # last two steps are garbage. Returns: 1+2+3+4 = 10 and 5+6 = 11, mean 10.5. Goal: 4 and -2.
+    # Solved steps: t = 1, 3 of the first and t = 0 of the second: both reach it, the first alone
+    # ends in it, and 3 of 6 valid steps are spent there. The second starts in it as well.
+    valid = jnp.array([[[True] * 4, [True, True, False, False]]])
+    steps = jnp.zeros((1, 2, 4, 1))
+    episodes = Episodes(
+        observation=jnp.zeros((1, 2, 5, 1)),
+        action=steps,
+        reward=jnp.array([[[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, jnp.nan, 99.0]]]),
+        goal_reward=jnp.array([[[1.0, 1.0, 1.0, 1.0], [-1.0, -1.0, jnp.nan, 99.0]]]),
+        valid=valid,
+        solved=jnp.array([[[False, True, False, True], [True, False, True, True]]]),
+        solved_at_start=jnp.array([[False, True]]),
+        terminated=jnp.array([[False, True]]),
+        noise=jnp.zeros((1, 2, 1)),
+        context=jnp.zeros((1, 2, 1)),
+        behaviour=DiagonalGaussian(steps, steps),
+        carry=None,
+    )
+    curves = measure(episodes)
+    np.testing.assert_allclose(curves.mean_return, [10.5])
+    np.testing.assert_allclose(curves.goal_return, [1.0])
+    np.testing.assert_allclose(curves.success_rate, [1.0])
+    np.testing.assert_allclose(curves.final_success_rate, [0.5])
+    np.testing.assert_allclose(curves.time_in_region, [0.5])
+    np.testing.assert_allclose(curves.solved_at_reset, [0.5])
+
+
+@pytest.mark.parametrize("chunk_size", [1, 2, 4, 100])
+def test_chunks_change_nothing(
+    collect: Collector, learner: GradientFastLearner, chunk_size: int
+) -> None:
+    options = {"updates": 2, "episodes_per_task": EPISODES, "seed": 4}
+    whole = adapt(learner, collect, chunk_size=NUM_TASKS, **options)
+    parts = adapt(learner, collect, chunk_size=chunk_size, **options)
+    assert whole.curves.mean_return.shape == (NUM_TASKS, 3)
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        # The compiler may round differently for other shapes.
+        np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
+
+
+def test_going_on_from_saved_contexts_equals_one_adaptation(
+    collect: Collector, learner: GradientFastLearner
+) -> None:
+    whole = adapt(learner, collect, updates=3, episodes_per_task=EPISODES)
+    first = adapt(learner, collect, updates=1, episodes_per_task=EPISODES)
+    last = jax.tree.map(lambda x: jnp.asarray(x[:, -1]), first.contexts)
+
+    def go_on(slots: np.ndarray) -> GradientFastState:
+        return learner.resume(jax.tree.map(lambda x: x[slots], last), 1)
+
+    rest = adapt(
+        learner,
+        collect,
+        updates=2,
+        episodes_per_task=EPISODES,
+        start=go_on,
+        first_update=1,
+    )
+    np.testing.assert_array_equal(rest.curves.mean_return, whole.curves.mean_return[:, 1:])
+    assert [row["update"] for row in as_rows(rest)][:3] == [1, 2, 3]
+    assert [row["episodes"] for row in as_rows(rest)][:3] == [EPISODES, 2 * EPISODES, 3 * EPISODES]
+
+
+def test_the_latents_move_and_the_seed_matters(
+    collect: Collector, learner: GradientFastLearner
+) -> None:
+    one = adapt(learner, collect, updates=1, episodes_per_task=EPISODES, seed=1)
+    other = adapt(learner, collect, updates=1, episodes_per_task=EPISODES, seed=2)
+    assert np.all(one.contexts.mean[:, 0] == 0)
+    assert np.all(np.abs(one.contexts.mean[:, 1]).sum(-1) > 0)
+    assert not np.array_equal(one.curves.mean_return, other.curves.mean_return)
+
+
+def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFastLearner) -> None:
+    exploration = explore(learner, collect)
+    assert exploration.prior_paths.shape == (EPISODES, collect.world.env.horizon + 1, 2)
+    assert exploration.fixed_paths is not None
+    # The start and the noise of the actions are the same; only z differs.
+    np.testing.assert_array_equal(exploration.prior_paths[:, 0], exploration.fixed_paths[:, 0])
+    assert np.ptp(exploration.prior_latents, axis=0).min() > 100 * FIXED_STD
+    assert not np.array_equal(exploration.prior_paths, exploration.fixed_paths)
+
+
+def test_exploration_is_spread_over_tasks(collect: Collector, learner: GradientFastLearner) -> None:
+    exploration = explore(learner, collect, num_tasks=NUM_TASKS + 1)
+    assert exploration.prior_paths.shape[0] == (NUM_TASKS + 1) * EPISODES
+    assert exploration.prior_latents.shape == ((NUM_TASKS + 1) * EPISODES, 2)
+    # Every episode is one of its own, in the task that is played again as well.
+    assert len(np.unique(exploration.prior_paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
+
+
+SHORT_LIVES = hidden_end.task_set("test", size=4)
+
+
+def lives_explored(env: HiddenEnd) -> np.ndarray:
+    """The share of the horizon that is over, as the paths of all lives show it."""
+    meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
+    state = meta.init(jax.random.key(0), env.observation_size, env.action_size, 10)
+    collect = Collector(make_world(env, SHORT_LIVES), 1)
+    return explore(meta.fast_learner(state), collect, num_tasks=4).prior_paths[..., 0]
+
+
+def test_paths_stay_where_their_episodes_end() -> None:
+    env = HiddenEnd()
+    # The probe shows the share of the horizon that is over, and NaN when its lifetime is.
+    lived = np.minimum(np.ceil(SHORT_LIVES.tasks), env.horizon)
+    expected = np.minimum(np.arange(env.horizon + 1), lived[:, None]) / env.horizon
+    assert (lived < env.horizon).any()
+    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
+
+
+def test_paths_stay_before_a_state_that_blew_up() -> None:
+    class LostEnd(HiddenEnd):
+        def observe(self, readings: Readings) -> jax.Array:
+            share = readings["qpos"][:1] / self.horizon
+            return jnp.where(self.terminated(readings), jnp.nan, share)
+
+    env = LostEnd()
+    # What is seen of the state that ends an episode is NaN: the one before it is the last place.
+    last = np.minimum(np.ceil(SHORT_LIVES.tasks) - 1, env.horizon)
+    expected = np.minimum(np.arange(env.horizon + 1), last[:, None]) / env.horizon
+    assert (last < env.horizon).any()
+    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
+
+
+def test_exploration_without_a_latent_has_nothing_to_hold(collect: Collector) -> None:
+    meta = maml(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
+    learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 10))
+    assert explore(learner, collect).fixed_paths is None
+
+
+def test_an_agent_that_its_updates_have_led_astray() -> None:
+    env = Wheeled(horizon=4)
+    collect = Collector(make_world(env, wheeled.task_set("test", size=2)), episodes_per_task=3)
+    learner = reinforce(env.observation_size, env.action_size, step_size=1e30)
+    with pytest.raises(EpisodeError, match=r"wheeled, task 0, .* \(after update 1 in this task"):
+        adapt(learner, collect, updates=2, episodes_per_task=3)

@@ -1,0 +1,235 @@
+"""`maesn render`: the episodes are those of `maesn adapt`, and the files show them."""
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pictures import assert_says_what_to_install, can_draw
+from PIL import Image
+from small_runs import tiny_maesn, tiny_settings
+
+import maesn
+from maesn import cli
+from maesn.envs import Point
+from maesn.evaluation import film
+from maesn.evaluation.playback import Playback, record_adaptation
+from maesn.report.filmstrip import Cell, Row, contact_sheet
+from maesn.report.filmstrip import film as make_film
+from maesn.runs.run import Run
+from maesn.worlds import DeviceWorld
+from maesn.worlds.collector import Collector
+
+TASK, PLAYED, SHOWN, UPDATES = 3, 5, 2, [0, 2]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return Run.create(tmp_path_factory.mktemp("film") / "run", tiny_maesn(), tiny_settings())
+
+
+@pytest.fixture(scope="module")
+def played(run: Run) -> list[Playback]:
+    learner = run.learner.fast_learner(run.latest_state())
+    collect = Collector(run.world(run.task_set("test"), "sparse"), PLAYED)
+    return record_adaptation(
+        learner, collect, task=TASK, updates=UPDATES, num_episodes=SHOWN, seed=4
+    )
+
+
+def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_path: Path) -> None:
+    outcome = maesn.adapt(
+        run.directory, updates=2, episodes_per_task=PLAYED, seed=4, out=tmp_path / "table.csv"
+    )
+    curves = outcome.curves
+    for playback in played:
+        assert playback.mean_return == pytest.approx(
+            float(curves.mean_return[TASK, playback.update]), rel=1e-5
+        )
+        assert playback.success_rate == curves.success_rate[TASK, playback.update]
+    assert [playback.update for playback in played] == UPDATES
+
+
+def test_the_states_belong_to_the_returns(run: Run, played: list[Playback]) -> None:
+    goal = np.asarray(run.task_set("test")[TASK])
+    for playback in played:
+        qpos = playback.readings["qpos"]
+        assert qpos.shape == (41, SHOWN, 2)
+        np.testing.assert_array_equal(playback.num_steps, 40)
+        distance = np.linalg.norm(qpos[1:] - goal, axis=-1)
+        goal_part = np.where(distance > 0.5, -np.linalg.norm(goal), -distance).sum(0)
+        # A step of u moves the point by 0.1 u, and costs 0.05 u^2.
+        cost = 0.05 * np.sum((np.diff(qpos, axis=0) / 0.1) ** 2, axis=(0, 2))
+        np.testing.assert_allclose(playback.returns, goal_part - cost, rtol=1e-4)
+        np.testing.assert_array_equal(playback.solved, (distance <= 0.5).any(0))
+
+
+class Drawn:
+    """Stands for `Scene`, so that what is drawn can be seen where nothing can be drawn."""
+
+    def __init__(self, env: Point, view: Any, width: int, height: int) -> None:
+        self.view, self.shape = view, (height, width, 3)
+        self.calls: list[tuple[np.ndarray, np.ndarray]] = []
+        scenes.append(self)
+
+    def draw(self, readings: Any, task: np.ndarray, trail: np.ndarray) -> np.ndarray:
+        self.calls.append((readings["qpos"], trail))
+        return np.full(self.shape, len(self.calls) % 200, np.uint8)
+
+    def close(self) -> None:
+        pass
+
+
+scenes: list[Drawn] = []
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
+    scenes.clear()
+    monkeypatch.setattr(film, "Scene", Drawn)
+    return scenes
+
+
+def test_an_episode_is_drawn_state_by_state_with_its_way(
+    played: list[Playback], drawn: list[Drawn], run: Run
+) -> None:
+    stage = film._Stage(Point(), run.task_set("test")[TASK], played, stride=15)
+    row = stage.row(played[1], PLAYED)
+    assert row.title.startswith("after 2 updates: mean return ")
+    assert [len(cell.pictures) for cell in row.cells] == [4] * SHOWN  # steps 0, 15, 30 and 40
+    states = played[1].readings["qpos"]
+    for index, (qpos, trail) in enumerate(drawn[0].calls):
+        episode, picture = divmod(index, 4)
+        now = [0, 15, 30, 40][picture]
+        np.testing.assert_array_equal(qpos, states[now, episode])
+        way = [0, 15, 30, 40][: picture + 1]
+        np.testing.assert_allclose(trail, states[way, episode], rtol=1e-6)
+    lower, upper = drawn[0].view
+    shown = states[[0, 15, 30, 40]]
+    assert (shown.min((0, 1)) >= lower).all()
+    assert (shown.max((0, 1)) <= upper).all()
+
+
+def test_an_episode_that_ended_stands_still_where_it_was_sound(
+    played: list[Playback], drawn: list[Drawn], run: Run
+) -> None:
+    readings = {name: value.copy() for name, value in played[0].readings.items()}
+    readings["qpos"][8:] = np.nan
+    ended = played[0]._replace(readings=readings, num_steps=np.array([8, 7]))
+    film._Stage(Point(), run.task_set("test")[TASK], [ended], stride=5).row(ended, PLAYED)
+    for index, (qpos, trail) in enumerate(drawn[0].calls):
+        episode, picture = divmod(index, 9)
+        np.testing.assert_array_equal(qpos, readings["qpos"][min(5 * picture, 7), episode])
+        assert np.isfinite(trail).all()
+
+
+def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> None:
+    written = maesn.render(
+        run.directory, task=TASK, update=(2, 0), episodes=SHOWN, episodes_per_task=PLAYED,
+        out=tmp_path / "new" / "pictures",
+    )  # fmt: skip
+    names = ["test-sparse-task-3.gif", "test-sparse-task-3.png"]
+    assert written == [tmp_path / "new" / "pictures" / name for name in names]
+    with Image.open(written[0]) as moving, Image.open(written[1]) as still:
+        assert moving.n_frames == 41
+        assert moving.info["loop"] == 0
+        assert moving.size == still.size
+        assert still.width > SHOWN * 300
+        assert still.height > 2 * 190
+
+
+def test_what_was_opened_is_closed_whatever_happens(
+    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    closed: list[str] = []
+    for kind in (DeviceWorld, Drawn):
+        monkeypatch.setattr(kind, "close", lambda _, name=kind.__name__: closed.append(name))
+    arguments = {"episodes": 1, "episodes_per_task": 2, "update": (0,), "out": tmp_path}
+    maesn.render(run.directory, **arguments)
+    whole = closed.copy()
+    monkeypatch.setattr(Drawn, "draw", None)  # drawing fails
+    with pytest.raises(TypeError, match="not callable"):
+        maesn.render(run.directory, **arguments)
+    # The first scene finds out whether anything can be drawn here.
+    assert whole == ["Drawn", "DeviceWorld", "Drawn"]
+    assert closed == 2 * whole
+
+
+def test_cells_stand_in_rows_and_reached_goals_are_framed() -> None:
+    grey, light = np.full((40, 60, 3), 90, np.uint8), np.full((40, 60, 3), 200, np.uint8)
+    rows = [
+        Row("first", [Cell("a", False, [grey, grey]), Cell("b", True, [grey, light])]),
+        Row("second", [Cell("a much longer caption than fits", False, [grey, light])]),
+    ]
+    with Image.open(io.BytesIO(contact_sheet("title", rows))) as sheet:
+        pixels = np.asarray(sheet).astype(int)
+    places = np.argwhere((pixels == 200).all(-1))
+    # A light picture at the right of the first row and one at the left of the second.
+    assert len(places) == 60 * 40 + (60 - 8) * (40 - 8)
+    framed = (pixels == [0, 158, 115]).all(-1).sum()
+    assert framed >= 60 * 40 - (60 - 8) * (40 - 8)
+    with Image.open(io.BytesIO(make_film("title", rows, 40))) as moving:
+        assert moving.n_frames == 2
+        assert moving.info["duration"] == 40
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--task", "100"], "`task` must be from 0 to 99, got 100"),
+        (["--update", "-1"], "`update` must be at least one number from 0 on"),
+        (["--episodes", "9", "--episodes-per-task", "8"], "`episodes` must be from 1 to"),
+        (["--seed", "-1"], "`seed` must be from 0"),
+        (["--tasks", "tset"], "`tasks` must be one of"),
+    ],
+)
+def test_mistakes_get_a_sentence(
+    arguments: list[str], message: str, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["render", str(run.directory), *arguments]) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+
+
+def test_without_a_library_to_draw_with_nothing_is_played(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    monkeypatch.setattr(film, "record_adaptation", None)  # playing would fail
+    assert cli.run(["render", str(run.directory)]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert error.startswith("maesn render: pictures need a library")
+    assert error.count("\n") == 1
+
+
+def test_the_command_draws_or_says_what_to_install(run: Run, tmp_path: Path) -> None:
+    command = ["render", str(run.directory), "--task", "3", "--update", "0", "1", "--episodes"]
+    options = ["2", "--episodes-per-task", "3", "--out", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "maesn", *command, *options],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if not can_draw():
+        assert done.returncode == cli.USAGE_ERROR
+        assert_says_what_to_install(done.stderr)
+        return
+    assert done.returncode == 0, done.stderr
+    with Image.open(tmp_path / "test-sparse-task-3.png") as sheet:
+        colours = len(np.unique(np.asarray(sheet).reshape(-1, 3), axis=0))
+    assert colours > 300
+    assert done.stdout.split() == [str(path) for path in sorted(tmp_path.iterdir())]
+
+
+def test_what_has_no_place_in_a_plane_is_refused_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    learner = tiny_maesn(policy=maesn.CategoricalMLP((8,)))
+    blind = Run.create(tmp_path / "run", learner, tiny_settings(family="bandit"))
+    assert cli.run(["render", str(blind.directory)]) == cli.USAGE_ERROR
+    error = capsys.readouterr().err
+    assert error.startswith("maesn render: `bandit` cannot be drawn: it does not say where")
+    assert error.count("\n") == 1

@@ -1,0 +1,108 @@
+"""RL2 on Bernoulli bandits against the optimum of dynamic programming."""
+
+import itertools
+import math
+from types import ModuleType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scripts import ROOT, load_script
+
+from maesn.envs import Bandit, TaskSet, bandit
+from maesn.evaluation.evaluate import adapt
+from maesn.learners import RecurrentFastLearner
+
+COMMITTED = ROOT / "results" / "bandit" / "policy.safetensors"
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> ModuleType:
+    return load_script("benchmarks/bandit.py")
+
+
+def best_of_all_policies(arms: int, pulls: int) -> float:
+    """By enumeration: a policy is an arm for every sequence of payments so far."""
+    sequences = [
+        payments for length in range(pulls) for payments in itertools.product((0, 1), repeat=length)
+    ]
+    outcomes = list(itertools.product((0, 1), repeat=pulls))
+    policies = itertools.product(range(arms), repeat=len(sequences))
+    return max(
+        sum(paid_by(dict(zip(sequences, policy, strict=True)), payments) for payments in outcomes)
+        for policy in policies
+    )
+
+
+def paid_by(policy: dict[tuple[int, ...], int], payments: tuple[int, ...]) -> float:
+    """Probability of a sequence of payments under a policy, times its sum.
+
+    The task is integrated out: an arm with a payments and b failures has the probability
+    a! b! / (a + b + 1)!, whatever their order.
+    """
+    pulled = np.array([policy[payments[:t]] for t in range(len(payments))])
+    probability = 1.0
+    for arm in set(pulled):
+        won = int(np.sum(np.array(payments)[pulled == arm]))
+        lost = int(np.sum(pulled == arm)) - won
+        probability *= math.factorial(won) * math.factorial(lost) / math.factorial(won + lost + 1)
+    return probability * sum(payments)
+
+
+def test_dynamic_programming_is_the_best_of_all_policies(benchmark: ModuleType) -> None:
+    for arms, pulls in ((2, 1), (3, 1), (2, 2), (2, 3), (3, 2)):
+        expected = best_of_all_policies(arms, pulls)
+        assert benchmark.bayes_optimal_return(arms, pulls) == pytest.approx(expected)
+
+
+def test_the_bandit_pays_as_often_as_its_arms_say() -> None:
+    """Always the second arm, of probability 0.3: 20,000 pulls have a standard error of 0.003."""
+    env, task = Bandit(), jnp.asarray([0.9, 0.3, 0.0, 1.0, 0.5])
+    arm = jnp.eye(5)[1]
+
+    def paid(key: jax.Array) -> jax.Array:
+        qpos, qvel = env.initial(key, task)
+        readings, total = {"qpos": qpos, "qvel": qvel}, jnp.zeros(())
+        for _ in range(env.horizon):
+            after = env.advance(readings, arm)
+            total += env.reward(readings, arm, after, task).total
+            readings = after
+        return total
+
+    totals = np.asarray(jax.vmap(paid)(jax.random.split(jax.random.key(0), 2000)))
+    assert totals.mean() / env.horizon == pytest.approx(0.3, abs=0.013)
+    # And independently: the sum is binomial, not all or nothing.
+    assert totals.var() == pytest.approx(10 * 0.3 * 0.7, rel=0.15)
+
+
+def test_the_published_policy_is_within_a_seventh_of_the_optimum(benchmark: ModuleType) -> None:
+    """5 arms, 10 pulls, 20,000 new tasks: the standard error is 0.016."""
+    policy = benchmark.load_policy(COMMITTED)
+    env, tasks = Bandit(), bandit.task_set("test", benchmark.TEST_TASKS)
+    mean, error = benchmark.evaluate(policy, benchmark.make_collect(tasks, env))
+    assert error < 0.02
+    optimum = benchmark.bayes_optimal_return(benchmark.ARMS, benchmark.PULLS)
+    assert optimum - 0.15 + 3 * error < mean < optimum + 3 * error
+
+
+def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
+    """2 arms, 5 pulls. Pulling blindly is paid 2.5, the optimum is 2.889; two thirds of the gap
+    have to be closed within seconds. The standard error of 10,000 trials is 0.014."""
+    env, stream = Bandit(horizon=5, action_size=2), np.random.default_rng(0)
+    training, test = (
+        TaskSet(stream.uniform(size=(n, 2)).astype(np.float32)) for n in (4000, 10000)
+    )
+    learner = benchmark.make_learner(500)
+    policy = benchmark.train(learner, benchmark.make_collect(training, env), env, 120)
+    outcome = adapt(
+        RecurrentFastLearner(policy, 1),
+        benchmark.make_collect(test, env),
+        updates=0,
+        episodes_per_task=1,
+        chunk_size=10000,
+    )
+    optimum = benchmark.bayes_optimal_return(2, 5)
+    assert optimum == pytest.approx(26 / 9)
+    mean = outcome.curves.mean_return.mean()
+    assert optimum - 0.15 + 3 * 0.014 < mean < optimum + 3 * 0.014

@@ -1,0 +1,241 @@
+"""Curiosity composed with learners: who is paid, who learns, and that nothing else changes."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from learning_problems.transitions import linear_episodes
+from playing import keys
+
+from maesn.envs import chain, point
+from maesn.evaluation.evaluate import adapt
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.learners import (
+    IMPROVEMENTS,
+    METHODS,
+    PRESETS,
+    SCRATCH,
+    AbstractFastLearner,
+    AbstractMetaLearner,
+    BonusFastLearner,
+    BonusMetaLearner,
+    FineTuning,
+    GradientFastLearner,
+    latent_space,
+    maesn,
+    method_name,
+    rl2,
+)
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.policies import GaussianMLP, Recurrent
+from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
+
+SMALL = CuriosityBonus(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)
+TASKS = 3
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
+
+class Listener(AbstractFastLearner[list[Episodes]]):
+    """Learns nothing, and keeps what it is handed."""
+
+    def init(self, keys: jax.Array) -> list[Episodes]:
+        return []
+
+    def agents(self, state: list[Episodes]) -> Agents:
+        raise NotImplementedError
+
+    def update(self, state: list[Episodes], episodes: Episodes) -> list[Episodes]:
+        return [*state, episodes]
+
+
+def heard(curiosity: CuriosityBonus, batches: list[Episodes]) -> Any:
+    learner = BonusFastLearner(Listener(), curiosity, observation_size=2, action_size=1)
+    state = learner.init(keys(TASKS))
+    for episodes in batches:
+        state = learner.update(state, episodes)
+    return state
+
+
+def test_a_fast_learner_is_handed_reward_and_bonus() -> None:
+    plain = replace(linear_episodes(0, (TASKS, 4), 5), reward=jnp.full((TASKS, 4, 5), 2.0))
+    first, paid = heard(replace(SMALL, weight=0.5), [plain, plain]).learner
+    # Until they have learned from something, the models are not asked.
+    np.testing.assert_array_equal(first.reward, plain.reward)
+    bonus = np.asarray(paid.reward - plain.reward)
+    assert np.all(bonus > 0)
+    # In each task the typical transition is paid the weight.
+    np.testing.assert_allclose(np.median(bonus, axis=(1, 2)), 0.5, rtol=1e-5)
+    # What the policy was shown while it played, and what is reported, stay as they were.
+    np.testing.assert_array_equal(paid.observed_reward, plain.reward)
+    np.testing.assert_array_equal(paid.goal_reward, plain.goal_reward)
+
+
+def test_every_task_has_a_model_of_its_own() -> None:
+    batches = [linear_episodes(seed, (TASKS, 4), 5) for seed in (0, 1)]
+    state = heard(SMALL, batches)
+    assert int(state.update) == 2
+    # The same tasks again, but the last one sees something else: only its own model changes.
+    other = [replace(batch, action=batch.action.at[-1].set(batch.action[0])) for batch in batches]
+    for one, two in zip(
+        *(jax.tree.leaves(s.curiosity.network) for s in (state, heard(SMALL, other))), strict=True
+    ):
+        np.testing.assert_allclose(one[:-1], two[:-1], rtol=1e-6)
+        assert (one[-1] != two[-1]).any()
+        assert (one[0] != one[1]).any()
+
+
+@pytest.fixture(scope="module")
+def collect() -> Collector:
+    env = point.make_env(reward_kind="sparse", horizon=8)
+    return Collector(make_world(env, point.task_set("training", size=5)), 4)
+
+
+def tiny(**settings: Any) -> Any:
+    return maesn(policy=GaussianMLP((4,)), meta_batch_size=2, **settings)
+
+
+def test_a_curious_meta_learner_is_one_setting(collect: Collector) -> None:
+    learner = BonusMetaLearner(tiny(), replace(SMALL, weight=10.0))
+    state = learner.init(jax.random.key(0), 2, 2, 5)
+    accepted = []
+    for step in range(4):
+        state, info = learner.step(jax.random.key(step), state, collect)
+        accepted.append(bool(info["trust_region"].accepted))
+        # As long as the model has learned nothing, nothing is paid.
+        assert (float(info["curiosity"].bonus) > 8 * 5.0) == (step > 0)
+    assert int(learner.iteration(state)) == 4
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(state))
+    # Two collections per iteration, 20 of the transitions of each.
+    assert int(state.curiosity.pool.count) == 160
+    # Reported is what the tasks pay: at most 0 on this family.
+    assert float(info["return_after"]) < 0
+    # Of so few episodes, not every step is an improvement.
+    assert any(accepted)
+
+
+@pytest.mark.parametrize(
+    "alone",
+    [
+        tiny(),
+        tiny(inner_updates=2, outer_batches=2),
+        # Without inner updates all batches are of the same agents: before and after are one.
+        latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
+        # A trial is played by the same agents, episode after episode.
+        rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
+    ],
+    ids=["maesn", "more batches", "latent_space", "rl2"],
+)
+def test_without_a_bonus_a_curious_meta_learner_is_the_learner_itself(
+    alone: AbstractMetaLearner, collect: Collector
+) -> None:
+    curious = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
+    key = jax.random.key(7)
+    state = curious.init(jax.random.key(0), 2, 2, 5)
+    learner_key = jax.random.split(key, 3)[0]
+    after, info = alone.step(learner_key, state.learner, collect)
+    together, told = curious.step(key, state, collect)
+    for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert float(told["return_before"]) == pytest.approx(float(info.return_before), rel=1e-5)
+    assert float(told["return_after"]) == pytest.approx(float(info.return_after), rel=1e-5)
+
+
+def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
+    learner = BonusMetaLearner(tiny(), SMALL)
+    state, _ = learner.step(jax.random.key(1), learner.init(jax.random.key(0), 2, 2, 5), collect)
+    fast = learner.fast_learner(state)
+    assert (fast.observation_size, fast.action_size) == (2, 2)
+    begun = fast.init(keys(TASKS))
+    # The network means nothing without the pool, by whose moments its inputs are scaled.
+    for part in ("network", "pool"):
+        handed_over = (getattr(one.curiosity, part) for one in (state, begun))
+        for known, start in zip(*map(jax.tree.leaves, handed_over), strict=True):
+            np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
+    assert np.all(begun.curiosity.medians.count == 0)
+    outcome = adapt(fast, collect, updates=2, episodes_per_task=4, chunk_size=2)
+    assert np.isfinite(outcome.curves.mean_return).all()
+    assert np.all(outcome.contexts.mean[:, 1] != 0)
+
+
+def test_who_does_not_learn_from_reward_is_paid_no_bonus() -> None:
+    learner = METHODS["oracle+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5, 2))
+    assert isinstance(fast, GradientFastLearner)
+    assert not fast.learns_from_reward
+
+
+def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:
+    learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5))
+    schedule = fast.paced(0.5, 4).learner.schedule
+    assert (schedule.scale, schedule.full_steps) == (0.5, 4)
+    with pytest.raises(ValueError, match="`Listener` follows no schedule"):
+        BonusFastLearner(Listener(), SMALL, 2, 1).paced(0.5, None)
+
+
+def test_nobody_is_curious_twice_or_loses_the_bonus_by_fine_tuning() -> None:
+    vime = SCRATCH["vime"](2, 2)
+    assert vime.has_bonus
+    assert not vime.learner.has_bonus
+    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+        BonusFastLearner(vime, SMALL, 2, 2)
+    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+        BonusMetaLearner(METHODS["maesn+curiosity"]())
+    with pytest.raises(ValueError, match=r"`learner` must not be curious, .* by `learner.inside`"):
+        FineTuning(vime, IMPROVEMENTS["trpo"])
+    assert vime.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"])).has_bonus
+
+
+def test_who_is_fine_tuned_is_still_paid_for_what_it_finds_out(collect: Collector) -> None:
+    """Where the task pays every step the same, weights move by the bonus alone."""
+    learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
+    state = learner.init(jax.random.key(0), 2, 2, 5)
+    knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
+    fast = learner.fast_learner(replace(state, curiosity=knows))
+    curious = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    assert curious.learner.learner is fast.learner
+
+    def moves(tuned: AbstractFastLearner) -> bool:
+        state = tuned.init(keys(TASKS))
+        start = tuned.agents(state)
+        played = replace(collect(keys(TASKS), start, jnp.arange(TASKS)), observed_reward=None)
+        unpaid = replace(played, reward=jnp.zeros_like(played.reward))
+        after = tuned.agents(tuned.update(state, unpaid))
+        leaves = map(jax.tree.leaves, (start.policy, after.policy))
+        return any((one != other).any() for one, other in zip(*leaves, strict=True))
+
+    assert moves(curious)
+    assert not moves(curious.learner)
+
+
+def test_curious_methods_have_names() -> None:
+    assert set(METHODS) == set(PRESETS) | {f"{name}+curiosity" for name in PRESETS}
+    for name, preset in METHODS.items():
+        assert method_name(preset()) == name
+    assert METHODS["maesn+curiosity"](meta_batch_size=3).learner.meta_batch_size == 3
+
+
+def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None:
+    # `benchmarks/vime_chain.py` is the long form, with more seeds.
+    env, tasks = chain.make_env(reward_kind="sparse"), chain.task_set("test", size=TASKS)
+    playing = Collector(make_world(env, tasks), 6)
+    options = {"policy": GaussianMLP((16,))}
+    eager = CuriosityBonus(updates=60, pool_additions=100, samples=4)
+    paid, stays = {}, {}
+    for name, curious in (("trpo", {}), ("vime", {"curiosity": eager})):
+        learner = SCRATCH[name](1, 1, **options, **curious)
+        state = learner.init(keys(TASKS))
+        for update in range(16):
+            episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
+            state = learner.update(state, episodes)
+        paid[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
+        policies = (learner.agents(s).policy for s in (learner.init(keys(TASKS)), state))
+        leaves = zip(*map(jax.tree.leaves, policies), strict=True)
+        stays[name] = all(np.array_equal(one, other) for one, other in leaves)
+    assert stays == {"trpo": True, "vime": False}
+    assert paid == {"trpo": [False] * TASKS, "vime": [True] * TASKS}

@@ -1,0 +1,166 @@
+"""Normalised observations: the statistics, what they change, and what they must leave alone."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playing import keys
+from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
+
+from maesn.envs import point
+from maesn.experience.episodes import Episodes
+from maesn.learners import GradientMetaLearner, GradientState, maesn, maml
+from maesn.numerics.normalization import ObservationStatistics, no_observations
+from maesn.policies import GaussianMLP
+from maesn.runs.checkpoint import read_checkpoint
+from maesn.runs.export import exported_policy
+from maesn.runs.serialization import digest, from_json, to_json
+from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
+
+RESULTS = Path(__file__).resolve().parent.parent / "results"
+
+
+def test_batches_add_up_to_the_statistics_of_all_that_was_seen() -> None:
+    stream = np.random.default_rng(0)
+    statistics, everything = no_observations(3), []
+    for size in (7, 40, 0, 1):
+        # Far from 0, where naive sums of squares lose all digits in single precision.
+        batch = np.float32(stream.normal([1e3, -5, 0], [1, 10, 0], (2, size, 3)))
+        seen = stream.random((2, size)) < 0.7
+        everything.append(batch[seen])
+        batch[~seen] = np.nan
+        statistics = statistics.with_batch(jnp.asarray(batch), jnp.asarray(seen))
+    joined = np.concatenate(everything).astype(np.float64)
+    assert statistics.count == len(joined)
+    np.testing.assert_allclose(statistics.mean, joined.mean(0), rtol=1e-6)
+    np.testing.assert_allclose(statistics.variance, joined.var(0), rtol=1e-4)
+    normal = statistics.normalized(jnp.asarray(np.float32(joined)))
+    np.testing.assert_allclose(normal.mean(0), 0, atol=1e-3)
+    np.testing.assert_allclose(normal.std(0)[:2], 1, rtol=1e-4)
+
+
+def test_before_anything_was_seen_observations_are_as_they_are() -> None:
+    observation = jnp.asarray([[1.5, -1e6], [np.pi, 1e-8]])
+    np.testing.assert_array_equal(no_observations(2).normalized(observation), observation)
+
+
+class Recorder:
+    """Passes on what a collector plays, and keeps it."""
+
+    def __init__(self) -> None:
+        world = make_world(point.make_env(), point.task_set("training", 6))
+        self._collect = Collector(world, 3)
+        self.played: list[Episodes] = []
+
+    @property
+    def num_tasks(self) -> int:
+        return self._collect.num_tasks
+
+    def __call__(self, *arguments: Any) -> Episodes:
+        self.played.append(self._collect(*arguments))
+        return self.played[-1]
+
+
+def trained(learner: GradientMetaLearner, iterations: int) -> tuple[GradientState, Recorder]:
+    collect = Recorder()
+    state = learner.init(jax.random.key(0), 2, 2, collect.num_tasks)
+    for iteration in range(iterations):
+        state, _ = learner.step(jax.random.key(iteration), state, collect)
+    return state, collect
+
+
+@pytest.mark.usefixtures("quick_compiler")
+@pytest.mark.parametrize("preset", [maesn, maml])
+def test_a_learner_sees_by_the_statistics_of_the_iterations_before(preset: Any) -> None:
+    learner = preset(policy=GaussianMLP((8,)), meta_batch_size=4, normalize_observations=True)
+    state, collect = trained(learner, 2)
+    seen = np.concatenate(
+        [np.asarray(x.observation)[..., :-1, :].reshape(-1, 2) for x in collect.played]
+    )
+    assert state.statistics is not None
+    np.testing.assert_allclose(state.statistics.mean, seen.mean(0), atol=1e-5)
+    np.testing.assert_allclose(state.statistics.variance, seen.var(0), rtol=1e-3)
+    # The last two collections are of the second iteration: its policies were normalised by the
+    # first one's observations, the adapted ones included.
+    first, _ = trained(learner, 1)
+    assert first.statistics is not None
+    before = collect.played[2]
+    scale = np.sqrt(np.asarray(first.statistics.variance) + 1e-8)
+    normal = (
+        np.asarray(before.observation)[..., :-1, :] - np.asarray(first.statistics.mean)
+    ) / scale
+    context = np.broadcast_to(
+        np.asarray(before.context)[..., None, :], (*normal.shape[:3], before.context.shape[-1])
+    )
+    inputs = jnp.asarray(np.float32(np.concatenate([normal, context], axis=-1)))
+    mean = jax.vmap(jax.vmap(jax.vmap(first.parameters.policy.mlp)))(inputs)
+    np.testing.assert_allclose(before.behaviour.mean, mean, atol=1e-5)
+
+
+def test_the_ratio_of_the_outer_step_starts_at_one() -> None:
+    # Only if the loss sees observations as the episodes' policies did, their KL is 0 at first.
+    learner = tiny_maesn(normalize_observations=True)
+    state, collect = trained(learner, 1)
+    info = learner.step(jax.random.key(5), state, collect)[1]
+    assert 0 < float(info.trust_region.kl) < 0.02
+    assert bool(info.trust_region.accepted)
+
+
+def test_in_a_new_task_the_statistics_are_frozen() -> None:
+    state, collect = trained(tiny_maesn(normalize_observations=True), 1)
+    fast = tiny_maesn(normalize_observations=True).fast_learner(state)
+    start = fast.init(keys(4))
+    episodes = collect(keys(4), fast.agents(start), jnp.arange(4))
+    after = fast.update(start, episodes)
+    jax.tree.map(np.testing.assert_array_equal, fast.agents(after).statistics, state.statistics)
+
+
+def test_runs_keep_the_statistics_and_resume_with_them(tmp_path: Path) -> None:
+    learner = tiny_maesn(normalize_observations=True)
+    whole = finish(create(tmp_path / "whole", learner, iterations=4))
+    parted = create(tmp_path / "parted", learner, iterations=4)
+    finish(parted, 2)
+    finish(reopened(parted))
+    assert tensors(whole.checkpoints()[-1]) == tensors(parted.checkpoints()[-1])
+    assert metrics(whole) == metrics(parted)
+    counts = read_checkpoint(whole.checkpoints()[-1]).values["statistics/count"]
+    assert counts == 4 * 2 * 4 * 3 * 40  # iterations, collections, tasks, episodes, steps
+
+
+def test_a_robot_computes_the_same_policy() -> None:
+    state, _ = trained(tiny_maesn(normalize_observations=True), 2)
+    statistics = ObservationStatistics(jnp.float32(9), jnp.float32([3, -1]), jnp.float32([4, 1e-4]))
+    state = eqx.tree_at(lambda x: x.statistics, state, statistics)
+    fast = tiny_maesn(normalize_observations=True).fast_learner(state)
+    robot = exported_policy(fast, point.make_env(), {}).policy
+    stream = np.random.default_rng(0)
+    for _ in range(20):
+        latent, observation = stream.normal(size=2), stream.normal([3, -1], [2, 1e-2])
+        seen = (observation - [3, -1]) / np.sqrt(np.array([4, 1e-4]) + 1e-8)
+        wanted = fast.policy.mlp(jnp.asarray(np.float32([*seen, *latent])))
+        np.testing.assert_allclose(robot.given(latent).mean(observation), wanted, atol=1e-4)
+
+
+def test_learners_without_normalization_are_what_older_files_say() -> None:
+    for directory in sorted(RESULTS.glob("wheeled/*-seed-0")):
+        document = json.loads((directory / "config.json").read_text())["learner"]
+        learner = from_json(document)
+        assert "normalize_observations" not in document
+        if isinstance(learner, GradientMetaLearner):
+            assert learner.normalize_observations is False
+        assert to_json(learner) == document
+        for path in sorted((directory / "checkpoints").glob("*.safetensors")):
+            assert read_checkpoint(path).metadata["learner"] == digest(learner)
+
+
+def test_learners_with_normalization_say_so_in_files() -> None:
+    learner = tiny_maesn(normalize_observations=True)
+    assert to_json(learner)["normalize_observations"] is True
+    assert from_json(to_json(learner)) == learner
+    assert digest(learner) != digest(tiny_maesn())

@@ -1,0 +1,116 @@
+"""What follows the end of an episode may be anything, and harms nothing."""
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on
+from playing import agents, keys, play
+
+from maesn.axes import Carry
+from maesn.envs import HiddenEnd, TaskSet
+from maesn.experience.agent import Agents
+from maesn.numerics import DiagonalGaussian
+from maesn.physics import NativeSimulator, PhysicsError
+from maesn.policies import AbstractPolicy, PolicyInput
+from maesn.worlds import EpisodeError, make_world
+from maesn.worlds.collector import Collector
+
+EPISODES = 5
+LIMIT = 100.0  # m/s
+
+
+def runaway(directory: Path) -> type:
+    """The cart whose speed grows tenfold a step, and whose episode ends beyond the limit."""
+
+    class Stopped(cart_on(directory, RUNAWAY)):  # type: ignore[misc]
+        def control(self, action: jax.Array) -> jax.Array:
+            return action[:1] * 0.0  # NaN of an action that is not a number
+
+        def terminated(self, readings: Any) -> jax.Array:
+            return jnp.abs(readings["qvel"][0]) > LIMIT
+
+    return Stopped
+
+
+def test_physics_that_blows_up_after_the_end_is_no_error(tmp_path: Path) -> None:
+    # v_t = 10^t m/s in the episodes that are pushed: the first above 100 is v_3, and the first
+    # acceleration that MuJoCo warns of is met in step 8 (tests/test_rollout_errors.py).
+    env = runaway(tmp_path)(horizon=12)
+    tasks = TaskSet(CartTask(np.float32([1, 0]), np.float32([1, 1])))
+    episodes = play(env, tasks, [0, 1], episodes=EPISODES)
+    pushed = np.asarray(episodes.observation[0, :, 0, 1]) == 1
+    assert pushed.any()
+    assert not pushed.all()
+    np.testing.assert_array_equal(episodes.valid[0].sum(-1), np.where(pushed, 3, 12))
+    np.testing.assert_array_equal(episodes.terminated[0], pushed)
+    assert np.all(episodes.valid[1])
+    # Nobody else is disturbed by those that go on to infinity.
+    np.testing.assert_array_equal(episodes.observation[1], np.zeros((EPISODES, 13, 2)))
+    speed = np.abs(np.asarray(episodes.observation[0, :, -1, 1]))
+    assert not (speed[pushed] < 1e8).any()
+
+
+def test_physics_that_blows_up_before_the_end_is_one(tmp_path: Path) -> None:
+    class Unstopped(runaway(tmp_path)):  # type: ignore[misc]
+        def terminated(self, readings: Any) -> jax.Array:
+            return jnp.zeros((), bool)
+
+    tasks = TaskSet(CartTask(np.float32([1, 0]), np.float32([1, 1])))
+    with pytest.raises(EpisodeError, match="step 8: MuJoCo warns"):
+        play(Unstopped(horizon=12), tasks, [0, 1], episodes=EPISODES)
+
+
+def test_only_abandoned_simulations_may_blow_up() -> None:
+    simulator = NativeSimulator("wheeled", 3)
+    speeds = np.zeros((3, 6))
+    speeds[[0, 2], 3] = 9e9
+    controls, nobody = np.zeros((3, 2)), np.zeros(3, bool)
+    simulator.reset(np.zeros((3, 6)), speeds)
+    for _ in range(20):
+        readings = simulator.step(controls, abandoned=np.array([True, False, True]))
+    assert np.abs(readings["qvel"][1]).max() < 1.0
+    for abandoned, failed in ((np.array([True, False, False]), (2,)), (nobody, (0, 2))):
+        with pytest.raises(PhysicsError) as caught:
+            simulator.step(controls, abandoned=abandoned)
+        assert caught.value.simulations == failed
+
+
+class Adder(AbstractPolicy):
+    """Remembers the sum of all that it has seen."""
+
+    def __call__(
+        self, policy_input: PolicyInput, context: jax.Array, carry: Carry
+    ) -> tuple[DiagonalGaussian, Carry]:
+        carry = carry + policy_input.observation
+        return DiagonalGaussian(carry, jnp.zeros(1)), carry
+
+    def initial_recurrent_state(self) -> Carry:
+        return jnp.zeros(1)
+
+
+def test_memory_ends_with_the_episode() -> None:
+    # The observation is t / T, so the sum over t < L is L (L - 1) / 2T; then comes NaN.
+    env, lifetimes = HiddenEnd(horizon=6), np.float32([2, 9])
+    collect = Collector(make_world(env, TaskSet(lifetimes)), EPISODES)
+    cast = Agents(Adder(), agents(env, 2).context, shares_policy=True)
+    episodes = collect(keys(2), cast, jnp.array([0, 1]))
+    assert np.isnan(episodes.observation[0, :, -1]).all()
+    remembered = np.asarray(episodes.carry.hidden)[..., 0]
+    for slot, lived in enumerate((2, 6)):
+        np.testing.assert_allclose(remembered[slot], lived * (lived - 1) / 12, rtol=1e-6)
+
+
+def test_a_control_step_may_be_several_physics_steps(tmp_path: Path) -> None:
+    class Slow(cart_on(tmp_path, MOTOR)):  # type: ignore[misc]
+        frame_skip: ClassVar[int] = 3
+        control_period: ClassVar[float] = 3 * TIME_STEP
+
+    tasks = TaskSet(CartTask(np.float32([0.0]), np.float32([1.0])))
+    episodes = play(Slow(force=2.0), tasks, [0], episodes=2)
+    # v = a t, in steps of three hundredths of a second
+    expected = 2.0 * 3 * TIME_STEP * np.arange(13)
+    np.testing.assert_allclose(episodes.observation[0, 0, :, 1], expected, rtol=1e-5)
