@@ -17,7 +17,7 @@ from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 

@@ -67,7 +67,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import Recurrent as Recurrent
     from maesn.runs.config import RunSettings as RunSettings
     from maesn.runs.run import Run as Run
-    from maesn.runs.storage import RunError as RunError
+    from maesn.storage import RunError as RunError
     from maesn.studies.ablation import Ablation as Ablation
     from maesn.studies.ablation import ablate as ablate
     from maesn.studies.checks import Changes as Changes
@@ -162,7 +162,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.runs.config": ("RunSettings",),
     "maesn.studies.curves": ("Conditions",),
     "maesn.runs.run": ("Run",),
-    "maesn.runs.storage": ("RunError",),
+    "maesn.storage": ("RunError",),
     "maesn.evaluation.test_time": ("AtTestTime",),
     "maesn.numerics.trust_region": ("TrustRegion",),
     "maesn.worlds": (

@@ -31,7 +31,7 @@ from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.runs.shipped import find_run, working_copy
 from maesn.runs.starting import check_shown
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import EngineName
 from maesn.worlds.collector import Collector
 

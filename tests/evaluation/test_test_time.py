@@ -23,7 +23,7 @@ from maesn.learners import (
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 

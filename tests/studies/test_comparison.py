@@ -22,7 +22,7 @@ from maesn.report.adaptation_table import read_adaptation
 from maesn.report.style import METHOD_STYLES
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies import curves, lines
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare, comparison_world, silent

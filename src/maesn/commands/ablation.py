@@ -7,7 +7,7 @@ from maesn.commands.options import parse
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.ablation import Ablation, ablate, radius_label
 from maesn.studies.comparison import USUAL
 from maesn.studies.curves import Conditions

@@ -11,7 +11,7 @@ from maesn.evaluation.test_time import AtTestTime, FineTuneRule
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, USUAL, WorldSettings, compare
 from maesn.studies.curves import Conditions

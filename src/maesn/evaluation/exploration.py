@@ -8,8 +8,8 @@ import numpy as np
 
 from maesn.evaluation.evaluate import adapt, tasks_at_once
 from maesn.evaluation.explore import explore
-from maesn.evaluation.tables import write_arrays
 from maesn.runs.run import Run
+from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
 
 # Episodes that figures show, and tasks that they are spread over: where the agent sees what differs

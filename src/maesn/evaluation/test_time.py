@@ -16,8 +16,8 @@ from maesn.learners import (
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.runs.storage import RunError
 from maesn.settings import check_choice
+from maesn.storage import RunError
 
 FineTuneRule: TypeAlias = Literal["trpo", "reinforce"]
 

@@ -10,7 +10,7 @@ from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
 from maesn.runs.beginning import check_sizes
 from maesn.runs.run import Run
 from maesn.runs.starting import check_shown
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.curves import ComparisonWorld
 
 AS_TRAINED: Mapping[str, AtTestTime] = MappingProxyType({})

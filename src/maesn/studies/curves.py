@@ -16,8 +16,8 @@ from maesn.evaluation.tables import adaptation_file, read_rows, record_file, wri
 from maesn.learners import AbstractFastLearner
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import digest_of_document
-from maesn.runs.storage import RunError, explained, read_json, write_json
 from maesn.runs.task_sources import find_tasks
+from maesn.storage import RunError, explained, read_json, write_json
 from maesn.worlds import AbstractWorld, make_world
 from maesn.worlds.collector import Collector
 

@@ -25,7 +25,7 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.curves import ComparisonWorld, SeededLearner
 from maesn.worlds import EngineName
 

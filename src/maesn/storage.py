@@ -1,15 +1,24 @@
-"""Files of a run: written whole or not at all, and whatever fails is told in one sentence."""
+"""Files: written whole or not at all, read without executing anything.
+
+What a user can mend is a `RunError`, whose message says in one sentence what to do.
+"""
 
 import contextlib
 import errno
 import fcntl
+import io
 import json
 import logging
 import os
 import shutil
-from collections.abc import Iterator
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+import numpy as np
 
 logger = logging.getLogger(__name__)
 
@@ -31,8 +40,20 @@ _ADVICE = {
 }
 
 
+# What `zipfile` and NumPy raise where a file is damaged, or something else altogether.
+_UNREADABLE = (
+    EOFError,
+    OSError,
+    RuntimeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
 class RunError(Exception):
-    """A run cannot be made, read or continued; the message is a sentence for the user."""
+    """What was asked for cannot be done; the message is a sentence that says what to do."""
 
 
 @contextlib.contextmanager
@@ -122,21 +143,71 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     write_whole(path, (text + "\n").encode())
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON document.
+def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
+    """Read a JSON object.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
 
     Raises:
-        RunError: the file is missing, unreadable, or not a JSON object.
+        RunError: the file is missing, unreadable, or no JSON object.
     """
-    with explained("read", path):
-        content = path.read_bytes()
     try:
-        document = json.loads(content)
-    except ValueError as error:
-        raise RunError(f"`{path}` must hold a JSON document, but: {error}.") from error
-    if not isinstance(document, dict):
-        raise RunError(f"`{path}` must hold a JSON object, got {type(document).__name__}.")
-    return document
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise RunError(f"Expected a JSON file at `{path}`, got {_why(error)}; {remedy}.") from error
+    return _object(document, f"`{path}`", remedy)
+
+
+def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
+    """Read a file with one JSON object per line.
+
+    A last line without its line break is left out: it may be being written at this moment.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
+
+    Raises:
+        RunError: the file is unreadable, or a line is no JSON object.
+    """
+    try:
+        complete, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    except (OSError, ValueError) as error:
+        raise RunError(f"Expected metrics at `{path}`, got {_why(error)}; {remedy}.") from error
+    lines = enumerate(complete.splitlines(), start=1)
+    return [_line(line, f"`{path}`, line {i}", remedy) for i, line in lines if line.strip()]
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an `.npz` file of plain arrays, and the directories above it.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
+    with explained("make", path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content.getvalue())
+
+
+def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
+    """Read the arrays of an `.npz` file by name. Pickled objects are refused.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
+
+    Raises:
+        RunError: the file is unreadable, or holds something else than arrays.
+    """
+    try:
+        with path.open("rb") as file:
+            return _arrays(file)
+    except _UNREADABLE as error:
+        raise RunError(f"Expected arrays at `{path}`, got {_why(error)}; {remedy}.") from error
 
 
 @contextlib.contextmanager
@@ -164,3 +235,41 @@ def locked(path: Path) -> Iterator[None]:
                 path.parent,
             )
         yield
+
+
+def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(file) as members:
+        damaged = members.testzip()  # before NumPy interprets anything
+    if damaged is not None:
+        raise zipfile.BadZipFile(f"the checksum of {damaged!r} is wrong")
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as archive:
+        found = {name: archive[name] for name in archive.files}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray):  # so NumPy hands over what is not in its format
+            raise ValueError(f"{name!r} is no array")
+    return found
+
+
+def _line(line: str, where: str, remedy: str) -> dict[str, Any]:
+    try:
+        document = json.loads(line)
+    except ValueError as error:
+        raise RunError(
+            f"Expected a JSON object in {where}, got {line[:40]!r}; {remedy}."
+        ) from error
+    return _object(document, where, remedy)
+
+
+def _object(document: Any, where: str, remedy: str) -> dict[str, Any]:
+    if not isinstance(document, dict):
+        raise RunError(f"Expected an object in {where}, got {type(document).__name__}; {remedy}.")
+    return document
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return f"something else that cannot be read ({error})"
