@@ -97,7 +97,7 @@ def test_tables_of_changed_learners_are_named_and_not_drawn(tmp_path: Path) -> N
     tuned.write_bytes(table.read_bytes())
     names, said = draw([run], tmp_path / "out")
     assert names == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
-    assert "Not drawn, because the learner was changed in the new tasks" in said
+    assert "Not drawn, because the rule or the radius was changed in the new tasks" in said
     assert f"engine asked for by name: `{tuned}`." in said
 
 

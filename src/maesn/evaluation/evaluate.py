@@ -176,7 +176,7 @@ def _stack_updates(columns: list[Any]) -> Any:
     return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
-def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, np.float32 | int]]:
+def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, np.float32 | int | str]]:
     """Yield the curves as rows of a table, task by task.
 
     `episodes` is the number of episodes per task that the agent has learned from by then. Measures
@@ -191,6 +191,7 @@ def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, np.float32 | in
                 "task": task,
                 "update": update,
                 "episodes": update * adaptation.episodes_per_update,
+                "purpose": "explore",
                 "mean_return": np.float32(curves.mean_return[task, column]),
                 "goal_return": np.float32(curves.goal_return[task, column]),
                 "success_rate": np.float32(curves.success_rate[task, column]),

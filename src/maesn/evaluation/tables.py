@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContext, Latent
-from maesn.envs import NAMED_SETS, RewardKind
+from maesn.envs import RewardKind
 from maesn.evaluation.evaluate import AdaptationOutcome, as_rows
+from maesn.report.table_files import latents_file, record_file, table_path
 from maesn.storage import (
     RunError,
     explained,
@@ -25,15 +26,8 @@ from maesn.storage import (
 def adaptation_file(
     directory: Path, tasks: str, reward: RewardKind, first_update: int = 0, suffix: str = ""
 ) -> Path:
-    """Return where a table of adaptation curves goes by default.
-
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `from-UPDATE-` before it if the adaptation went on from an earlier one. The suffix says what
-    was added to the learner, and which engine was asked for by name.
-    """
-    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
-    prefix = f"from-{first_update}-" if first_update else ""
-    return directory / "adaptation" / f"{prefix}{name}-{reward}{suffix}.csv"
+    """Return where a table of adaptation curves goes by default; see `table_path`."""
+    return table_path(directory, tasks, reward, first_update=first_update, changed=suffix)
 
 
 def engine_suffix(engine: str | None) -> str:
@@ -42,16 +36,6 @@ def engine_suffix(engine: str | None) -> str:
     Two engines' tables never share a file, and so never a figure.
     """
     return "" if engine is None else f"-on-{engine}"
-
-
-def latents_file(table: Path) -> Path:
-    """Return the path of the latents that belong to a table of adaptation curves."""
-    return table.with_suffix(".latents.npz")
-
-
-def record_file(table: Path) -> Path:
-    """Return the path of the file that says how a table of adaptation curves was made."""
-    return table.with_suffix(".settings.json")
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -84,8 +68,8 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
     write_json(record_file(table), dict(record))
     if isinstance(outcome.contexts, Latent):
         arrays = {
-            "mean": outcome.contexts.mean.swapaxes(0, 1),
-            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
+            "mean": outcome.contexts.mean,
+            "log_std": outcome.contexts.log_std,
             "first_update": np.asarray(outcome.first_update),
         }
         write_arrays(latents_file(table), arrays)
@@ -111,14 +95,15 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
         first = int(arrays["first_update"])
     except (ValueError, KeyError, TypeError) as error:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
+    if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    if mean.shape[1:] != like.mean.shape:
+    if mean[:, -1].shape != like.mean.shape:
         raise RunError(
-            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
+            f"`{path}` holds latents of the shape [task, z] = {list(mean[:, -1].shape)}, but "
             f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
         )
-    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
+    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
+    return last, first + mean.shape[1] - 1
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -1,4 +1,4 @@
-"""All methods under the same conditions: trained runs, methods from scratch, floor and oracle."""
+"""All methods under the same conditions: trained runs, from scratch, baselines and oracle."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -7,10 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from maesn.envs import Variant
-from maesn.report.adaptation_table import read_adaptation
-from maesn.report.comparison import Comparison, Line, first_part, write_tidy_table
+from maesn.report.comparison import Comparison, write_tidy_table
 from maesn.report.comparison_tables import write_summary
 from maesn.report.figures.comparison import plot_comparison
+from maesn.report.line import Line
+from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
@@ -143,7 +144,7 @@ def compare_lines(
     oracle: Run | None = None,
     say: Say = silent,
 ) -> Comparison:
-    """Adapt all entries, floor and oracle; write curves, a figure and tables.
+    """Adapt all entries, baselines and oracle; write curves, a figure and tables.
 
     Args:
         entries: the lines of the comparison.
@@ -163,7 +164,7 @@ def compare_lines(
     comparison = Comparison(
         lines=tuple(map(line, entries)),
         horizon=ground.env.horizon,
-        floor=tuple(map(line, baseline_lines(ground))),
+        baselines=tuple(map(line, baseline_lines(ground))),
         oracle=None if told is None else line(told),
     )
     with explained("make", out):
@@ -201,10 +202,8 @@ def _entries(
 
 def _line(entry: LineSpec, ground: ComparisonWorld, directory: Path, say: Say) -> Line:
     tables = [
-        first_part(
-            read_adaptation(curves_of(contestant, ground, directory, say)),
-            contestant.num_tasks,
-            contestant.record["updates"],
+        read_adaptation(curves_of(contestant, ground, directory, say)).first_part(
+            contestant.num_tasks, contestant.record["updates"]
         )
         for contestant in entry.contestants
     ]

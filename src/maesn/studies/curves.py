@@ -12,8 +12,9 @@ import numpy as np
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, TaskSet
 from maesn.evaluation.evaluate import CHUNK_SIZE, adapt, as_rows, tasks_at_once
 from maesn.evaluation.record import Identity, adaptation_record
-from maesn.evaluation.tables import adaptation_file, read_rows, record_file, write_rows
+from maesn.evaluation.tables import adaptation_file, read_rows, write_rows
 from maesn.learners import AbstractFastLearner
+from maesn.report.table_files import record_file
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import digest_of_document
 from maesn.runs.task_sources import find_tasks
