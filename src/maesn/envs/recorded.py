@@ -1,8 +1,8 @@
 """Environments written down, so that a changed default in code cannot change an existing run.
 
-`describe_env` returns what decides an environment's numbers, as JSON values. `rebuild_env` makes the
-environment again, and refuses one that has become another. Settings, constants of the class and the
-text of a MuJoCo model are recorded; the code of functions is not.
+`describe_env` returns what decides an environment's numbers, as JSON values. `rebuild_env` makes
+the environment again, and refuses one that has become another. Settings, constants of the class and
+the text of a MuJoCo model are recorded; the code of functions is not.
 """
 
 import dataclasses
