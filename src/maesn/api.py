@@ -117,9 +117,7 @@ def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
         raise RunError(str(error)) from error
 
 
-def export(
-    run: str | Path | Run, path: str | Path, family: str | TaskFamily | None = None
-) -> Path:
+def export(run: str | Path | Run, path: str | Path, family: str | TaskFamily | None = None) -> Path:
     """Write a trained policy as one `.npz` file for `maesn.runtime`.
 
     Args:

@@ -23,7 +23,7 @@ from maesn.report.adaptation_table import read_adaptation
 from maesn.report.style import METHOD_STYLES
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies import curves, lines
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare, comparison_world, silent
@@ -184,7 +184,7 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
     assert learners["vime"].curiosity.weight == 0.01
 
 
-BUDGET = "--num-tasks 2 --episodes 9 --episodes-per-update 3".split()
+BUDGET = ["--num-tasks", "2", "--episodes", "9", "--episodes-per-update", "3"]
 
 
 def methods_in(out: Path) -> list[str]:
@@ -194,7 +194,17 @@ def methods_in(out: Path) -> list[str]:
 def test_runs_take_part_a_second_time_with_what_is_added(
     runs: dict[str, Path], tmp_path: Path
 ) -> None:
-    added = "--then trpo after=3 --run-episodes 3 --scratch reinforce --twice maesn".split()
+    added = [
+        "--then",
+        "trpo",
+        "after=3",
+        "--run-episodes",
+        "3",
+        "--scratch",
+        "reinforce",
+        "--twice",
+        "maesn",
+    ]
     command = ["compare", str(runs["maesn"]), *BUDGET, *added, "--out", str(tmp_path)]
     assert cli.run(command) == 0
     plain, tuned, *_ = methods_in(tmp_path)
@@ -226,7 +236,16 @@ def test_recurrent_policies_and_bonuses_go_through_the_same_evaluator(
         meta_batch_size=2,
     )
     recurrent = create(tmp_path / "rl2", learner).directory
-    added = "--scratch vime:1 --then trpo after=3 --bonus vime curiosity.weight=10".split()
+    added = [
+        "--scratch",
+        "vime:1",
+        "--then",
+        "trpo",
+        "after=3",
+        "--bonus",
+        "vime",
+        "curiosity.weight=10",
+    ]
     command = ["compare", str(runs["maesn"]), str(recurrent), *BUDGET, *added]
     assert cli.run([*command, "--out", str(tmp_path / "out")]) == 0
     last = {(row["method"], row["task"]): row for row in table(tmp_path / "out")}

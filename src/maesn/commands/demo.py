@@ -10,7 +10,7 @@ from maesn.report import print_adaptation_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)

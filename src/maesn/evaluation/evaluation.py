@@ -103,7 +103,10 @@ class Evaluation:
     @property
     def rule_text(self) -> str:
         """Rule and wrappers with all their settings, for the record; empty for the method's own."""
-        chosen = [*([] if self.rule is None or not self.rule.label else [self.rule]), *self.wrappers]
+        chosen = [
+            *([] if self.rule is None or not self.rule.label else [self.rule]),
+            *self.wrappers,
+        ]
         return " ".join(written_out(one) for one in chosen)
 
     def fast_learner(self, trained: Trained, method: str, env: Any) -> Any:

@@ -13,10 +13,10 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.evaluation.evaluate import adapt, tasks_at_once
-from maesn.evaluation.tables import write_arrays
 from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner
 from maesn.runs.run import Run
+from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
 
 # Episodes that figures show, and tasks that they are spread over: where the agent sees what differs

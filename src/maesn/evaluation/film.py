@@ -18,7 +18,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError, explained, write_whole
+from maesn.storage import RunError, explained, write_whole
 from maesn.worlds import Scene, arena, places
 from maesn.worlds.collector import Collector
 

@@ -59,7 +59,9 @@ def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
         yield world
 
 
-def fast_learner(run: Run, evaluation: Evaluation, world: AbstractWorld) -> AbstractFastLearner[Any]:
+def fast_learner(
+    run: Run, evaluation: Evaluation, world: AbstractWorld
+) -> AbstractFastLearner[Any]:
     """Return what a run learns with in new tasks.
 
     Raises:
@@ -106,9 +108,7 @@ def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Eva
     return Evaluated(outcome, record | {"trial_episodes": outcome.trial_episodes})
 
 
-def _saved_contexts(
-    path: Path, learner: AbstractFastLearner[Any], num_tasks: int
-) -> SavedContexts:
+def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:
     if not learner.capabilities.resumes:
         raise RunError(
             f"`{path}` cannot be a start: the latents in it are not all that this method learns in "

@@ -5,7 +5,6 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,14 @@ from maesn.context import AbstractContext, Latent
 from maesn.envs import NAMED_SETS
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.runs.storage import RunError, explained, write_json, write_whole
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    write_arrays,
+    write_json,
+    write_whole,
+)
 
 
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
@@ -116,10 +122,10 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
             f"`{path}` cannot be a start: this run's method has no latents that are adapted."
         )
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            mean, log_std = arrays["mean"], arrays["log_std"]
-            first = int(arrays["first_update"])
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
+        mean, log_std = arrays["mean"], arrays["log_std"]
+        first = int(arrays["first_update"])
+    except (ValueError, KeyError, TypeError) as error:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
     if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
@@ -130,13 +136,6 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
         )
     last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
     return last, first + mean.shape[1] - 1
-
-
-def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    """Write an `.npz` file of plain arrays, and the directories above it."""
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
-    _write(path, content.getvalue())
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -15,8 +15,8 @@ from maesn.report.style import MethodStyle, series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.storage import RunError
 from maesn.runs.task_sources import resolve_family
+from maesn.storage import RunError
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 from maesn.studies.checks import check_world, open_oracle
 from maesn.studies.comparison import USUAL, compare_lines, comparison_world, silent

@@ -19,8 +19,8 @@ from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.run import Run
-from maesn.storage import RunError, explained
 from maesn.runs.task_sources import find_tasks, resolve_family
+from maesn.storage import RunError, explained
 from maesn.studies.checks import Changes, check_changes, check_world, open_oracle
 from maesn.studies.curves import ComparisonWorld, Say, curves_of, open_comparison_world
 from maesn.studies.lines import LineSpec, Scratch, baseline_lines, line_of_runs, scratch_lines

@@ -101,9 +101,7 @@ class SeededLearner:
         return int(self.record["num_tasks"])
 
 
-def curves_of(
-    one: SeededLearner, world: ComparisonWorld, directory: Path, say: Say
-) -> Path:
+def curves_of(one: SeededLearner, world: ComparisonWorld, directory: Path, say: Say) -> Path:
     """Return the table of a one's curves, adapting it unless that has been done.
 
     Chunk after chunk of the tasks is written down, so that an interrupted adaptation goes on with
