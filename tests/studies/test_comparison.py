@@ -205,8 +205,8 @@ def test_runs_take_part_a_second_time_with_what_is_added(
         "--twice",
         "maesn",
     ]
-    command = ["compare", str(runs["maesn"]), *BUDGET, *added, "--out", str(tmp_path)]
-    assert cli.run(command) == 0
+    command = ["compare", str(runs["maesn"]), *BUDGET, *added, "--twice", "maesn"]
+    assert cli.run([*command, "--out", str(tmp_path)]) == 0
     plain, tuned, *_ = methods_in(tmp_path)
     assert plain == "maesn"
     assert tuned.startswith("maesn-3-episodes-then-trpo-")

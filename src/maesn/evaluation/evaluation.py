@@ -103,11 +103,9 @@ class Evaluation:
     @property
     def rule_text(self) -> str:
         """Rule and wrappers with all their settings, for the record; empty for the method's own."""
-        chosen = [
-            *([] if self.rule is None or not self.rule.label else [self.rule]),
-            *self.wrappers,
-        ]
-        return " ".join(written_out(one) for one in chosen)
+        rule = self.rule if self.rule is not None and self.rule.label else None
+        chosen = [*self.wrappers] if rule is None else [rule, *self.wrappers]
+        return " ".join(map(written_out, chosen))
 
     def fast_learner(self, trained: Trained, method: str, env: Any) -> Any:
         """Return what learns in the new tasks.

@@ -98,8 +98,8 @@ def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
     each, most = evaluation.episodes_per_update, evaluation.episodes
     if not after or after[0] < 0 or after[-1] > most or any(count % each for count in after):
         raise RunError(
-            f"`after` must be numbers of episodes, multiples of `episodes_per_update`, {each}, from "
-            f"0 to `episodes`, {most}, got {list(after)}."
+            "`after` must be numbers of episodes, multiples of `episodes_per_update`, "
+            f"{each}, from 0 to `episodes`, {most}, got {list(after)}."
         )
     return [count // each for count in after]
 

@@ -43,7 +43,7 @@ def bonus_from_text(text: str) -> AbstractWrapper:
     return _from_text(text, "bonus", BONUSES, AbstractWrapper)
 
 
-def _from_text(text: str, option: str, known: Mapping[str, type[Any]], kind: type[Part]) -> Part:
+def _from_text(text: str, option: str, known: Mapping[str, type[Any]], kind: type[Any]) -> Any:
     name, *words = text.split() or [""]
     found = _own(name, option) if ":" in name else known.get(name)
     if found is None:

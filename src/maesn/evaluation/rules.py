@@ -214,8 +214,8 @@ class AbstractThen(AbstractWrapper):
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
         if self.after >= episodes:
             raise ValueError(
-                f"`episodes` must be more than `after`, got {episodes} and {self.after}: no episode "
-                "would be left to fine-tune the policy with."
+                f"`episodes` must be more than `after`, got {episodes} and {self.after}: no "
+                "episode would be left to fine-tune the policy with."
             )
         if self.after % episodes_per_update:
             raise ValueError(

@@ -66,7 +66,7 @@ class WorldSettings:
                     f"the runs must agree in `{name}` to be compared, got {listed}: say which one "
                     f"with --{name.replace('_', '-')}, or compare fewer runs."
                 )
-        given = {name: value for name, value in asked.items() if value is not None}
+        given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
         given |= {name: values[0] for name, values in found.items() if values}
         if "family" not in given:
             raise RunError("`family` must be given where no run says it: --family NAME.")
