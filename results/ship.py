@@ -21,8 +21,8 @@ from maesn.runs.config import CONFIG, RunConfig, RunSettings
 from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.shipped import TRAINED
-from maesn.runs.storage import new_directory, write_json
 from maesn.runs.task_sources import TASKS_FILE
+from maesn.storage import new_directory, write_json
 
 
 @dataclass(frozen=True)

@@ -70,11 +70,9 @@ def _run_command(name: str, options: list[str]) -> int:
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return the errors whose message is all that a user needs: no traceback."""
     names = {
-        "maesn.runs.storage": ("RunError",),
-        "maesn.runs.training": ("TrainingError",),
+        "maesn.storage": ("RunError",),
         "maesn.physics": ("EngineError", "RenderingError"),
         "maesn.worlds": ("EpisodeError",),
-        "maesn.report": ("ReportError",),
     }
     return tuple(
         getattr(import_module(module), name) for module, all_ in names.items() for name in all_

@@ -16,7 +16,7 @@ from maesn.context import LatentContext
 from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import check_env_contract
 
 POINT = FAMILIES["point"]
@@ -63,7 +63,7 @@ def test_a_configuration_that_is_not_ours(
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe"])
 def test_a_configuration_that_is_no_document(directory: Path, content: bytes) -> None:
     (directory / "config.json").write_bytes(content)
-    with pytest.raises(RunError, match=r"config.json` must hold a JSON"):
+    with pytest.raises(RunError, match=r"Expected an? (JSON file|object) .*config.json"):
         Run.open(directory)
 
 

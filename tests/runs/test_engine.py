@@ -14,7 +14,7 @@ from maesn.physics import EngineError
 from maesn.report.series import group_worlds
 from maesn.runs.config import CONFIG, read_config
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 @pytest.mark.usefixtures("quick_compiler")

@@ -17,8 +17,8 @@ from small_runs import Drift, create, finish, metrics, outcome, reopened, tensor
 
 from maesn.runs import log
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
 from maesn.runs.training import train
+from maesn.storage import RunError
 from maesn.worlds import EpisodeError
 
 

@@ -23,7 +23,7 @@ from maesn.learners import METHODS, maml
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.checkpoint import MismatchError
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
 
 POINT = FAMILIES["point"]

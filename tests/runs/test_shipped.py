@@ -24,8 +24,8 @@ from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
-from maesn.runs.storage import RunError
 from maesn.runtime import Explorer
+from maesn.storage import RunError
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 

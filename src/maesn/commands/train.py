@@ -13,8 +13,8 @@ from maesn.commands.options import parse
 from maesn.learners import BONUS_SUFFIX, METHODS, PRESETS, SCRATCH, AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
-from maesn.runs.storage import RunError
 from maesn.runs.task_sources import resolve_family
+from maesn.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from maesn.runs.storage import RunError, explained, write_whole
+from maesn.storage import RunError, explained, write_whole
 
 Tree = TypeVar("Tree")
 

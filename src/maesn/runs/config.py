@@ -11,8 +11,8 @@ import tyro
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.serialization import fields_from_json, fields_to_json, from_json, to_json
-from maesn.runs.storage import RunError, read_json, write_json
 from maesn.settings import added_later
+from maesn.storage import RunError, read_json, write_json
 from maesn.worlds import EngineName, engine_of
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.

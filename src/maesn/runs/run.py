@@ -40,7 +40,6 @@ from maesn.runs.starting import (
     untrained_state,
     warn_of_known_tests,
 )
-from maesn.runs.storage import RunError, new_directory
 from maesn.runs.task_sources import (
     TASKS_FILE,
     find_tasks,
@@ -49,6 +48,7 @@ from maesn.runs.task_sources import (
     resolve_family,
     save_tasks,
 )
+from maesn.storage import RunError, new_directory
 from maesn.worlds import AbstractWorld, EngineName, make_world
 
 CHECKPOINTS = "checkpoints"
