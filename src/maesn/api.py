@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
-from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, tasks_at_once
 from maesn.evaluation.evaluate import adapt as adapt_to_tasks
@@ -22,7 +20,7 @@ from maesn.evaluation.tables import (
     write_outcome,
 )
 from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
-from maesn.learners import AbstractFastLearner, AbstractMetaLearner
+from maesn.learners import AbstractFastLearner, AbstractMetaLearner, SavedContexts
 from maesn.report.plot import plot_run_directories
 from maesn.runs.beginning import begun_state
 from maesn.runs.config import RunSettings
@@ -124,22 +122,21 @@ def adapt(
         )
     test_time.check_reached(updates)
     run = Run.open(working_copy(directory), family=family)
-    learner = test_time.add_to(run.learner.fast_learner(run.latest_state()), run, run.env())
-    go_on, done = None, 0
+    fast = run.learner.fast_learner(run.latest_state())
+    learner = test_time.add_to(fast, run, run.env(), episodes_per_task)
+    saved, done = None, 0
     with closing(run.world(run.task_set(tasks), reward, engine)) as world:
         check_shown(run.learner.player(run.latest_state()), world.env)
         if start is not None:
-            latents, done = _latents_to_go_on_from(Path(start), learner, len(world.tasks))
-            go_on = partial(_resume_chunk, learner, latents, done)
+            saved = _latents_to_go_on_from(Path(start), learner, len(world.tasks))
+            done = saved.updates
         outcome = adapt_to_tasks(
             learner,
             Collector(world, episodes_per_task),
             updates=updates,
-            episodes_per_task=episodes_per_task,
             seed=seed,
             chunk_size=tasks_at_once(world.max_simulations, episodes_per_task),
-            start=go_on,
-            first_update=done,
+            saved=saved,
         )
         record = adaptation_record(
             identity_of_run(run, test_time.written),
@@ -214,18 +211,13 @@ def plot(
 
 def _latents_to_go_on_from(
     path: Path, learner: AbstractFastLearner[Any], num_tasks: int
-) -> tuple[Latent, int]:
+) -> SavedContexts:
     # A start at the prior has no use for keys.
-    state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
-    latents, done = read_latents(path, learner.agents(state).context)
+    keys = jax.random.split(jax.random.key(0), num_tasks)
+    fresh = learner.agents(learner.init(keys)).context
+    saved = SavedContexts(*read_latents(path, fresh))
     try:
-        learner.resume(latents, done)
+        learner.init(keys, saved)
     except ValueError as error:
         raise RunError(f"`{path}` cannot be a start: {error}") from error
-    return latents, done
-
-
-def _resume_chunk(
-    learner: AbstractFastLearner[Any], latents: Latent, update: int, slots: np.ndarray
-) -> Any:
-    return learner.resume(jax.tree.map(lambda x: x[slots], latents), update)
+    return saved

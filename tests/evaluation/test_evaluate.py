@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from maesn.axes import Readings
+from maesn.context.values import FIXED_STD
 from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
 from maesn.evaluation.evaluate import adapt, as_rows, measure
-from maesn.evaluation.explore import FIXED_STD, explore
+from maesn.evaluation.explore import explore
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner, GradientFastState, maesn, maml, reinforce
+from maesn.learners import GradientFastLearner, SavedContexts, maesn, maml, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.worlds import EpisodeError, make_world
@@ -49,9 +50,10 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
         solved_at_start=jnp.array([[False, True]]),
         terminated=jnp.array([[False, True]]),
         noise=jnp.zeros((1, 2, 1)),
-        context=jnp.zeros((1, 2, 1)),
+        description=jnp.zeros((1, 2, 0)),
+        z=jnp.zeros((1, 2, 1)),
         behaviour=DiagonalGaussian(steps, steps),
-        carry=None,
+        trial_end=None,
     )
     curves = measure(episodes)
     np.testing.assert_allclose(curves.mean_return, [10.5])
@@ -66,7 +68,7 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
 def test_chunks_change_nothing(
     collect: Collector, learner: GradientFastLearner, chunk_size: int
 ) -> None:
-    options = {"updates": 2, "episodes_per_task": EPISODES, "seed": 4}
+    options = {"updates": 2, "seed": 4}
     whole = adapt(learner, collect, chunk_size=NUM_TASKS, **options)
     parts = adapt(learner, collect, chunk_size=chunk_size, **options)
     assert whole.curves.mean_return.shape == (NUM_TASKS, 3)
@@ -78,21 +80,10 @@ def test_chunks_change_nothing(
 def test_going_on_from_saved_contexts_equals_one_adaptation(
     collect: Collector, learner: GradientFastLearner
 ) -> None:
-    whole = adapt(learner, collect, updates=3, episodes_per_task=EPISODES)
-    first = adapt(learner, collect, updates=1, episodes_per_task=EPISODES)
+    whole = adapt(learner, collect, updates=3)
+    first = adapt(learner, collect, updates=1)
     last = jax.tree.map(lambda x: jnp.asarray(x[:, -1]), first.contexts)
-
-    def go_on(slots: np.ndarray) -> GradientFastState:
-        return learner.resume(jax.tree.map(lambda x: x[slots], last), 1)
-
-    rest = adapt(
-        learner,
-        collect,
-        updates=2,
-        episodes_per_task=EPISODES,
-        start=go_on,
-        first_update=1,
-    )
+    rest = adapt(learner, collect, updates=2, saved=SavedContexts(last, 1))
     np.testing.assert_array_equal(rest.curves.mean_return, whole.curves.mean_return[:, 1:])
     assert [row["update"] for row in as_rows(rest)][:3] == [1, 2, 3]
     assert [row["episodes"] for row in as_rows(rest)][:3] == [EPISODES, 2 * EPISODES, 3 * EPISODES]
@@ -101,8 +92,8 @@ def test_going_on_from_saved_contexts_equals_one_adaptation(
 def test_the_latents_move_and_the_seed_matters(
     collect: Collector, learner: GradientFastLearner
 ) -> None:
-    one = adapt(learner, collect, updates=1, episodes_per_task=EPISODES, seed=1)
-    other = adapt(learner, collect, updates=1, episodes_per_task=EPISODES, seed=2)
+    one = adapt(learner, collect, updates=1, seed=1)
+    other = adapt(learner, collect, updates=1, seed=2)
     assert np.all(one.contexts.mean[:, 0] == 0)
     assert np.all(np.abs(one.contexts.mean[:, 1]).sum(-1) > 0)
     assert not np.array_equal(one.curves.mean_return, other.curves.mean_return)
@@ -171,4 +162,4 @@ def test_an_agent_that_its_updates_have_led_astray() -> None:
     collect = Collector(make_world(env, wheeled.task_set("test", size=2)), episodes_per_task=3)
     learner = reinforce(env.observation_size, env.action_size, step_size=1e30)
     with pytest.raises(EpisodeError, match=r"wheeled, task 0, .* \(after update 1 in this task"):
-        adapt(learner, collect, updates=2, episodes_per_task=3)
+        adapt(learner, collect, updates=2)

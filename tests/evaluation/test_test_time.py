@@ -123,7 +123,7 @@ def test_the_record_of_curves_says_by_which_rule(trained: Path, few: str) -> Non
 def test_who_is_curious_and_fine_tuned_is_so_at_the_same_time(trained: Path) -> None:
     run, env = Run.open(trained), point.make_env()
     fast = run.learner.fast_learner(run.latest().state)
-    both = AtTestTime(fine_tune="trpo", after=1, curious=True).add_to(fast, run, env)
+    both = AtTestTime(fine_tune="trpo", after=1, curious=True).add_to(fast, run, env, 3)
     assert isinstance(both, BonusFastLearner)
     assert isinstance(both.learner, FineTuning)
     assert isinstance(both.learner.learner, GradientFastLearner)

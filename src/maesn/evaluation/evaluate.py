@@ -1,6 +1,6 @@
 """Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from maesn.axes import TaskKeys
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners import AbstractFastLearner
+from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.worlds import EpisodeError
 
 # An "update" that no adaptation reaches: its keys are those of the learners themselves.
@@ -74,37 +74,40 @@ def adapt(
     collect: Collect,
     *,
     updates: int = 10,
-    episodes_per_task: int = 50,
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
-    start: Callable[[np.ndarray], Any] | None = None,
-    first_update: int = 0,
+    saved: SavedContexts | None = None,
     tasks: Sequence[int] | None = None,
 ) -> AdaptationOutcome:
     """Adapt to tasks of a set, all of them at once.
 
     Args:
         learner: learns in each task separately.
-        collect: plays `episodes_per_task` episodes in each task.
+        collect: plays the episodes of each update.
         updates: number of updates; the curves have one entry more.
-        episodes_per_task: number of episodes that `collect` plays per task, for the record.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
-        start: returns the learner's state to go on from in the tasks of the given indices; None
-            for the learner's own start.
-        first_update: number of updates that lie behind `start`. With it, an adaptation in two
-            parts plays the same episodes as one in a single part.
+        saved: where an earlier adaptation of all tasks of the set stopped, to go on from there;
+            None to begin anew. An adaptation in two parts plays the same episodes as one in a
+            single part.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
             do not depend on which others there are.
 
     Raises:
         EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
+        ValueError: an update is to learn from too few episodes, or the learner cannot go on from
+            saved contexts.
     """
+    can = learner.capabilities
+    # A learner of trials learns one episode at a time.
+    episodes_per_update = 1 if can.trial_episodes is not None else collect.episodes_per_task
+    if updates:
+        can.check_episodes(episodes_per_update)
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
+    first_update = 0 if saved is None else int(saved.updates)
+    numbers = range(first_update, first_update + updates + 1)
     parts = [
-        _adapt_chunk(
-            learner, collect, slots, range(first_update, first_update + updates + 1), seed, start
-        )
+        _adapt_chunk(learner, collect, slots, numbers, seed, saved)
         for slots in _chunks(chosen, chunk_size)
     ]
     curves, contexts = jax.tree.map(lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts)
@@ -112,8 +115,8 @@ def adapt(
         curves,
         contexts,
         first_update,
-        learner.episodes_per_update(episodes_per_task),
-        learner.trial_episodes,
+        episodes_per_update,
+        can.trial_episodes,
     )
 
 
@@ -123,15 +126,17 @@ def _adapt_chunk(
     slots: np.ndarray,
     updates: range,
     seed: int,
-    start: Callable[[np.ndarray], Any] | None,
+    saved: SavedContexts | None,
 ) -> tuple[AdaptationCurves, Any]:
-    state = learner.init(_task_keys(seed, _START, slots)) if start is None else start(slots)
+    if saved is not None:
+        saved = saved._replace(context=jax.tree.map(lambda x: x[slots], saved.context))
+    state = learner.init(_task_keys(seed, _START, slots), saved)
     curves, contexts = [], []
     for update in updates:
         agents = learner.agents(state)
-        keys, memory = _task_keys(seed, update, slots), learner.memory(state)
+        keys = _task_keys(seed, update, slots)
         try:
-            episodes = collect(keys, agents, jnp.asarray(slots), memory)
+            episodes = collect(keys, agents, jnp.asarray(slots), stage=update)
         except EpisodeError as error:
             raise error.after(update) from error
         curves.append(jax.tree.map(np.asarray, measure(episodes)))

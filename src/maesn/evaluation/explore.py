@@ -1,6 +1,5 @@
 """Record how an agent explores, for the paper's figures 6 and 8."""
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -13,10 +12,6 @@ from maesn.context import Latent
 from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner
 from maesn.worlds.collector import Collector
-
-# Standard deviation of a latent that is held fixed: small enough not to matter, and its
-# logarithm is finite.
-FIXED_STD = 1e-6
 
 Paths = Float[np.ndarray, "episode time_plus_1 2"]
 
@@ -48,13 +43,13 @@ def explore(
         seed: of the episodes.
     """
     keys = jax.random.split(jax.random.key(seed), num_tasks)
-    agents = learner.agents(learner.init(keys))
+    state = learner.init(keys)
+    agents = learner.agents(state)
     paths, latents = _play(agents, collect, keys)
     if not isinstance(agents.context, Latent):
         return Exploration(paths, latents, None)
-    fixed = Latent(agents.context.mean, jnp.full_like(agents.context.mean, np.log(FIXED_STD)))
-    fixed_agents = dataclasses.replace(agents, context=fixed)
-    return Exploration(paths, latents, _play(fixed_agents, collect, keys)[0])
+    fixed = learner.agents(state, "deploy")
+    return Exploration(paths, latents, _play(fixed, collect, keys)[0])
 
 
 def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, Any]:
@@ -62,7 +57,7 @@ def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, An
     episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
     position = jax.vmap(jax.vmap(jax.vmap(collect.world.env.position)))(episodes.observation)
     paths = jax.vmap(jax.vmap(_stay))(position, episodes.valid)
-    return np.concatenate(paths), np.concatenate(episodes.context)
+    return np.concatenate(paths), np.concatenate(episodes.z)
 
 
 def _stay(

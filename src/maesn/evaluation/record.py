@@ -8,7 +8,6 @@ from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.settings import is_left_out
 from maesn.worlds import AbstractWorld, EngineName, engine_of
-from maesn.worlds.collector import DRAWS
 
 
 class Identity(NamedTuple):
@@ -52,7 +51,6 @@ def adaptation_record(
         "task_digest": world.tasks.digest(),
         "episodes_per_task": episodes_per_task,
         "seed": seed,
-        "draws": DRAWS,
         "updates": updates,
         "first_update": first_update,
     }

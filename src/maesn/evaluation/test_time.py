@@ -11,7 +11,9 @@ from maesn.learners import (
     AbstractFastLearner,
     BonusFastLearner,
     FineTuning,
+    GradientFastLearner,
     PolicyImprovement,
+    inside,
 )
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.runs.run import Run
@@ -126,34 +128,52 @@ class AtTestTime:
         )
 
     def add_to(
-        self, learner: AbstractFastLearner[Any], run: Run, env: AnyEnv
+        self,
+        learner: AbstractFastLearner[Any],
+        run: Run,
+        env: AnyEnv,
+        episodes_per_update: int = 50,
     ) -> AbstractFastLearner[Any]:
         """Return the learner of a run with all that is to be added.
 
         Raises:
             RunError: the learner cannot be given that.
         """
-        if self.curious and learner.has_bonus:
+        if self.curious and learner.capabilities.has_bonus:
             raise RunError(
                 f"`curious` cannot be given to a run of {run.settings.method}, which is curious "
                 "already: leave it out."
             )
         try:
-            return self._changed(learner, env)
+            return self._changed(learner, env, episodes_per_update)
         except ValueError as error:
             raise RunError(
                 f"`{run.settings.method}` cannot be adapted like this: {error}"
             ) from error
 
-    def _changed(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
+    def _changed(
+        self, learner: AbstractFastLearner[Any], env: AnyEnv, episodes_per_update: int
+    ) -> AbstractFastLearner[Any]:
         if self.step_scale != 1 or self.full_steps is not None:
-            learner = learner.paced(self.step_scale, self.full_steps)
+            learner = inside(learner, self._paced)
         if self.fine_tune is not None:
-            learner = learner.inside(lambda one: FineTuning(one, self._improvement, self.after))
+            after = self.after * episodes_per_update
+            learner = inside(learner, lambda one: FineTuning(one, self._improvement, after))
         if self.curious:
             sizes = env.observation_size, env.action_size
             learner = BonusFastLearner(learner, self.curiosity, *sizes)
         return learner
+
+    def _paced(self, learner: AbstractFastLearner[Any]) -> AbstractFastLearner[Any]:
+        if not isinstance(learner, GradientFastLearner):
+            raise ValueError(f"`{type(learner).__name__}` follows no schedule of step sizes.")
+        if not learner.capabilities.learns_from_reward:
+            raise ValueError("it changes nothing in a task, so it takes no steps.")
+        schedule = learner.schedule
+        full_steps = schedule.full_steps if self.full_steps is None else self.full_steps
+        scale = schedule.scale * self.step_scale
+        changed = dataclasses.replace(schedule, scale=scale, full_steps=full_steps)
+        return dataclasses.replace(learner, schedule=changed)
 
 
 NOTHING_ADDED = AtTestTime()

@@ -205,7 +205,6 @@ def _adapt_piece(
             contestant.learner,
             ground.collect,
             updates=contestant.record["updates"],
-            episodes_per_task=ground.conditions.episodes_per_task,
             seed=contestant.record["seed"],
             chunk_size=len(tasks),
             tasks=tasks.tolist(),

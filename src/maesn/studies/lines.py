@@ -128,8 +128,8 @@ def line_of_runs(
         trained = run.latest()
         training_steps = max(training_steps, trained.environment_steps)
         learner = run.learner.fast_learner(trained.state)
-        learner = test_time.add_to(learner, run, ground.env)
-        trial_episodes = learner.trial_episodes
+        learner = test_time.add_to(learner, run, ground.env, conditions.episodes_per_task)
+        trial_episodes = learner.capabilities.trial_episodes
         contestants.append(
             SeededLearner(
                 name=name + test_time.suffix,
