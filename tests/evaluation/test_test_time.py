@@ -14,11 +14,11 @@ from maesn.evaluation.record import written_out
 from maesn.evaluation.test_time import AtTestTime, FineTuneRule
 from maesn.learners import (
     METHODS,
+    TRPO,
     BonusFastLearner,
     BonusMetaLearner,
     FineTuning,
     GradientFastLearner,
-    TrustRegionWeightStep,
 )
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
@@ -115,7 +115,7 @@ def test_the_record_of_curves_says_by_which_rule(trained: Path, few: str) -> Non
     api.adapt(trained, tasks=few, updates=2, episodes_per_task=3, test_time=tuning)
     record = trained / "adaptation" / f"file-few-sparse{tuning.suffix}.settings.json"
     learner = json.loads(record.read_text())["learner"]
-    for settings in (TrustRegionWeightStep(), CuriosityBonus()):
+    for settings in (TRPO, CuriosityBonus()):
         for name, value in vars(settings).items():
             assert f"{name}={written_out(value)}" in learner
 

@@ -14,7 +14,6 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import inner_loss
-from maesn.settings import added_later
 
 
 class InnerStep(eqx.Module):
@@ -98,16 +97,18 @@ class Adaptation(eqx.Module):
         Args:
             agents: who played `episodes`.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agents played, `[task, episode, ...]`.
             advantages: of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
-        moved_policy, moved_context = agents.one_by_one(
+        moved_policy, moved_context = agents.map(
             lambda agent, played, advantage: self.moved_parts(
                 agent, sizes, context, played, advantage, scale
-            )
-        )(episodes, advantages)
+            ),
+            episodes,
+            advantages,
+        )
         return replace(
             agents,
             policy=agents.policy if self.policy is None else moved_policy,
@@ -129,7 +130,7 @@ class Adaptation(eqx.Module):
         Args:
             agent: of one task.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agent played, `[episode, ...]`.
             advantages: of those episodes.
             scale: multiplies every step size.
@@ -178,7 +179,7 @@ def _if_begun(step: InnerStep | None, iteration: int) -> InnerStep | None:
 
 
 class StepSchedule(eqx.Module):
-    """The test-time rule: full steps first, then each half of the one before.
+    """Step sizes in a new task: full steps first, then each half of the one before.
 
     With two full steps the sizes are a, a, a/2, a/4, ...; the latents stand still after about
     eight updates. Source: the reference's test script, which halves the step after every update
@@ -189,7 +190,7 @@ class StepSchedule(eqx.Module):
     """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
     factor: float = 0.5
     """What the step size is multiplied by in every later update; 1 keeps it."""
-    scale: float = added_later(1.0)
+    scale: float = 1.0
     """What every step size is multiplied by."""
 
     def __check_init__(self) -> None:

@@ -55,7 +55,7 @@ def exported_policy(
     """Return what `export_policy` writes; see there."""
     supported = _supported(learner)
     policy = _policy(supported)
-    start = _latent(supported.context.start_new(supported.learned_context, 1))
+    start = _latent(supported.context.start_new(supported.context_table, 1))
     size = policy.input_size - start.mean.shape[1]
     if (size, policy.action_size) != (env.observation_size, env.action_size):
         raise ValueError(
@@ -188,7 +188,7 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     if step.learned:
         sizes = _latent(learner.step_sizes.context)
     else:
-        fixed = np.full(learner.learned_context.size, float(step.initial_size))
+        fixed = np.full(learner.context_table.size, float(step.initial_size))
         sizes = RuntimeLatent(fixed, fixed)
     scale = float(learner.schedule.scale)
     return LearningRule(

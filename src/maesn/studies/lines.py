@@ -13,9 +13,9 @@ from maesn.evaluation.tables import adaptation_file, engine_suffix
 from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
 from maesn.learners import (
     SCRATCH,
+    TRPO,
     AbstractFastLearner,
     GradientStep,
-    TrustRegionWeightStep,
     baselines,
     reinforce,
     trpo,
@@ -55,7 +55,7 @@ class Scratch:
     """Each method from scratch begins anew in every task with each of these seeds."""
     step_size: float = GradientStep().step_size
     """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    max_kl: float = TrustRegionWeightStep().trust_region.max_kl
+    max_kl: float = TRPO.trust_region.max_kl
     """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
     0.01."""
     curiosity_weight: float = CuriosityBonus().weight
