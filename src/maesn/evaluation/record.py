@@ -6,9 +6,7 @@ from typing import Any, NamedTuple
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.settings import is_left_out
 from maesn.worlds import AbstractWorld, EngineName, engine_of
-from maesn.worlds.collector import DRAWS
 
 
 class Identity(NamedTuple):
@@ -52,7 +50,6 @@ def adaptation_record(
         "task_digest": world.tasks.digest(),
         "episodes_per_task": episodes_per_task,
         "seed": seed,
-        "draws": DRAWS,
         "updates": updates,
         "first_update": first_update,
     }
@@ -70,17 +67,9 @@ def identity_of_run(run: Run, added: str = "") -> Identity:
 
 
 def written_out(settings: Any) -> str:
-    """Write settings out in full: defaults as well, which may be others in a later version.
-
-    Fields that were `added_later` are left out at their default, at which they do what was done
-    before they existed.
-    """
+    """Write settings out in full: defaults as well, which may be others in a later version."""
     if not dataclasses.is_dataclass(settings):
         return repr(settings)
     fields = [(field, getattr(settings, field.name)) for field in dataclasses.fields(settings)]
-    values = (
-        f"{field.name}={written_out(value)}"
-        for field, value in fields
-        if not is_left_out(field, value)
-    )
+    values = (f"{field.name}={written_out(value)}" for field, value in fields)
     return f"{type(settings).__name__}({', '.join(values)})"

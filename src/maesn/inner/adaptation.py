@@ -13,7 +13,6 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import inner_loss
-from maesn.settings import added_later
 
 
 class InnerStep(eqx.Module):
@@ -176,7 +175,7 @@ class StepSchedule(eqx.Module):
     """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
     factor: float = 0.5
     """What the step size is multiplied by in every later update; 1 keeps it."""
-    scale: float = added_later(1.0)
+    scale: float = 1.0
     """What every step size is multiplied by."""
 
     def __check_init__(self) -> None:

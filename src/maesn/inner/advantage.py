@@ -13,7 +13,6 @@ from maesn.numerics import (
     ridge_regression,
     standardize,
 )
-from maesn.settings import added_later
 
 # Range that observations are clipped to and time that t is divided by, from the reference's
 # linear feature baseline.
@@ -50,7 +49,7 @@ class AdvantageEstimator(eqx.Module):
     """lambda of generalised advantage estimation; 1 is return minus baseline."""
     ridge: float = 1e-5
     """Weight of the squared coefficients in the fit of the baseline."""
-    drifts: bool = added_later(False)
+    drifts: bool = False
     """Whether episodes that are all paid the same count as if they were not, as in the reference:
     what the baseline misses of them is scaled like any other advantage, and a step of bounded KL
     divergence goes as far as ever, in a direction at random. Of no reward at all it misses nothing,

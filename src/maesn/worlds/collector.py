@@ -32,10 +32,6 @@ _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
 }
 
 
-DRAWS = 2
-"""Which episodes a seed stands for: raised by every change after which it stands for others."""
-
-
 class Collector:
     """`maesn.experience.episodes.Collect` on a world."""
 

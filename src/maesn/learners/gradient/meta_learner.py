@@ -33,7 +33,6 @@ from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.settings import added_later
 
 _STRIDES = ("curvature_stride", "hessian_stride")
 
@@ -72,11 +71,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     curvature_stride: int = 20
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
     steps resemble each other); 1 for all. The reference uses all."""
-    hessian_stride: int | None = added_later(None)
+    hessian_stride: int | None = None
     """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
     step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
     of both signs and nearly cancel, so it needs more steps."""
-    normalize_observations: bool = added_later(False)
+    normalize_observations: bool = False
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
 
