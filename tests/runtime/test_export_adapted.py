@@ -2,17 +2,19 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from small_runs import TINY
 
 import maesn
 from maesn import api, cli
+from maesn.policies import GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runtime import Explorer
 from maesn.storage import RunError
 
+TINY: dict[str, Any] = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
 SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=4)
 
 
