@@ -20,6 +20,10 @@ from maesn.learners.presets import method_name as method_name
 from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
+from maesn.learners.recommended import RECOMMENDED as RECOMMENDED
+from maesn.learners.recommended import RECOMMENDED_RUNS as RECOMMENDED_RUNS
+from maesn.learners.recommended import recommended as recommended
+from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner as RecurrentFastLearner
 from maesn.learners.recurrent.fast_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.recurrent.meta_learner import RecurrentInfo as RecurrentInfo

@@ -7,7 +7,7 @@ from typing import Any
 
 import equinox as eqx
 
-from maesn.envs.recorded import describe_env
+from maesn.envs import describe_env
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.config import Change, RunConfig, RunSettings, write_config
 from maesn.runs.run import Run

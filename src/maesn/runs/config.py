@@ -12,8 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.envs import AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
-from maesn.envs.recorded import EnvRecord, describe_env
+from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.serialization import (
     digest_of_document,

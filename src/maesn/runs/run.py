@@ -19,8 +19,7 @@ import equinox as eqx
 import jax
 
 from maesn.axes import Key
-from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
-from maesn.envs.recorded import rebuild_env
+from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs.checkpoint import Checkpoint, CheckpointStore
 from maesn.runs.config import (
@@ -179,6 +178,7 @@ class Run:
         reward_kind: RewardKind | None = None,
         engine: EngineName | None = None,
         sparse_radius: float | None = None,
+        num_threads: int | None = None,
     ) -> AbstractWorld:
         """Return a world to play in.
 
@@ -187,6 +187,7 @@ class Run:
             reward_kind: dense or sparse; None for that of training.
             engine: what moves it; None for the run's own.
             sparse_radius: radius of the goal region in metres; None for that of training.
+            num_threads: threads of the engine; None for what the run's settings say.
 
         Raises:
             EngineError: the engine is not installed.
@@ -194,9 +195,10 @@ class Run:
         """
         tasks = self.training_tasks if tasks is None else tasks
         engine = self.settings.engine if engine is None else engine
+        threads = self.settings.num_threads if num_threads is None else num_threads
         env = self.env(reward_kind, sparse_radius)
         with refusals():
-            return make_world(env, tasks, self.settings.num_threads, engine)
+            return make_world(env, tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""

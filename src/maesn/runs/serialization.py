@@ -98,6 +98,24 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
+    """Return those settings that are not the usual ones: path, as `trust_region.damping`, -> value.
+
+    Args:
+        settings: a dataclass of settings.
+        usual: another one of the same class.
+        prefix: what the paths begin with.
+    """
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(settings):
+        value, other = getattr(settings, field.name), getattr(usual, field.name)
+        if dataclasses.is_dataclass(value) and type(value) is type(other):
+            found |= differing(value, other, f"{prefix}{field.name}.")
+        elif value != other:
+            found[prefix + field.name] = value
+    return found
+
+
 def fields_to_json(settings: Any) -> dict[str, Any]:
     """Return the fields of any dataclass of settings as JSON values."""
     hints = get_type_hints(type(settings))
