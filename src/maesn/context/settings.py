@@ -171,7 +171,7 @@ class BiasContext(AbstractContextSettings[Bias]):
     def inner_draw(
         self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
     ) -> Float[Array, " context"]:
-        return value.draw(noise)
+        return value.value
 
     def draw_loss(
         self,
@@ -236,7 +236,9 @@ class LatentContext(AbstractContextSettings[Latent]):
     ) -> Float[Array, " context"]:
         # The likelihood ratio needs the z that was played. Recomputing it from the noise would
         # agree at the current parameters, but not along the line search of the outer step.
-        return drawn if self.gradient == "likelihood_ratio" else value.draw(noise)
+        if self.gradient == "likelihood_ratio":
+            return drawn
+        return value.distribution.sample_from_noise(noise)
 
     def draw_loss(
         self,

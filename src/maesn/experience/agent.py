@@ -1,12 +1,14 @@
 """An agent: a policy and one task's context. All that an inner step may change."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax
 
 from maesn.context import AbstractContext
+from maesn.experience.trial_state import TrialState
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy, PolicyInput
 
@@ -19,11 +21,11 @@ class Agent(eqx.Module):
     statistics: ObservationStatistics | None = None
     """By which observations are normalised before the policy sees them; None for not at all."""
 
-    def perceive(self, told: PolicyInput) -> PolicyInput:
-        """Return what the policy is given when this is what it is told."""
+    def perceive(self, received: PolicyInput) -> PolicyInput:
+        """Return what the policy sees of what the world tells: observations are normalised."""
         if self.statistics is None:
-            return told
-        return told._replace(observation=self.statistics.normalized(told.observation))
+            return received
+        return received._replace(observation=self.statistics.normalized(received.observation))
 
 
 class Agents(eqx.Module):
@@ -41,6 +43,13 @@ class Agents(eqx.Module):
     shares_policy: bool = eqx.field(static=True)
     statistics: ObservationStatistics | None = None
     """Shared by all tasks, and changed by no inner step."""
+    trial_state: TrialState | None = None
+    """Where the trials go on, `[task, episode, ...]`: `Episodes.trial_end` of the episodes before.
+    None to begin new trials."""
+
+    def at_mean(self) -> "Agents":
+        """Return the same agents, with every context held at its mean."""
+        return replace(self, context=self.context.at_mean())
 
     def vmap(self, function: Callable[..., Any], in_axes: Any = 0) -> Callable[..., Any]:
         """Map `function(agent, *rest)` over the tasks.

@@ -1,6 +1,7 @@
 """The inner step: which parts of an agent change in a new task, and how far."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -64,6 +65,18 @@ class Adaptation(eqx.Module):
             context=_initial_sizes(self.context, agent.context, learned=True),
         )
 
+    def least_episodes(self, context: AbstractContextSettings[Any]) -> int:
+        """Return how many episodes of a task a step needs, to move anything.
+
+        A latent that moves by its likelihood ratio compares the returns of episodes. Of a single
+        one the standardised advantage is 0, and nothing moves unless the policy does.
+
+        Args:
+            context: settings of the context.
+        """
+        compares = self.context is not None and not context.is_pathwise
+        return 2 if compares and self.policy is None else 1
+
     def at(self, iteration: int) -> "Adaptation":
         """Return the adaptation of one meta-iteration: without the parts whose stage is to come."""
         return Adaptation(
@@ -94,11 +107,11 @@ class Adaptation(eqx.Module):
                 agent, sizes, context, played, advantage, scale
             )
         )(episodes, advantages)
-        return Agents(
+        return replace(
+            agents,
             policy=agents.policy if self.policy is None else moved_policy,
             context=agents.context if self.context is None else moved_context,
             shares_policy=agents.shares_policy and self.policy is None,
-            statistics=agents.statistics,
         )
 
     def moved_parts(

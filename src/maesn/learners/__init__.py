@@ -2,6 +2,9 @@
 
 from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
 from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
+from maesn.learners.base import Capabilities as Capabilities
+from maesn.learners.base import Purpose as Purpose
+from maesn.learners.base import SavedContexts as SavedContexts
 from maesn.learners.gradient.fast_learner import GradientFastLearner as GradientFastLearner
 from maesn.learners.gradient.fast_learner import GradientFastState as GradientFastState
 from maesn.learners.gradient.info import GradientInfo as GradientInfo
@@ -45,4 +48,6 @@ from maesn.learners.scratch.weight_steps import GradientStep as GradientStep
 from maesn.learners.scratch.weight_steps import TrustRegionWeightStep as TrustRegionWeightStep
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.bonus import BonusMetaLearner as BonusMetaLearner
+from maesn.learners.wrappers.bonus import inside as inside
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
+from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus

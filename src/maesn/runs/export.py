@@ -13,7 +13,7 @@ from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
-from maesn.policies.gaussian_mlp import MINIMUM_STD
+from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.storage import Snapshot, write_snapshot
@@ -129,7 +129,7 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         raise ValueError(f"`learner` has a curiosity bonus, which needs a model; {advice}.")
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
-    if not learner.learns_from_reward:
+    if not learner.capabilities.learns_from_reward:
         raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
     if learner.advantage.drifts:
         raise ValueError(

@@ -5,7 +5,7 @@ the context that it conditions on, and the adaptation that it allows (`maesn.lea
 """
 
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
-from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.base import AbstractMetaLearner, Capabilities
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
@@ -139,6 +139,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """See `AbstractMetaLearner.for_actions`."""
         return replace(self, policy=self.policy.for_actions(kind))
 
+    def check_batch(self, episodes_per_task: int) -> None:
+        """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
+        Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
+
     def slots(self) -> tuple[Any, ...]:
         """Return the context, the parts that an inner step changes, and if training has one."""
         return (
@@ -174,7 +179,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         pre: list[Experience] = []
         updated: list[Agents] = []
         for phase in range(self.inner_updates):
-            episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
+            keys = task_keys(play_key, phase, index.shape[0])
+            episodes = collect(keys, agents, index, stage=phase)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
             pre.append((episodes, advantages))
@@ -210,10 +216,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             task_keys(key, self.inner_updates + batch, index.shape[0])
             for batch in range(self.outer_batches)
         ]
-        post = collect(keys[0], agents, index)
-        for batch_keys in keys[1:]:
-            post = concatenate(post, collect(batch_keys, agents, index))
-        return post
+        batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
+        return reduce(concatenate, batches)
 
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:

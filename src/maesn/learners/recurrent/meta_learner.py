@@ -148,12 +148,12 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         """See `AbstractMetaLearner.step`."""
         task_key, play_key, learn_key = jax.random.split(key, 3)
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
-        agents = Agents(state.policy, Nothing(), shares_policy=True)
         episodes: list[Episodes] = []
         for number in range(self.trial_episodes):
             keys = task_keys(play_key, number, index.shape[0])
-            memory = episodes[-1].carry if episodes else None
-            episodes.append(collect(keys, agents, index, memory))
+            trial_state = episodes[-1].trial_end if episodes else None
+            agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
+            episodes.append(collect(keys, agents, index, stage=number))
         return self._improve(learn_key, state, tuple(episodes))
 
     def _improve(

@@ -18,7 +18,7 @@ from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractFastLearner
+from maesn.learners.base import AbstractFastLearner, Purpose, SavedContexts, refuse_saved
 from maesn.learners.scratch.weight_steps import (
     AbstractWeightStep,
     GradientStep,
@@ -41,19 +41,20 @@ class PolicyGradientState(eqx.Module):
     """Number of updates so far."""
 
 
-def refuse_recurrent(name: str, owner: AbstractPolicySettings | AbstractFastLearner[Any]) -> None:
-    """Refuse what remembers: the steps of the weights here judge every time step by itself.
+def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
+    """Refuse recurrent policies: the steps of the weights here judge every time step by itself.
 
     Args:
-        name: by which it was given.
-        owner: of the policy.
+        name: of the argument.
+        owner: what was given for it.
+        is_recurrent: whether its policy is.
 
     Raises:
-        ValueError: it has a memory.
+        ValueError: it is.
     """
-    if owner.is_recurrent:
+    if is_recurrent:
         raise ValueError(
-            f"`{name}` must be without memory, got {type(owner).__name__}: the policy gradient in "
+            f"`{name}` must not be recurrent, got {type(owner).__name__}: the policy gradient in "
             "one task judges every step by itself."
         )
 
@@ -102,9 +103,10 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     """How the weights follow their experience."""
 
     def __check_init__(self) -> None:
-        refuse_recurrent("policy", self.policy)
+        refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
 
-    def init(self, keys: TaskKeys) -> PolicyGradientState:
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> PolicyGradientState:
+        refuse_saved(self, saved)
         split = jax.vmap(jax.random.split)(keys)
         policy = jax.vmap(
             lambda key: self.policy.init(key, self.observation_size, self.action_size, 0)
@@ -112,7 +114,7 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
         agents = Agents(policy, Nothing(), shares_policy=False)
         return self.improvement.begin(split[:, 1], agents)
 
-    def agents(self, state: PolicyGradientState) -> Agents:
+    def agents(self, state: PolicyGradientState, purpose: Purpose = "explore") -> Agents:
         return state.agents
 
     def update(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:

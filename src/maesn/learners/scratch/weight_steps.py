@@ -80,7 +80,7 @@ class GradientStep(AbstractWeightStep):
         self, key: Key, agent: Agent, memory: Any, episodes: Episodes, advantages: Advantages
     ) -> tuple[AbstractPolicy, Any]:
         def loss(policy: AbstractPolicy) -> Float[Array, ""]:
-            new = action_distributions(replace(agent, policy=policy), episodes, episodes.context)
+            new = action_distributions(replace(agent, policy=policy), episodes, episodes.z)
             actions = jnp.where(episodes.valid[..., None], episodes.action, 0.0)
             return -masked_mean(new.log_prob(actions) * advantages.step, episodes.valid)
 
@@ -114,7 +114,7 @@ class TrustRegionWeightStep(AbstractWeightStep):
         self, key: Key, agent: Agent, memory: None, episodes: Episodes, advantages: Advantages
     ) -> tuple[AbstractPolicy, None]:
         def distributions(policy: AbstractPolicy, played: Episodes) -> AbstractDistribution:
-            return action_distributions(replace(agent, policy=policy), played, played.context)
+            return action_distributions(replace(agent, policy=policy), played, played.z)
 
         def evaluate(policy: AbstractPolicy) -> Evaluation:
             new = distributions(policy, episodes)

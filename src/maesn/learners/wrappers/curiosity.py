@@ -124,7 +124,7 @@ class CuriosityBonus(eqx.Module):
             has_learned=has_learned,
         )
 
-    def pay(
+    def judge(
         self, key: Key, state: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "*batch time"]]:
         """Return the bonus of every step, by what the model has learned before; 0 where invalid.
