@@ -51,7 +51,7 @@ def command(config: RunConfig) -> str:
         raise ValueError(f"no option of `maesn train {method}` changes {', '.join(slots)}.")
     del chosen["method"]
     words = [f"--{name.replace('_', '-')} {value}" for name, value in chosen.items()]
-    return " ".join(["maesn train", method, *words])
+    return " ".join(["maesn train", method, "--settings reference", *words])
 
 
 def _options(document: dict[str, Any]) -> dict[str, str]:

@@ -49,5 +49,5 @@ from maesn.learners.scratch.weight_steps import TrustRegionWeightStep as TrustRe
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.bonus import BonusMetaLearner as BonusMetaLearner
 from maesn.learners.wrappers.bonus import inside as inside
-from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
+from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
