@@ -6,24 +6,19 @@ What a user can mend is a `RunError`, whose message says in one sentence what to
 import contextlib
 import errno
 import fcntl
-import io
 import json
 import logging
-import os
 import shutil
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
+from maesn.runtime import archive
+
 logger = logging.getLogger(__name__)
 
-# A file of this suffix was being written when its process died; nothing reads it.
-PARTIAL = ".partial"
 # Stands in a directory that is being filled. Where it has stayed, its process died over that.
 UNFINISHED = ".unfinished"
 
@@ -38,18 +33,6 @@ _ADVICE = {
     errno.EEXIST: "there is a file in its place: choose another directory",
     errno.ENOENT: "check the spelling",
 }
-
-
-# What `zipfile` and NumPy raise where a file is damaged, or something else altogether.
-_UNREADABLE = (
-    EOFError,
-    OSError,
-    RuntimeError,
-    ValueError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 class RunError(Exception):
@@ -70,6 +53,19 @@ def explained(action: str, path: Path) -> Iterator[None]:
         reason = error.strerror or str(error)
         advice = _ADVICE.get(error.errno or 0, "look at the file system, then try again")
         raise RunError(f"cannot {action} `{path}` ({reason}): {advice}.") from error
+
+
+@contextlib.contextmanager
+def refusals(before: str = "") -> Iterator[None]:
+    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`.
+
+    Args:
+        before: what the message begins with.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise RunError(f"{before}{error}") from error
 
 
 @contextlib.contextmanager
@@ -107,27 +103,8 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         RunError: the operating system refuses, for example because the disk is full.
     """
-    partial = path.with_name(path.name + PARTIAL)
     with explained("write", path):
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
-        sync_directory(path.parent)
-
-
-def sync_directory(directory: Path) -> None:
-    """Make the names in a directory survive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        archive.write_whole(path, content)
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
@@ -186,11 +163,9 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     Raises:
         RunError: the file cannot be written.
     """
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
-    with explained("make", path.parent):
+    with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content.getvalue())
+        archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
 
 
 def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
@@ -204,9 +179,8 @@ def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
         RunError: the file is unreadable, or holds something else than arrays.
     """
     try:
-        with path.open("rb") as file:
-            return _arrays(file)
-    except _UNREADABLE as error:
+        return archive.read_arrays(path)
+    except (OSError, ValueError) as error:
         raise RunError(f"Expected arrays at `{path}`, got {_why(error)}; {remedy}.") from error
 
 
@@ -235,20 +209,6 @@ def locked(path: Path) -> Iterator[None]:
                 path.parent,
             )
         yield
-
-
-def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
-    with zipfile.ZipFile(file) as members:
-        damaged = members.testzip()  # before NumPy interprets anything
-    if damaged is not None:
-        raise zipfile.BadZipFile(f"the checksum of {damaged!r} is wrong")
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as archive:
-        found = {name: archive[name] for name in archive.files}
-    for name, value in found.items():
-        if not isinstance(value, np.ndarray):  # so NumPy hands over what is not in its format
-            raise ValueError(f"{name!r} is no array")
-    return found
 
 
 def _line(line: str, where: str, remedy: str) -> dict[str, Any]:

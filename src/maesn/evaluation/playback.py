@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Carry, HostReadings, TaskKeys
+from maesn.axes import HostReadings, TaskKeys
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
@@ -39,7 +39,6 @@ class _Recorder(Collect):
         self._collect = collect
         self._wanted = updates
         self._num_episodes = num_episodes
-        self._played = 0
         self.kept: list[tuple[Episodes, HostReadings]] = []
 
     @property
@@ -47,15 +46,19 @@ class _Recorder(Collect):
         """See `Collect`."""
         return self._collect.num_tasks
 
+    @property
+    def episodes_per_task(self) -> int:
+        """See `Collect`."""
+        return self._collect.episodes_per_task
+
     def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
         """See `Collect`; with one task at a time, its episodes are the simulations."""
-        episodes, readings = self._collect.play(keys, agents, task_index, carry)
-        if self._played in self._wanted:
+        episodes, readings = self._collect.play(keys, agents, task_index)
+        if stage in self._wanted:
             shown = jax.tree.map(lambda x: np.asarray(x[:, : self._num_episodes]), readings)
             self.kept.append((episodes, shown))
-        self._played += 1
         return episodes
 
 
@@ -84,12 +87,11 @@ def record_adaptation(
     outcome = adapt(
         learner,
         recorder,
-        updates=max(updates),
-        episodes_per_task=collect.episodes_per_task,
+        episodes=max(updates) * collect.episodes_per_task,
         seed=seed,
         tasks=[task],
     )
-    curves = outcome.curves
+    curves = outcome.explored
     return [
         Playback(
             update,

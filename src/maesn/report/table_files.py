@@ -64,6 +64,11 @@ def latents_file(table: Path) -> Path:
     return table.with_suffix(".latents.npz")
 
 
+def record_of_latents(latents: Path) -> Path:
+    """Return the path of the file that says how adapted latents were made."""
+    return record_file(latents.with_suffix("").with_suffix(".csv"))
+
+
 def record_file(table: Path) -> Path:
     """Return the path of the file that says how a table was made."""
     return table.with_suffix(".settings.json")
