@@ -12,6 +12,7 @@ from rich.console import Console
 from synthetic_runs import write_run
 
 from maesn.report.plot import plot_run_directories
+from maesn.report.reading import Latents
 from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
@@ -142,6 +143,26 @@ def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None
     names, said = draw([run], tmp_path / "out")
     assert "latents-maesn-test-sparse" in names
     assert "prior episodes" not in said
+
+
+def test_the_goals_of_the_test_tasks_colour_no_other_latents(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where two task sets have as many tasks."""
+    run = write_run(tmp_path / "run", without=["metrics"])
+    for name in ("test-sparse.csv", "test-sparse.latents.npz"):
+        file = run / "adaptation" / name
+        file.with_name(name.replace("test", "ood")).write_bytes(file.read_bytes())
+    coloured: list[bool] = []
+
+    def plot(_: Latents, goals: np.ndarray | None) -> Figure:
+        coloured.append(goals is not None)
+        return Figure()
+
+    monkeypatch.setattr("maesn.report.plot.plot_latents", plot)
+    monkeypatch.setattr("maesn.report.plot.save_figure", lambda *_: [])
+    plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
+    assert coloured == [False, True]  # ood, then test
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from typing import TypeAlias
 
 from rich.console import Console
 
-from maesn.report.adaptation_table import AdaptationTable
 from maesn.report.figures.adaptation import plot_adaptation_curves
 from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
 from maesn.report.figures.latents import plot_latents
@@ -20,10 +19,11 @@ from maesn.report.published import comparable_curve
 from maesn.report.runs import RecordedRun, read_exploration, read_learning_curve, read_run
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import save_figure
-from maesn.report.table_files import TASK_SETS
 from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
+
+_RECORDED_TASKS = "test"  # the tasks whose goals an exploration records
 
 Say: TypeAlias = Callable[[str], None]
 
@@ -136,23 +136,16 @@ def _explorer(series: Series, say: Say) -> ExplorationPanel | None:
     for run in series.runs:
         exploration = read_exploration(run.path)
         if exploration is not None:
-            table = _sparse_table(run, len(exploration.goals))
-            reach = None if table is None else table.prior_reach
-            if table is not None and reach is not None:
+            table = run.adaptation(_RECORDED_TASKS, "sparse")
+            has_goals = table is not None and table.num_tasks == len(exploration.goals)
+            reach = table.prior_reach if table is not None and has_goals else None
+            if reach is not None:
                 say(
                     f"{series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
-                    f"({table.tasks} tasks) are reached within {reach.episodes} prior episodes."
+                    f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
                 )
             return ExplorationPanel(series.style, exploration, reach)
     return None
-
-
-def _sparse_table(run: RecordedRun, num_goals: int) -> AdaptationTable | None:
-    """Return a run's adaptation with sparse reward to that many tasks, the test set first."""
-    sets = [tasks for tasks, reward in _adapted_sets(run) if reward == "sparse"]
-    sets.sort(key=lambda tasks: (*TASK_SETS, tasks).index(tasks))
-    tables = (run.adaptation(tasks, "sparse") for tasks in sets)
-    return next((table for table in tables if table and table.num_tasks == num_goals), None)
 
 
 def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
@@ -165,9 +158,9 @@ def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
             latents = run.latents(tasks, reward)
             if latents is None or latents.mean.shape[-1] < 2:
                 continue
-            goals = None if exploration is None else exploration.goals
-            if goals is not None and len(goals) != len(latents.mean):
-                goals = None
+            goals = None
+            if exploration is not None and tasks == _RECORDED_TASKS:
+                goals = exploration.goals if len(exploration.goals) == len(latents.mean) else None
             name = f"latents-{one.name}-{tasks}-{reward}"
             written += save_figure(plot_latents(latents, goals), out, name)
     return written

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-# Of several task sets, figures and sentences name the first of these that there is.
-TASK_SETS = ("test", "validation", "training", "ood")
+# Names of task sets; anything else is a file.
+_TASK_SETS = ("test", "validation", "training", "ood")
 
 # TASKS-REWARD, and behind it what differs from the usual, as in `-then-trpo` or `-on-mjx`.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
@@ -47,7 +47,7 @@ def table_path(
         digest: of a file's tasks; stands behind STEM, so that two files of one name are told apart.
     """
     name = tasks
-    if tasks not in TASK_SETS:
+    if tasks not in _TASK_SETS:
         name = "-".join(filter(None, ("file", Path(tasks).stem, digest)))
     start = f"from-{first_update}-" if first_update else ""
     return directory / "adaptation" / f"{start}{name}-{reward}{changed}.csv"
