@@ -277,5 +277,5 @@ class Run:
         """Return what `untrained_state` makes a state of."""
         rows = len(self.training_tasks) if num_tasks is None else num_tasks
         env, tasks = self.env(), self.training_tasks
-        told = jax.eval_shape(env.describe, tasks[0]).size
-        return self.learner, env, self.settings.seed, rows, told
+        description_size = jax.eval_shape(env.describe, tasks[0]).size
+        return self.learner, env, self.settings.seed, rows, description_size

@@ -45,7 +45,7 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
     """Refuse policies that cannot play in an environment.
 
     Raises:
-        RunError: their actions are of another kind, or they read a reward that is not paid.
+        RunError: their actions are of another kind, or they read a reward that is not there.
     """
     policy = learner.player(state)
     check_shown(policy, env)
