@@ -89,7 +89,7 @@ def describe(memory: TrialState) -> str:
     """Return a line on the policy's own memory after the first episode."""
     leaves = jax.tree.leaves(memory.recurrent_state)
     units = np.concatenate(
-        [np.asarray(x).reshape(-1, x.shape[-1]) for x in jax.tree.leaves(memory.recurrent_state)],
+        [np.asarray(x).reshape(-1, x.shape[-1]) for x in leaves],
         axis=-1,
     )
     return (

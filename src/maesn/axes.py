@@ -2,7 +2,7 @@
 
 Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
 axis that is mapped over and cut into chunks. Functions are written for one task or one episode;
-`Agents.vmap` or, one task after the other, `Agents.one_by_one` adds the axis of the tasks.
+`maesn.numerics.tasks.map_tasks` adds the axis of the tasks.
 
 | axis          | runs over                                                                     |
 |---------------|-------------------------------------------------------------------------------|

@@ -155,7 +155,7 @@ def test_a_latent_is_deployed_at_its_mean() -> None:
     for learner, state in ((inner, explored), (tuned, tuned.init(keys(1)))):
         explore, deploy = (learner.agents(state, purpose) for purpose in ("explore", "deploy"))
         np.testing.assert_array_equal(deploy.context.mean, explore.context.mean)
-        z = jax.vmap(deploy.context.draw)(jnp.full((1, 2), 3.0), jnp.zeros((1, 0)))
+        z = jax.vmap(lambda one: one.draw(jnp.full(2, 3.0), jnp.zeros(0)))(deploy.context)
         np.testing.assert_allclose(z, explore.context.mean, atol=1e-5)
         assert np.all(explore.context.log_std > np.log(0.5))
     trpo = SCRATCH["trpo"](2, 2)

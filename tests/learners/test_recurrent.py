@@ -27,7 +27,7 @@ from maesn.learners import (
     method_name,
     rl2,
 )
-from maesn.learners.recurrent.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP, Recurrent

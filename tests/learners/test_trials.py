@@ -14,7 +14,7 @@ from maesn.envs import Bandit, HiddenEnd, Point, TaskSet, point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.surrogate import action_distributions
-from maesn.learners.recurrent.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import Recurrent, RecurrentPolicy
 from maesn.worlds import make_world
@@ -93,7 +93,7 @@ def test_losses_replay_one_episode_from_the_memory_that_it_began_with(
 ) -> None:
     policy, episodes = played
     agents = Agents(policy, Nothing(), shares_policy=True)
-    again = agents.vmap(action_distributions)(episodes[2], episodes[2].z)
+    again = agents.map(action_distributions, episodes[2], episodes[2].z)
     assert isinstance(again, DiagonalGaussian)
     mean = np.where(np.asarray(episodes[2].valid)[..., None], again.mean, 0.0)
     mean = mean.reshape(-1, *mean.shape[2:])

@@ -1,4 +1,4 @@
-"""The values of contexts: arrays of one task, and how a policy's input is drawn from them."""
+"""Contexts: arrays of one task, and how z, the policy's input, is drawn from them."""
 
 import math
 from abc import abstractmethod
@@ -15,7 +15,7 @@ FIXED_STD = 1e-6
 
 
 class AbstractContext(eqx.Module):
-    """The context of one task: arrays only."""
+    """The context of one task, or of many, stacked: arrays only."""
 
     @abstractmethod
     def draw(
@@ -50,7 +50,7 @@ class AbstractContext(eqx.Module):
 
 
 class Nothing(AbstractContext):
-    """The value of `NoContext`."""
+    """The context of `NoContext`."""
 
     @property
     def size(self) -> int:
@@ -67,9 +67,9 @@ class Nothing(AbstractContext):
 
 
 class Bias(AbstractContext):
-    """The value of `BiasContext`: fed to the policy as it is."""
+    """The context of `BiasContext`: fed to the policy as it is."""
 
-    value: Float[Array, "*batch context"]
+    value: Float[Array, "*batch z"]
 
     @property
     def size(self) -> int:
@@ -86,10 +86,10 @@ class Bias(AbstractContext):
 
 
 class Latent(AbstractContext):
-    """The value of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
+    """The context of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
 
-    mean: Float[Array, "*batch context"]
-    log_std: Float[Array, "*batch context"]
+    mean: Float[Array, "*batch z"]
+    log_std: Float[Array, "*batch z"]
 
     @property
     def size(self) -> int:
@@ -116,7 +116,7 @@ class Latent(AbstractContext):
 
 
 class TaskDescription(AbstractContext):
-    """The value of `OracleContext`: the policy is fed the description of its task."""
+    """The context of `OracleContext`: the policy is fed the description of its task."""
 
     size_of_description: int = eqx.field(static=True)
 

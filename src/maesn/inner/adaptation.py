@@ -97,16 +97,18 @@ class Adaptation(eqx.Module):
         Args:
             agents: who played `episodes`.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agents played, `[task, episode, ...]`.
             advantages: of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
-        moved_policy, moved_context = agents.one_by_one(
+        moved_policy, moved_context = agents.map(
             lambda agent, played, advantage: self.moved_parts(
                 agent, sizes, context, played, advantage, scale
-            )
-        )(episodes, advantages)
+            ),
+            episodes,
+            advantages,
+        )
         return replace(
             agents,
             policy=agents.policy if self.policy is None else moved_policy,
@@ -128,7 +130,7 @@ class Adaptation(eqx.Module):
         Args:
             agent: of one task.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agent played, `[episode, ...]`.
             advantages: of those episodes.
             scale: multiplies every step size.
@@ -177,7 +179,7 @@ def _if_begun(step: InnerStep | None, iteration: int) -> InnerStep | None:
 
 
 class StepSchedule(eqx.Module):
-    """The test-time rule: full steps first, then each half of the one before.
+    """Step sizes in a new task: full steps first, then each half of the one before.
 
     With two full steps the sizes are a, a, a/2, a/4, ...; the latents stand still after about
     eight updates. Source: the reference's test script, which halves the step after every update

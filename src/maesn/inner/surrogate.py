@@ -67,7 +67,7 @@ def post_distributions(agent: Agent, episodes: Episodes) -> AbstractDistribution
 
 
 def action_distributions(
-    agent: Agent, episodes: Episodes, drawn: Float[Array, "episode context"]
+    agent: Agent, episodes: Episodes, drawn: Float[Array, "episode z"]
 ) -> AbstractDistribution:
     """Return the policy's distribution at every step, `[episode, time, action]`.
 

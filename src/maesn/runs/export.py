@@ -197,7 +197,7 @@ def _adapted(start: Latent, prior: RuntimeLatent) -> RuntimeLatent:
 
 def _start(learner: GradientFastLearner) -> RuntimeLatent:
     """Return the latent that the learner starts a new task from."""
-    start = _latent(learner.context.start_new(learner.learned_context, 1))
+    start = _latent(learner.context.start_new(learner.context_table, 1))
     return RuntimeLatent(start.mean[0], start.log_std[0])
 
 
@@ -212,7 +212,7 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     if step.learned:
         sizes = _latent(learner.step_sizes.context)
     else:
-        fixed = np.full(learner.learned_context.size, float(step.initial_size))
+        fixed = np.full(learner.context_table.size, float(step.initial_size))
         sizes = RuntimeLatent(fixed, fixed)
     scale = float(learner.schedule.scale)
     return LearningRule(

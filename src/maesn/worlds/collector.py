@@ -141,7 +141,9 @@ class Collector:
                 agent, key, task, episodes
             )
 
-        noise, description, z, action_noise, trial, start = agents.vmap(begin_task)(keys, tasks)
+        noise, description, z, action_noise, trial, start = agents.map(
+            begin_task, keys, tasks, how="vmap"
+        )
         action_noise = jnp.moveaxis(action_noise, 2, 0)
         actors = Actors(agents, tasks, noise, description, z, action_noise, trial)
         return actors, jax.tree.map(_join_batch_axes, start)
@@ -176,9 +178,10 @@ class Collector:
             return env.control(action), action, distribution, state, ended
 
         per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
-        control, *others = actors.agents.vmap(per_task)(
-            actors.tasks, actors.z, actors.action_noise[moment.step], actors.trial_state,
+        control, *others = actors.agents.map(
+            per_task, actors.tasks, actors.z, actors.action_noise[moment.step], actors.trial_state,
             readings, previous, moment.previous_action, moment.recurrent_state, moment.ended,
+            how="vmap",
         )  # fmt: skip
         return Decision(_join_batch_axes(control), *others)
 

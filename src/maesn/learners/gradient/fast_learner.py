@@ -43,7 +43,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     advantage: AdvantageEstimator
     schedule: StepSchedule
     policy: AbstractPolicy
-    learned_context: AbstractContext
+    context_table: AbstractContext
     step_sizes: StepSizes
     statistics: ObservationStatistics | None = None
     """Of the observations in training; they stay as they are."""
@@ -52,7 +52,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         """See `AbstractFastLearner.init`. Nothing is random. Step sizes follow `saved.updates`."""
         refuse_saved(self, saved)
         if saved is None:
-            start = self.context.start_new(self.learned_context, keys.shape[0])
+            start = self.context.start_new(self.context_table, keys.shape[0])
             saved = SavedContexts(start, 0)
         agents = Agents(self.policy, saved.context, shares_policy=True, statistics=self.statistics)
         return GradientFastState(agents, jnp.asarray(saved.updates))

@@ -91,7 +91,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             stride = getattr(self, name)
             if stride is not None and stride > 1 and self.policy.is_recurrent:
                 raise ValueError(
-                    f"`{name}` is {stride}, but a policy with memory needs all steps of an "
+                    f"`{name}` is {stride}, but a recurrent policy needs all steps of an "
                     "episode: set it to 1."
                 )
 
@@ -124,11 +124,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """
         check_enough_tasks(num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
-        context = self.context.init(context_key, num_tasks, description_size)
-        policy = self.policy.init(policy_key, observation_size, action_size, context.size)
-        one_task = jax.tree.map(lambda x: x[0], self.context.start_new(context, 1))
+        table = self.context.init(context_key, num_tasks, description_size)
+        policy = self.policy.init(policy_key, observation_size, action_size, table.size)
+        one_task = jax.tree.map(lambda x: x[0], self.context.start_new(table, 1))
         sizes = self.adaptation.init(Agent(policy, one_task))
-        parameters = MetaParameters(policy, context, sizes)
+        parameters = MetaParameters(policy, table, sizes)
         statistics = no_observations(observation_size) if self.normalize_observations else None
         return GradientState(parameters, jnp.zeros((), int), statistics)
 
@@ -162,7 +162,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             advantage=self.advantage,
             schedule=self.schedule,
             policy=state.parameters.policy,
-            learned_context=state.parameters.context,
+            context_table=state.parameters.context_table,
             step_sizes=state.parameters.step_sizes,
             statistics=state.statistics,
         )
@@ -201,7 +201,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
         rows = partial(self.context.init, num_tasks=collect.num_tasks)
         expected = jax.eval_shape(rows, jax.random.key(0))
-        shapes = ([x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context))
+        shapes = (
+            [x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context_table)
+        )
         if len({tuple(found) for found in shapes}) > 1:
             raise ValueError(
                 f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
@@ -255,6 +257,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
+            objective.loss_and_gradient,
             lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
             step_weights(objective.post.every(*outer)),
         )

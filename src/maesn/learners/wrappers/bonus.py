@@ -25,8 +25,8 @@ from maesn.learners.base import (
     SavedContexts,
     refuse_saved,
 )
-from maesn.learners.side_by_side import side_by_side
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
+from maesn.numerics.tasks import map_tasks
 
 
 class BonusFastState(eqx.Module):
@@ -74,7 +74,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         learner_keys, model_keys, keys = jnp.moveaxis(
             jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0
         )
-        models = jax.vmap(self._fresh)(model_keys)
+        models = map_tasks(self._fresh, model_keys, how="vmap")
         learner = self.learner.init(learner_keys)
         return BonusFastState(learner, models, keys, jnp.zeros((), int))
 
@@ -89,10 +89,8 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         """Learn from reward and bonus, then let the models learn from the transitions."""
         keys = _split_each(state.keys, state.update)
         judged, bonus = self._judge(keys[:, 0], state.curiosity, episodes)
-        learned, models = side_by_side(
-            lambda: self.learner.update(state.learner, _with_bonus(episodes, bonus)),
-            lambda: self._learn(keys[:, 1], judged),
-        )
+        learned = self.learner.update(state.learner, _with_bonus(episodes, bonus))
+        models = self._learn(keys[:, 1], judged)
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
     def _fresh(self, key: Key) -> CuriosityState:
@@ -105,11 +103,11 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         self, keys: TaskKeys, models: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
         # One task after the other: the gradients of single transitions are large.
-        return jax.lax.map(lambda x: self.curiosity.judge(*x), (keys, models, episodes))
+        return map_tasks(self.curiosity.judge, keys, models, episodes, how="serial")
 
     @eqx.filter_jit
     def _learn(self, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
-        return jax.vmap(self.curiosity.learn)(keys, models)
+        return map_tasks(self.curiosity.learn, keys, models, how="vmap")
 
 
 def inside(
