@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-
 from maesn.evaluation.test_time import AtTestTime
+
 from maesn.report.comparison import Line
 from maesn.report.tables import markdown_row
 from maesn.studies.checks import Changes

@@ -14,9 +14,9 @@ _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _FEW = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
 _SMALL = {
     "train": [*_FEW, "--iterations", "1", "--checkpoint-every", "1"],
-    "adapt": ["--updates", "1", "--episodes-per-task", "2"],
+    "adapt": ["--episodes", "4", "--episodes-per-update", "4"],
     "plot": [],
-    "render": ["--update", "0", "--episodes", "1", "--episodes-per-task", "2"],
+    "render": ["--after", "0", "--shown", "1", "--episodes", "2", "--episodes-per-update", "2"],
     "export": [],
 }
 

@@ -1,5 +1,6 @@
 """The verbs from end to end, as functions and as commands, on runs that take seconds."""
 
+import dataclasses
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
@@ -33,57 +34,54 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
-    outcome = api.adapt(trained, updates=2, episodes_per_task=3, tasks="validation")
+    done = api.adapt(trained, episodes=6, episodes_per_update=3, tasks="validation")
     table = trained / "adaptation" / "validation-sparse.csv"
+    assert (done.table, done.latents) == (table, latents_file(table))
     lines = table.read_text().splitlines()
     assert lines[0] == (
-        "task,update,episodes,mean_return,goal_return,success_rate,final_success_rate,"
-        "time_in_region,solved_at_reset"
+        "task,update,episodes,purpose,mean_return,goal_return,success_rate,"
+        "final_success_rate,time_in_region,solved_at_reset"
     )
     assert len(lines) == 1 + 100 * 3
-    assert lines[3].startswith("0,2,6,")
+    assert lines[3].startswith("0,2,6,explore,")
     with np.load(latents_file(table)) as latents:
-        np.testing.assert_array_equal(latents["mean"], outcome.contexts.mean.swapaxes(0, 1))
-        assert latents["mean"].shape == (3, 100, 2)
+        np.testing.assert_array_equal(latents["mean"], done.outcome.contexts.mean)
+        assert latents["mean"].shape == (100, 3, 2)
 
 
 def test_adaptation_goes_on_from_saved_latents(trained: Path, tmp_path: Path) -> None:
-    whole = api.adapt(trained, updates=2, episodes_per_task=3, out=tmp_path / "whole.csv")
-    api.adapt(trained, updates=1, episodes_per_task=3, out=tmp_path / "first.csv")
-    rest = api.adapt(
-        trained,
-        updates=1,
-        episodes_per_task=3,
-        start=tmp_path / "first.latents.npz",
-        out=tmp_path / "rest.csv",
-    )
-    assert rest.first_update == 1
+    asked = maesn.Evaluation(episodes=6, episodes_per_update=3)
+    half = dataclasses.replace(asked, episodes=3)
+    whole = api.adapt(trained, asked, out=tmp_path / "whole.csv")
+    first = api.adapt(trained, half, out=tmp_path / "first.csv")
+    rest = api.adapt(trained, half, start=first.latents, out=tmp_path / "rest.csv")
+    assert rest.outcome.first_update == 1
     np.testing.assert_array_equal(rest.curves.mean_return, whole.curves.mean_return[:, 1:])
 
 
 def test_a_table_of_a_file_does_not_replace_that_of_a_set() -> None:
-    of_set = adaptation_file(Path("run"), "test", "sparse")
-    of_file = adaptation_file(Path("run"), "elsewhere/test.npz", "sparse")
+    of_set = adaptation_file(Path("run"), maesn.Evaluation("test"))
+    of_file = adaptation_file(Path("run"), maesn.Evaluation("elsewhere/test.npz"))
     assert of_set == Path("run/adaptation/test-sparse.csv")
     assert of_file == Path("run/adaptation/file-test-sparse.csv")
 
 
 def test_latents_of_other_tasks_or_methods_are_refused(trained: Path, tmp_path: Path) -> None:
-    np.savez(tmp_path / "two.npz", mean=np.zeros((1, 2, 2)), log_std=np.zeros((1, 2, 2)),
+    np.savez(tmp_path / "two.npz", mean=np.zeros((2, 1, 2)), log_std=np.zeros((2, 1, 2)),
              first_update=0)  # fmt: skip
     with pytest.raises(RunError, match=r"\[2, 2\], but \[100, 2\] are to be adapted"):
         api.adapt(trained, start=tmp_path / "two.npz")
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(RunError, match="is not a file of latents"):
         api.adapt(trained, start=tmp_path / "broken.npz")
-    with pytest.raises(RunError, match="`updates` must be at least 0"):
-        api.adapt(trained, updates=-1)
+    with pytest.raises(RunError, match="`episodes` must be at least 0"):
+        api.adapt(trained, episodes=-50)
 
 
 def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    api.adapt(trained, updates=1, episodes_per_task=3)
+    api.adapt(trained, episodes=3, episodes_per_update=3)
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     written = api.plot([trained], tmp_path)
     names = {path.name for path in written}

@@ -23,7 +23,7 @@ from maesn.experience.trial_state import TrialState
 from maesn.gym import IDS, TaskEnv
 from maesn.numerics import DiagonalGaussian
 from maesn.runs.export import probe_actuators
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import Actors, Decision, EpisodeError, Start, make_world
 
 # Positions and velocities have no bounds, which the checker merely finds worth a remark.

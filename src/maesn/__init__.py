@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.api import resume as resume
     from maesn.api import train as train
     from maesn.context import BiasContext as BiasContext
+    from maesn.context import Latent as Latent
     from maesn.context import LatentContext as LatentContext
     from maesn.context import NoContext as NoContext
     from maesn.context import OracleContext as OracleContext
@@ -28,8 +29,18 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.envs import TaskSet as TaskSet
     from maesn.envs import find_family as find_family
     from maesn.envs.foreign import gymnasium_family as gymnasium_family
+    from maesn.evaluation.evaluation import Evaluation as Evaluation
     from maesn.evaluation.film import render as render
-    from maesn.evaluation.test_time import AtTestTime as AtTestTime
+    from maesn.evaluation.rules import AbstractRule as AbstractRule
+    from maesn.evaluation.rules import AbstractWrapper as AbstractWrapper
+    from maesn.evaluation.rules import GradientRule as GradientRule
+    from maesn.evaluation.rules import MemoryRule as MemoryRule
+    from maesn.evaluation.rules import NoAdaptation as NoAdaptation
+    from maesn.evaluation.rules import ThenReinforce as ThenReinforce
+    from maesn.evaluation.rules import ThenTrpo as ThenTrpo
+    from maesn.evaluation.rules import Trained as Trained
+    from maesn.evaluation.rules import VimeBonus as VimeBonus
+    from maesn.experience.agent import Agents as Agents
     from maesn.experience.episodes import Collect as Collect
     from maesn.experience.episodes import Episodes as Episodes
     from maesn.inner.adaptation import Adaptation as Adaptation
@@ -43,12 +54,14 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
     from maesn.learners import BonusFastLearner as BonusFastLearner
     from maesn.learners import BonusMetaLearner as BonusMetaLearner
+    from maesn.learners import Capabilities as Capabilities
     from maesn.learners import FineTuning as FineTuning
     from maesn.learners import GradientMetaLearner as GradientMetaLearner
     from maesn.learners import PolicyGradient as PolicyGradient
     from maesn.learners import ProximalStep as ProximalStep
     from maesn.learners import RecurrentMetaLearner as RecurrentMetaLearner
     from maesn.learners import RecurrentValue as RecurrentValue
+    from maesn.learners import SavedContexts as SavedContexts
     from maesn.learners import TrustRegionStep as TrustRegionStep
     from maesn.learners import latent_space as latent_space
     from maesn.learners import maesn as maesn
@@ -57,6 +70,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import maml_bias as maml_bias
     from maesn.learners import maml_bias_only as maml_bias_only
     from maesn.learners import oracle as oracle
+    from maesn.learners import recommended as recommended
     from maesn.learners import rl2 as rl2
     from maesn.learners import rl2_trpo as rl2_trpo
     from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
@@ -67,13 +81,12 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import Recurrent as Recurrent
     from maesn.runs.config import RunSettings as RunSettings
     from maesn.runs.run import Run as Run
-    from maesn.runs.storage import RunError as RunError
+    from maesn.storage import RunError as RunError
     from maesn.studies.ablation import Ablation as Ablation
     from maesn.studies.ablation import ablate as ablate
     from maesn.studies.checks import Changes as Changes
     from maesn.studies.comparison import WorldSettings as WorldSettings
     from maesn.studies.comparison import compare as compare
-    from maesn.studies.curves import Conditions as Conditions
     from maesn.studies.lines import Scratch as Scratch
     from maesn.worlds import EpisodeError as EpisodeError
     from maesn.worlds import make_world as make_world
@@ -82,10 +95,6 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
 # Module -> the names that it gives to the public surface. A name must not equal that of a module
 # of this package: importing the module would silently put it in the name's place.
 _PUBLIC: dict[str, tuple[str, ...]] = {
-    "maesn.studies.ablation": (
-        "Ablation",
-        "ablate",
-    ),
     "maesn.api": (
         "adapt",
         "export",
@@ -93,54 +102,63 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "resume",
         "train",
     ),
-    "maesn.inner.adaptation": (
-        "Adaptation",
-        "InnerStep",
-        "StepSchedule",
-    ),
-    "maesn.studies.checks": ("Changes",),
-    "maesn.inner.advantage": ("AdvantageEstimator",),
-    "maesn.studies.comparison": (
-        "WorldSettings",
-        "compare",
-    ),
     "maesn.context": (
         "BiasContext",
+        "Latent",
         "LatentContext",
         "NoContext",
         "OracleContext",
     ),
-    "maesn.learners.wrappers.curiosity": ("CuriosityBonus",),
-    "maesn.studies.lines": ("Scratch",),
     "maesn.envs": (
-        "FAMILIES",
         "AbstractMujocoEnv",
         "AbstractPureEnv",
+        "FAMILIES",
         "Reward",
         "TaskFamily",
         "TaskSet",
         "find_family",
     ),
     "maesn.envs.foreign": ("gymnasium_family",),
+    "maesn.evaluation.evaluation": ("Evaluation",),
+    "maesn.evaluation.film": ("render",),
+    "maesn.evaluation.rules": (
+        "AbstractRule",
+        "AbstractWrapper",
+        "GradientRule",
+        "MemoryRule",
+        "NoAdaptation",
+        "ThenReinforce",
+        "ThenTrpo",
+        "Trained",
+        "VimeBonus",
+    ),
+    "maesn.experience.agent": ("Agents",),
     "maesn.experience.episodes": (
         "Collect",
         "Episodes",
     ),
-    "maesn.evaluation.film": ("render",),
+    "maesn.inner.adaptation": (
+        "Adaptation",
+        "InnerStep",
+        "StepSchedule",
+    ),
+    "maesn.inner.advantage": ("AdvantageEstimator",),
     "maesn.learners": (
-        "METHODS",
-        "PRESETS",
-        "SCRATCH",
         "AbstractFastLearner",
         "AbstractMetaLearner",
         "BonusFastLearner",
         "BonusMetaLearner",
+        "Capabilities",
         "FineTuning",
         "GradientMetaLearner",
+        "METHODS",
+        "PRESETS",
         "PolicyGradient",
         "ProximalStep",
         "RecurrentMetaLearner",
         "RecurrentValue",
+        "SCRATCH",
+        "SavedContexts",
         "TrustRegionStep",
         "latent_space",
         "maesn",
@@ -149,26 +167,36 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "maml_bias",
         "maml_bias_only",
         "oracle",
+        "recommended",
         "rl2",
         "rl2_trpo",
     ),
+    "maesn.learners.wrappers.curiosity": ("CuriosityBonus",),
     "maesn.numerics": ("MinibatchDescent",),
+    "maesn.numerics.trust_region": ("TrustRegion",),
     "maesn.policies": (
         "CategoricalMLP",
         "GaussianMLP",
         "Recurrent",
     ),
-    "maesn.worlds.collector": ("Collector",),
     "maesn.runs.config": ("RunSettings",),
-    "maesn.studies.curves": ("Conditions",),
     "maesn.runs.run": ("Run",),
-    "maesn.runs.storage": ("RunError",),
-    "maesn.evaluation.test_time": ("AtTestTime",),
-    "maesn.numerics.trust_region": ("TrustRegion",),
+    "maesn.storage": ("RunError",),
+    "maesn.studies.ablation": (
+        "Ablation",
+        "ablate",
+    ),
+    "maesn.studies.checks": ("Changes",),
+    "maesn.studies.comparison": (
+        "WorldSettings",
+        "compare",
+    ),
+    "maesn.studies.lines": ("Scratch",),
     "maesn.worlds": (
         "EpisodeError",
         "make_world",
     ),
+    "maesn.worlds.collector": ("Collector",),
 }
 
 _MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names}

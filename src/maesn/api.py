@@ -1,37 +1,35 @@
 """The library's verbs, as functions of Python. The command line calls them, one for one."""
 
-from collections.abc import Sequence
-from contextlib import closing
+import dataclasses
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
-
-from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluation.evaluate import AdaptationOutcome, tasks_at_once
-from maesn.evaluation.evaluate import adapt as adapt_to_tasks
+from maesn.context import Latent
+from maesn.envs import TaskFamily
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.record import adaptation_record, identity_of_run
+from maesn.evaluation.record import identity_of_run
+from maesn.evaluation.running import evaluate, open_run
 from maesn.evaluation.tables import (
+    Adapted,
     adaptation_file,
-    engine_suffix,
-    read_latents,
+    adapted_latent,
+    record_of_latents,
     write_outcome,
 )
-from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
-from maesn.learners import AbstractFastLearner, AbstractMetaLearner, SavedContexts
+from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.runs.beginning import begun_state
+from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.runs.shipped import find_run, working_copy
-from maesn.runs.starting import check_shown
-from maesn.runs.storage import RunError
-from maesn.worlds import EngineName
-from maesn.worlds.collector import Collector
+from maesn.storage import RunError, read_json
+
+USUAL = Evaluation()
 
 
 def train(
@@ -63,122 +61,127 @@ def train(
 
 
 def resume(
-    directory: str | Path, iterations: int | None = None, family: str | TaskFamily | None = None
+    run: str | Path | Run,
+    iterations: int | None = None,
+    family: str | TaskFamily | None = None,
+    change: Mapping[str, Any] | None = None,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
     Args:
-        directory: of the run.
+        run: the run, or its directory.
         iterations: total number of meta-iterations; None for that of the run's settings.
         family: the run's family, if it is your own: itself, or `module:name`.
+        change: settings that are to differ from here on, name -> value, which is written down in
+            the run; see `maesn.runs.changes.change_run`.
+
+    Raises:
+        RunError: there is no such run, or it cannot be changed so.
+        EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    run = Run.open(directory, family=family)
+    run = Run.open(run, family=family)
+    if change:
+        run = change_run(run, change)
     train_live(run, iterations=iterations)
     return run
 
 
 def adapt(
-    directory: str | Path,
+    run: str | Path | Run,
+    evaluation: Evaluation = USUAL,
     *,
-    reward: RewardKind = "sparse",
-    updates: int = 10,
-    episodes_per_task: int = 50,
-    tasks: str = "test",
-    seed: int = 0,
     out: str | Path | None = None,
     start: str | Path | None = None,
     family: str | TaskFamily | None = None,
-    test_time: AtTestTime = NOTHING_ADDED,
-    engine: EngineName | None = None,
-) -> AdaptationOutcome:
+    **settings: Any,
+) -> Adapted:
     """Adapt a trained policy to new tasks, and write the curves as a table.
 
     Args:
-        directory: of the run, or the name of a policy that comes with the library, which is adapted
-            in a copy, `maesn-NAME` in the current folder. A directory of that name wins. The latest
-            checkpoint is adapted, never the best one.
-        reward: dense or sparse.
-        updates: policy-gradient updates per task.
-        episodes_per_task: episodes per task and update.
-        tasks: test (report on these), validation (choose on these), training, ood (unlike all of
-            these, where the family has such), or the path of an `.npz` file.
-        seed: of the episodes.
-        out: path of the table; None for what `adaptation_file` says. The adapted latents are
-            written beside it as `.latents.npz`.
+        run: itself, its directory, or the name of a policy that comes with the library, which is
+            adapted in a copy, `maesn-NAME` in the current folder. A directory of that name wins.
+            The latest checkpoint is adapted, never the best one.
+        evaluation: tasks, reward, rule, budgets, seed.
+        out: path of the table; None for what `adaptation_file` says.
         start: an earlier `.latents.npz` of the same tasks to go on from.
         family: the run's family, if it is your own: itself, or `module:name`.
-        test_time: what is changed about the learner in new tasks: step sizes, curiosity,
-            fine-tuning.
-        engine: what moves the world; None for the run's own engine.
+        settings: single settings of the evaluation by name, as in `episodes=100`.
+
+    Returns:
+        The outcome, and the paths of the table and of the adapted latents beside it.
 
     Raises:
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    if updates < 0 or episodes_per_task < 1 or not 0 <= seed < 2**32:
-        raise RunError(
-            "`updates` must be at least 0, `episodes_per_task` at least 1 and `seed` from 0 to "
-            f"2^32 - 1, got {updates}, {episodes_per_task} and {seed}."
-        )
-    test_time.check_reached(updates)
-    run = Run.open(working_copy(directory), family=family)
-    fast = run.learner.fast_learner(run.latest_state())
-    learner = test_time.add_to(fast, run, run.env(), episodes_per_task)
-    saved, done = None, 0
-    with closing(run.world(run.task_set(tasks), reward, engine)) as world:
-        check_shown(run.learner.player(run.latest_state()), world.env)
-        if start is not None:
-            saved = _latents_to_go_on_from(Path(start), learner, len(world.tasks))
-            done = saved.updates
-        outcome = adapt_to_tasks(
-            learner,
-            Collector(world, episodes_per_task),
-            updates=updates,
-            seed=seed,
-            chunk_size=tasks_at_once(world.max_simulations, episodes_per_task),
-            saved=saved,
-        )
-        record = adaptation_record(
-            identity_of_run(run, test_time.written),
-            world,
-            run.settings.engine if engine is None else engine,
-            episodes_per_task,
-            seed,
-            updates,
-            done,
-        )
-    record["trial_episodes"] = outcome.trial_episodes
-    suffix = test_time.suffix + engine_suffix(engine)
-    table = adaptation_file(run.directory, tasks, reward, done, suffix)
-    write_outcome(table if out is None else Path(out), outcome, record)
-    return outcome
+    asked, opened = changed(evaluation, settings), open_run(run, family)
+    done = evaluate(opened, asked, None if start is None else Path(start))
+    table = adaptation_file(opened.directory, asked, done.outcome.first_update)
+    return write_outcome(table if out is None else Path(out), done.outcome, done.record)
 
 
-def export(directory: str | Path, path: str | Path, family: str | TaskFamily | None = None) -> Path:
+def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
+    """Return an evaluation with some of its settings changed.
+
+    Raises:
+        RunError: there is no such setting, or it cannot have that value.
+    """
+    known = [field.name for field in dataclasses.fields(Evaluation)]
+    for name in settings:
+        if name not in known:
+            raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
+    try:
+        return dataclasses.replace(evaluation, **settings)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def export(
+    run: str | Path | Run,
+    path: str | Path,
+    family: str | TaskFamily | None = None,
+    *,
+    latents: str | Path | None = None,
+    task: int | None = None,
+) -> Path:
     """Write a trained policy as one `.npz` file for `maesn.runtime`.
 
+    A robot starts at the prior, or at a latent that `adapt` has found. From there its step sizes go
+    on as those of `adapt(..., start=latents)` would.
+
     Args:
-        directory: of the run, or the name of a policy that comes with the library; its latest
+        run: itself, its directory, or the name of a policy that comes with the library; its latest
             checkpoint is exported.
         path: of the file to write.
         family: the run's family, if it is your own: itself, or `module:name`.
+        latents: file that `adapt` wrote for this run, `Adapted.latents`; given together with
+            `task`.
+        task: index of the task, in the set that was adapted to, whose last latent to start from.
+
+    Raises:
+        RunError: the run cannot be exported, the latents are not this run's, or there is no such
+            task.
     """
-    run = Run.open(find_run(directory), family=family)
-    checkpoint = run.latest()
-    learner = run.learner.fast_learner(checkpoint.state)
+    opened = Run.open(run, family=family)
+    checkpoint = opened.latest()
+    learner = opened.learner.fast_learner(checkpoint.state)
     description: dict[str, str | int | float] = {
-        "method": run.settings.method,
+        "method": opened.settings.method,
         "iteration": checkpoint.iteration,
     }
+    start = None
+    if latents is not None or task is not None:
+        start = _adapted_start(opened, latents, task)
+        description["task"] = int(task or 0)
     try:
-        export_policy(learner, run.env(), path, description)
+        export_policy(learner, opened.env(), path, description, start)
     except (ValueError, OSError) as error:
-        raise RunError(f"`{directory}` cannot be exported to `{path}`: {error}") from error
+        raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
 
 
 def plot(
-    directories: Sequence[str | Path],
+    runs: Sequence[str | Path | Run],
     out: str | Path | None = None,
     family: str | TaskFamily | None = None,
 ) -> list[Path]:
@@ -189,35 +192,37 @@ def plot(
     training, `adapt` renews it.
 
     Args:
-        directories: of the runs, at least one, or names of policies that come with the library;
-            several are compared in one figure.
+        runs: themselves, their directories, or names of policies that come with the library, at
+            least one; several are compared in one figure.
         out: where the figures go; None for `figures` in the first directory.
         family: the runs' family, if it is your own: itself, or `module:name`.
 
     Returns:
         The files that were written, PNG and PDF.
     """
-    runs = [Run.open(working_copy(directory), family=family) for directory in directories]
-    for run in runs:
-        if not adaptation_file(run.directory, "test", "sparse").exists():
-            adapt(run.directory, family=family)
+    opened = [open_run(run, family) for run in runs]
+    for run in opened:
+        if not adaptation_file(run.directory, USUAL).exists():
+            adapt(run)
         if run.env().planar:
             record_exploration(run)
-    first = runs[0].directory / "figures"
+    first = opened[0].directory / "figures"
     return plot_run_directories(
-        [run.directory for run in runs], first if out is None else Path(out)
+        [run.directory for run in opened], first if out is None else Path(out)
     )
 
 
-def _latents_to_go_on_from(
-    path: Path, learner: AbstractFastLearner[Any], num_tasks: int
-) -> SavedContexts:
-    # A start at the prior has no use for keys.
-    keys = jax.random.split(jax.random.key(0), num_tasks)
-    fresh = learner.agents(learner.init(keys)).context
-    saved = SavedContexts(*read_latents(path, fresh))
-    try:
-        learner.init(keys, saved)
-    except ValueError as error:
-        raise RunError(f"`{path}` cannot be a start: {error}") from error
-    return saved
+def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:
+    """Return the latent that an adaptation of the run has found, and the updates behind it."""
+    if latents is None or task is None:
+        raise RunError(
+            "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
+            "index of the task whose latent to start from."
+        )
+    record = record_of_latents(Path(latents))
+    if record.exists() and read_json(record).get("weights") != identity_of_run(run).weights:
+        raise RunError(
+            f"`{latents}` was adapted with other weights than the latest checkpoint of "
+            f"`{run.directory}` has: adapt this run, and give the latents that this writes."
+        )
+    return adapted_latent(Path(latents), task)

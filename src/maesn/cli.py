@@ -16,7 +16,7 @@ COMMANDS = {
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",
-    "list": "list methods, families of tasks, and policies that come with the library",
+    "list": "list methods, rules, families of tasks, and policies that come with the library",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 
@@ -70,11 +70,9 @@ def _run_command(name: str, options: list[str]) -> int:
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return the errors whose message is all that a user needs: no traceback."""
     names = {
-        "maesn.runs.storage": ("RunError",),
-        "maesn.runs.training": ("TrainingError",),
+        "maesn.storage": ("RunError",),
         "maesn.physics": ("EngineError", "RenderingError"),
         "maesn.worlds": ("EpisodeError",),
-        "maesn.report": ("ReportError",),
     }
     return tuple(
         getattr(import_module(module), name) for module, all_ in names.items() for name in all_

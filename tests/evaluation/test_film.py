@@ -16,6 +16,7 @@ import maesn
 from maesn import cli
 from maesn.envs import Point
 from maesn.evaluation import film
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.playback import Playback, record_adaptation
 from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
@@ -41,10 +42,8 @@ def played(run: Run) -> list[Playback]:
 
 
 def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_path: Path) -> None:
-    outcome = maesn.adapt(
-        run.directory, updates=2, episodes_per_task=PLAYED, seed=4, out=tmp_path / "table.csv"
-    )
-    curves = outcome.curves
+    asked = Evaluation(episodes=2 * PLAYED, episodes_per_update=PLAYED, seed=4)
+    curves = maesn.adapt(run, asked, out=tmp_path / "table.csv").curves
     for playback in played:
         assert playback.mean_return == pytest.approx(
             float(curves.mean_return[TASK, playback.update]), rel=1e-5
@@ -98,7 +97,7 @@ def test_an_episode_is_drawn_state_by_state_with_its_way(
 ) -> None:
     stage = film._Stage(Point(), run.task_set("test")[TASK], played, stride=15)
     row = stage.row(played[1], PLAYED)
-    assert row.title.startswith("after 2 updates: mean return ")
+    assert row.title.startswith(f"after {2 * PLAYED} episodes: mean return ")
     assert [len(cell.pictures) for cell in row.cells] == [4] * SHOWN  # steps 0, 15, 30 and 40
     states = played[1].readings["qpos"]
     for index, (qpos, trail) in enumerate(drawn[0].calls):
@@ -127,10 +126,10 @@ def test_an_episode_that_ended_stands_still_where_it_was_sound(
 
 
 def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> None:
+    asked = Evaluation(episodes=2 * PLAYED, episodes_per_update=PLAYED)
     written = maesn.render(
-        run.directory, task=TASK, update=(2, 0), episodes=SHOWN, episodes_per_task=PLAYED,
-        out=tmp_path / "new" / "pictures",
-    )  # fmt: skip
+        run, asked, task=TASK, after=(2 * PLAYED, 0), shown=SHOWN, out=tmp_path / "new" / "pictures"
+    )
     names = ["test-sparse-task-3.gif", "test-sparse-task-3.png"]
     assert written == [tmp_path / "new" / "pictures" / name for name in names]
     with Image.open(written[0]) as moving, Image.open(written[1]) as still:
@@ -147,12 +146,13 @@ def test_what_was_opened_is_closed_whatever_happens(
     closed: list[str] = []
     for kind in (DeviceWorld, Drawn):
         monkeypatch.setattr(kind, "close", lambda _, name=kind.__name__: closed.append(name))
-    arguments = {"episodes": 1, "episodes_per_task": 2, "update": (0,), "out": tmp_path}
-    maesn.render(run.directory, **arguments)
+    asked = Evaluation(episodes=2, episodes_per_update=2)
+    arguments = {"evaluation": asked, "shown": 1, "after": (0,), "out": tmp_path}
+    maesn.render(run, **arguments)
     whole = closed.copy()
     monkeypatch.setattr(Drawn, "draw", None)  # drawing fails
     with pytest.raises(TypeError, match="not callable"):
-        maesn.render(run.directory, **arguments)
+        maesn.render(run, **arguments)
     # The first scene finds out whether anything can be drawn here.
     assert whole == ["Drawn", "DeviceWorld", "Drawn"]
     assert closed == 2 * whole
@@ -180,9 +180,9 @@ def test_cells_stand_in_rows_and_reached_goals_are_framed() -> None:
     ("arguments", "message"),
     [
         (["--task", "100"], "`task` must be from 0 to 99, got 100"),
-        (["--update", "-1"], "`update` must be at least one number from 0 on"),
-        (["--episodes", "9", "--episodes-per-task", "8"], "`episodes` must be from 1 to"),
-        (["--seed", "-1"], "`seed` must be from 0"),
+        (["--after", "-50"], "`after` must be numbers of episodes, multiples of"),
+        (["--after", "75"], "multiples of `episodes_per_update`, 50, from 0 to `episodes`, 500"),
+        (["--shown", "51"], "`shown` must be from 1 to `episodes_per_update`, 50"),
         (["--tasks", "tset"], "`tasks` must be one of"),
     ],
 )
@@ -205,8 +205,8 @@ def test_without_a_library_to_draw_with_nothing_is_played(
 
 
 def test_the_command_draws_or_says_what_to_install(run: Run, tmp_path: Path) -> None:
-    command = ["render", str(run.directory), "--task", "3", "--update", "0", "1", "--episodes"]
-    options = ["2", "--episodes-per-task", "3", "--out", str(tmp_path)]
+    command = ["render", str(run.directory), "--task", "3", "--after", "0", "3", "--shown", "2"]
+    options = ["--episodes", "3", "--episodes-per-update", "3", "--out", str(tmp_path)]
     done = subprocess.run(
         [sys.executable, "-m", "maesn", *command, *options],
         capture_output=True,

@@ -16,7 +16,7 @@ from maesn.evaluation.evaluate import adapt
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

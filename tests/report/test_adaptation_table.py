@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.report import ReportError
 from maesn.report.adaptation_table import (
     COLUMNS,
     MEASURES,
@@ -17,6 +16,7 @@ from maesn.report.adaptation_table import (
 )
 from maesn.report.table_name import table_name
 from maesn.report.tables import summary_tables
+from maesn.storage import RunError
 
 HEADER = ",".join(COLUMNS)
 ROW = "0,0,0,-396.0,-390.0,0.1,0.1,0.02"
@@ -145,7 +145,7 @@ def test_seeds_are_stacked() -> None:
 
 def test_seeds_with_different_tasks_are_refused() -> None:
     with pytest.raises(
-        ReportError,
+        RunError,
         match=r"got 5 tasks, updates 0 to 3 and 8 tasks, updates 0 to 3.*same `--tasks`",
     ):
         stack_seeds([adaptation_table(), adaptation_table(num_tasks=5)], "mean_return")
@@ -173,7 +173,7 @@ def test_a_broken_table_is_refused_in_one_sentence(
 ) -> None:
     path = tmp_path / "test-sparse.csv"
     path.write_text(content)
-    with pytest.raises(ReportError, match=complaint) as caught:
+    with pytest.raises(RunError, match=complaint) as caught:
         read_adaptation(path)
     assert "maesn adapt" in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -183,5 +183,5 @@ def test_a_missing_or_unreadable_table_is_refused(tmp_path: Path) -> None:
     missing, binary = tmp_path / "test-sparse.csv", tmp_path / "test-dense.csv"
     binary.write_bytes(b"\xff\xfe\x00")
     for path in (missing, binary, tmp_path):
-        with pytest.raises(ReportError, match=r"Expected a table at .*maesn adapt"):
+        with pytest.raises(RunError, match=r"Expected a table at .*maesn adapt"):
             read_adaptation(path)

@@ -23,8 +23,8 @@ from maesn.report.comparison import (
 )
 from maesn.report.comparison_tables import print_summary, summary_tables, write_summary
 from maesn.report.figures.comparison import plot_comparison
-from maesn.report.reading import ReportError
 from maesn.report.style import METHOD_STYLES, ONE_COLUMN, MethodStyle
+from maesn.storage import RunError
 
 HORIZON = 20
 
@@ -118,7 +118,7 @@ def test_a_longer_table_is_cut_to_what_is_compared() -> None:
     np.testing.assert_array_equal(cut.mean_return, table.mean_return[:3, :2])
     assert cut.episodes.tolist() == [0, 50]
     for tasks, updates in ((9, 1), (3, NUM_UPDATES + 1)):
-        with pytest.raises(ReportError, match=f"{tasks} tasks with {updates} updates"):
+        with pytest.raises(RunError, match=f"{tasks} tasks with {updates} updates"):
             first_part(table, tasks, updates)
 
 

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 from synthetic_runs import write_run
 
-from maesn.report import ReportError
 from maesn.report.plot import plot_run_directories
+from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
 
@@ -134,14 +134,14 @@ def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None
 def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: str) -> None:
     run = write_run(tmp_path / "run", without=["metrics"])
     (run / name).write_text("broken\n")
-    with pytest.raises(ReportError, match=complaint):
+    with pytest.raises(RunError, match=complaint):
         plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
 
 
 def test_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ReportError, match="at least one run directory in `directories`"):
+    with pytest.raises(RunError, match="at least one run directory in `directories`"):
         plot_run_directories([], tmp_path)
-    with pytest.raises(ReportError, match=r"config.json`, got no such file; .*maesn train METHOD"):
+    with pytest.raises(RunError, match=r"config.json`, got no such file; .*maesn train METHOD"):
         plot_run_directories([tmp_path], tmp_path)
 
 

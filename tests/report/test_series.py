@@ -3,9 +3,9 @@
 import pytest
 from synthetic_runs import run
 
-from maesn.report import ReportError
 from maesn.report.series import group_series, group_worlds
 from maesn.report.style import METHOD_STYLES
+from maesn.storage import RunError
 
 
 def test_seeds_of_one_experiment_are_one_series() -> None:
@@ -46,7 +46,7 @@ def test_a_difference_between_methods_is_no_part_of_the_label() -> None:
 
 
 def test_one_seed_given_twice_is_refused() -> None:
-    with pytest.raises(ReportError, match=r"got seed 0 in both `.*maesn-0` and `.*maesn-0`"):
+    with pytest.raises(RunError, match=r"got seed 0 in both `.*maesn-0` and `.*maesn-0`"):
         group_series([run(), run()])
 
 

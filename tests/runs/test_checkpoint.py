@@ -23,7 +23,7 @@ from maesn.runs.checkpoint import (
     restore,
     save_checkpoint,
 )
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 TREE = {
     "weight": jnp.arange(6.0).reshape(2, 3),

@@ -17,9 +17,9 @@ from maesn.evaluation.film import render
 from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
 from maesn.runs.training import train
 from maesn.runtime import Explorer
+from maesn.storage import RunError
 from maesn.worlds import EpisodeError
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")

@@ -13,7 +13,7 @@ from maesn.context import BiasContext, LatentContext
 from maesn.policies import GaussianMLP
 from maesn.runs.beginning import begun_state
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 def save_changed(run: Run, change: float) -> Any:

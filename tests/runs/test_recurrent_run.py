@@ -15,7 +15,7 @@ from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, r
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 from maesn.runs.serialization import from_json, to_json
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
 pytestmark = pytest.mark.usefixtures("quick_compiler")

@@ -12,8 +12,8 @@ from small_runs import create, goals, tiny_maesn
 
 from maesn.envs import FAMILIES, PROBES
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
 from maesn.runs.task_sources import find_tasks, load_tasks
+from maesn.storage import RunError
 
 POINT = FAMILIES["point"]
 
@@ -42,7 +42,7 @@ def test_changed_tasks_are_noticed(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"mine.npz` of family `point` are now the task set"):
         Run.open(tmp_path / "run")
     (tmp_path / "run" / "tasks.npz").unlink()
-    with pytest.raises(RunError, match=r"tasks.npz` must be an .npz file"):
+    with pytest.raises(RunError, match=r"tasks.npz`, got no such file"):
         Run.open(tmp_path / "run")
 
 
@@ -101,15 +101,15 @@ def arrays(**named: Any) -> Callable[[Path], Any]:
 @pytest.mark.parametrize(
     ("write", "said"),
     [
-        (lambda path: None, "must be an .npz file with the arrays goal.*No such file"),
-        (Path.mkdir, "must be an .npz file.*Is a directory"),
-        (lambda path: path.write_bytes(b""), "must be an .npz file"),
-        (lambda path: path.write_bytes(b"goal"), "must be an .npz file"),
-        (cut, "must be an .npz file"),
-        (flipped, "must be an .npz file"),
-        (no_array, "must be an .npz file"),
-        (single, "must be an .npz file.*a single array without a name"),
-        (pickled, "must be an .npz file.*allow_pickle"),
+        (lambda path: None, "got no such file; give an .npz file with the arrays goal"),
+        (Path.mkdir, "got is a directory; give an .npz file"),
+        (lambda path: path.write_bytes(b""), "cannot be read.*give an .npz file"),
+        (lambda path: path.write_bytes(b"goal"), "cannot be read.*give an .npz file"),
+        (cut, "cannot be read.*give an .npz file"),
+        (flipped, "cannot be read.*give an .npz file"),
+        (no_array, "'goal' is no array.*give an .npz file"),
+        (single, "cannot be read.*give an .npz file"),
+        (pickled, "allow_pickle.*give an .npz file"),
         (arrays(goals=goals(3)), "must hold the arrays goal, .*; it holds goals"),
         (arrays(), "it holds none"),
         (arrays(goal=goals(3)[0]), r"array `goal` of `.*` must have the shape \[tasks, 2\]"),

@@ -21,8 +21,8 @@ pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 OPTIONS = [
     *("ablation", "--family", "point", "--iterations", "2", "--meta-batch-size", "3"),
-    *("--episodes-per-task", "3", "--test-episodes-per-task", "3", "--num-tasks", "3"),
-    *("--updates", "1", "--radii", "0.8", "1.0", "--only", "maml_bias_only", "maesn_fixed_steps"),
+    *("--episodes-per-task", "3", "--episodes-per-update", "3", "--num-tasks", "3"),
+    *("--episodes", "3", "--radii", "0.8", "1.0", "--only", "maml_bias_only", "maesn_fixed_steps"),
 ]
 
 
@@ -103,7 +103,7 @@ def test_the_whole_chain_and_how_it_goes_on(
     assert tensors(last) == finished
     assert [path.read_bytes() for path in Run.open(run).checkpoints()] == checkpoints
     assert "done before" in capsys.readouterr().out
-    assert cli.run([*command, "--radii", "1.0", "--seed", "1"]) == 0
+    assert cli.run([*command, "--radii", "1.0", "--training-seed", "1"]) == 0
     table = (tmp_path / "radius-1" / "table.csv").read_text()
     assert len(table.splitlines()) == 1 + 2 * 2 * 3 * 2 + 2 * 3
 
@@ -126,7 +126,7 @@ def test_families_without_a_published_figure_keep_their_own_radius(
         (["--episodes-per-task", "0"], "`episodes_per_task` must be at least 1"),
     ],
 )
-def test_wrong_options_are_told_in_a_sentence(
+def test_wrong_options_get_a_sentence(
     options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.run(["ablation", "--out", str(tmp_path), *options]) == cli.USAGE_ERROR
@@ -149,7 +149,7 @@ def test_seeds_that_would_join_must_have_been_trained_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maesn"]
-    assert cli.run([*short, "--seed", "1", "--meta-batch-size", "4"]) == 0
+    assert cli.run([*short, "--training-seed", "1", "--meta-batch-size", "4"]) == 0
     capsys.readouterr()
     assert cli.run(short) == cli.USAGE_ERROR
     error = capsys.readouterr().err
@@ -169,8 +169,8 @@ def test_seeds_that_would_join_must_have_been_trained_alike(
 def test_what_could_not_be_compared_is_refused_before_anything_is_trained(
     options: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = create(tmp_path / "oracle", oracle(policy=GaussianMLP((4,))), family="wheeled")
-    command = [*OPTIONS, "--out", str(tmp_path), *options.format(oracle=told.directory).split()]
+    other = create(tmp_path / "oracle", oracle(policy=GaussianMLP((4,))), family="wheeled")
+    command = [*OPTIONS, "--out", str(tmp_path), *options.format(oracle=other.directory).split()]
     assert cli.run(command) == cli.USAGE_ERROR
     assert message in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
@@ -196,7 +196,7 @@ def test_unfinished_runs_of_other_seeds_are_left_out_and_named(
 ) -> None:
     command = [*OPTIONS, "--out", str(tmp_path), "--only", "maml_bias_only", "--radii", "1"]
     run = tmp_path / "runs" / "maml_bias_only-seed-1"
-    assert cli.run([*command, "--seed", "1"]) == 0
+    assert cli.run([*command, "--training-seed", "1"]) == 0
     Run.open(run).checkpoints()[-1].unlink()
     capsys.readouterr()
     assert cli.run(command) == 0
@@ -213,6 +213,6 @@ def test_a_run_that_was_trained_for_longer_is_refused(
     api.resume(tmp_path / "runs" / "maml_bias_only-seed-0", 1)
     capsys.readouterr()
     for seed in ("0", "1"):
-        assert cli.run([*short, "--seed", seed]) == cli.USAGE_ERROR
+        assert cli.run([*short, "--training-seed", seed]) == cli.USAGE_ERROR
         error = capsys.readouterr().err
         assert "seed-0` has gone on to meta-iteration 1, but the figure compares runs" in error

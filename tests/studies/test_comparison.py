@@ -13,7 +13,8 @@ from small_runs import create, finish, tiny_maesn
 
 from maesn import api, cli
 from maesn.evaluation import evaluate
-from maesn.evaluation.test_time import AtTestTime
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.rules import GradientRule
 from maesn.learners import ProximalStep, RecurrentValue, oracle, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import GaussianMLP, Recurrent
@@ -22,16 +23,15 @@ from maesn.report.adaptation_table import read_adaptation
 from maesn.report.style import METHOD_STYLES
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies import curves, lines
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare, comparison_world, silent
-from maesn.studies.curves import Conditions
 from maesn.studies.lines import Scratch
 
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
-FEW = Conditions(num_tasks=4, updates=1, episodes_per_task=3, tasks_at_once=2)
+FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 
 
@@ -77,12 +77,12 @@ def test_methods_on_the_same_tasks(
     asked = {
         "out": tmp_path,
         "scratch": Scratch(("reinforce", "trpo:2"), seeds=(0, 1)),
-        "conditions": FEW,
+        "evaluation": FEW,
         "oracle": runs["oracle"],
     }
     with adapted(monkeypatch) as played:
         done = compare([runs["maesn"], runs["again"]], **asked)
-    # Two seeds of each, by chunks of two tasks; floor twice, oracle once.
+    # Two seeds of each, by chunks of two tasks; two baselines, one oracle.
     assert sorted(map(tuple, played)) == sorted(
         (2 * 2 + 2 * 1 + 1) * [(0, 1), (2, 3)] + 2 * [(0, 1)]
     )
@@ -92,8 +92,8 @@ def test_methods_on_the_same_tasks(
         ("trpo", (0, 1), 2),
     ]
     means = {one.name: one.measure("mean_return")[..., 0].mean() for one in done.everyone}
-    floor = max(means["zero_action"], means["random_actions"])
-    assert done.bounds(4) == pytest.approx((floor, means["oracle"]))
+    baseline = max(means["zero_action"], means["random_actions"])
+    assert done.bounds(4) == pytest.approx((baseline, means["oracle"]))
     rows = table(tmp_path)
     counts = {name: sum(row["method"] == name for row in rows) for name in ("maesn", "trpo")}
     assert counts == {"maesn": 2 * 4 * 2, "trpo": 2 * 2 * 2}
@@ -115,16 +115,16 @@ def test_an_interrupted_comparison_goes_on_with_the_chunk_that_was_interrupted(
             raise KeyboardInterrupt
         return evaluate.adapt(*arguments, tasks=tasks, **options)
 
-    with closing(comparison_world(RunSettings(family="point"), FEW)) as ground:
-        (contestant,) = lines.line_of_scratch("reinforce", None, Scratch(), ground).contestants
+    with closing(comparison_world(RunSettings(family="point"), FEW)) as world:
+        (one,) = lines.line_of_scratch("reinforce", None, Scratch(), world).learners
         with monkeypatch.context() as patch:
             patch.setattr(curves, "adapt", interrupted)
             with pytest.raises(KeyboardInterrupt):
-                curves.curves_of(contestant, ground, tmp_path / "parts", silent)
+                curves.curves_of(one, world, tmp_path / "parts", silent)
         with adapted(monkeypatch) as played:
-            parts = curves.curves_of(contestant, ground, tmp_path / "parts", silent)
+            parts = curves.curves_of(one, world, tmp_path / "parts", silent)
         assert played == [[2, 3]]
-        whole = curves.curves_of(contestant, ground, tmp_path / "whole", silent)
+        whole = curves.curves_of(one, world, tmp_path / "whole", silent)
     assert parts.read_bytes() == whole.read_bytes()
     assert not list(tmp_path.glob("**/pieces"))
 
@@ -132,34 +132,34 @@ def test_an_interrupted_comparison_goes_on_with_the_chunk_that_was_interrupted(
 def test_tables_of_adapt_are_used_where_they_fit(
     runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outcome = api.adapt(runs["maesn"], updates=2, episodes_per_task=3)
+    outcome = api.adapt(runs["maesn"], episodes=6, episodes_per_update=3)
     with adapted(monkeypatch) as played:
-        done = compare([runs["maesn"]], out=tmp_path, conditions=FEW)
-    assert played == 2 * [[0, 1], [2, 3]]  # floor alone
-    curves = done.lines[0].tables[0].mean_return
+        done = compare([runs["maesn"]], out=tmp_path, evaluation=FEW)
+    assert played == 2 * [[0, 1], [2, 3]]  # the baselines alone
+    returns = done.lines[0].tables[0].mean_return
     # Tables have the digits of single precision.
-    np.testing.assert_array_equal(np.float32(curves), outcome.curves.mean_return[:4, :2])
+    np.testing.assert_array_equal(np.float32(returns), outcome.curves.mean_return[:4, :2])
     style = METHOD_STYLES["maesn"]
     table = runs["maesn"] / "adaptation" / "test-sparse.csv"
-    with closing(comparison_world(RunSettings(family="point"), FEW)) as ground:
-        (own,) = lines.line_of_runs("maesn", style, [Run.open(runs["maesn"])], ground).contestants
+    with closing(comparison_world(RunSettings(family="point"), FEW)) as world:
+        (own,) = lines.line_of_runs("maesn", style, [Run.open(runs["maesn"])], world, FEW).learners
         assert own.earlier == table
-        assert curves.curves_of(own, ground, tmp_path, silent) == table
+        assert curves.curves_of(own, world, tmp_path, silent) == table
         for name in own.record:
-            other = {"updates": 3}.get(name, "something else")
+            other = {"episodes": 9, "num_tasks": 101}.get(name, "something else")
             asked = dataclasses.replace(own, record={**own.record, name: other})
             assert not curves._fits(asked)
         table.unlink()
         # Played anew, in chunks of another size: the same but for rounding.
-        fresh = read_adaptation(curves.curves_of(own, ground, tmp_path, silent))
-    np.testing.assert_allclose(fresh.mean_return, curves, rtol=1e-4)
+        fresh = read_adaptation(curves.curves_of(own, world, tmp_path, silent))
+    np.testing.assert_allclose(fresh.mean_return, returns, rtol=1e-4)
 
 
 def test_what_decides_the_curves_of_a_method_from_scratch_is_written_out_in_full() -> None:
-    with closing(comparison_world(RunSettings(family="point"), FEW)) as ground:
+    with closing(comparison_world(RunSettings(family="point"), FEW)) as world:
         asked = [("trpo", 0), ("vime", 0), ("reinforce", 0), ("trpo", 1)]
         records = [
-            lines.line_of_scratch(name, None, Scratch(seeds=(seed,)), ground).contestants[0].record
+            lines.line_of_scratch(name, None, Scratch(seeds=(seed,)), world).learners[0].record
             for name, seed in asked
         ]
     assert "max_kl=0.01" in records[0]["learner"]
@@ -167,16 +167,15 @@ def test_what_decides_the_curves_of_a_method_from_scratch_is_written_out_in_full
     assert "CuriosityBonus(" in records[1]["learner"]
     assert "GradientStep(step_size=0.1" in records[2]["learner"]
     assert "drifts=True" in records[0]["learner"]
-    # Left out, so that curves from before there was such a setting are recognised.
-    assert not any("drifts" in record["learner"] for record in records[1:3])
+    assert all("drifts=False" in record["learner"] for record in records[1:3])
     assert records[3] == records[0] | {"seed": 1}
 
 
 def test_settings_of_methods_from_scratch_reach_them() -> None:
     scratch = Scratch(step_size=0.3, max_kl=0.07, curiosity_weight=0.01)
-    with closing(comparison_world(RunSettings(family="point"), FEW)) as ground:
+    with closing(comparison_world(RunSettings(family="point"), FEW)) as world:
         learners = {
-            name: lines.line_of_scratch(name, None, scratch, ground).contestants[0].learner
+            name: lines.line_of_scratch(name, None, scratch, world).learners[0].learner
             for name in ("reinforce", "trpo", "vime")
         }
     assert learners["reinforce"].improvement.rule.step_size == 0.3
@@ -185,48 +184,48 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
     assert learners["vime"].curiosity.weight == 0.01
 
 
-def test_runs_whose_steps_stand_still_may_end_earlier(
+BUDGET = ["--num-tasks", "2", "--episodes", "9", "--episodes-per-update", "3"]
+
+
+def methods_in(out: Path) -> list[str]:
+    return list(dict.fromkeys(row["method"] for row in table(out)))
+
+
+def test_runs_take_part_a_second_time_with_what_is_added(
     runs: dict[str, Path], tmp_path: Path
 ) -> None:
-    options = "--num-tasks 2 --updates 3 --run-updates 1 --episodes-per-task 3 --fine-tune trpo"
-    command = ["compare", str(runs["maesn"]), *options.split(), "--after", "1"]
-    only = ["--scratch", "reinforce", "--twice", "maesn", "--out", str(tmp_path)]
-    assert cli.run([*command, *only]) == 0
+    added = [
+        "--then",
+        "trpo",
+        "after=3",
+        "--run-episodes",
+        "3",
+        "--scratch",
+        "reinforce",
+        "--twice",
+        "maesn",
+    ]
+    command = ["compare", str(runs["maesn"]), *BUDGET, *added, "--twice", "maesn"]
+    assert cli.run([*command, "--out", str(tmp_path)]) == 0
+    plain, tuned, *_ = methods_in(tmp_path)
+    assert plain == "maesn"
+    assert tuned.startswith("maesn-3-episodes-then-trpo-")
     last = {row["method"]: int(row["update"]) for row in table(tmp_path)}
-    assert last["maesn"] == 1
-    assert last["maesn-1-then-trpo"] == last["reinforce"] == 3
+    # Runs whose steps stand still may end earlier.
+    assert (last[plain], last[tuned], last["reinforce"]) == (1, 3, 3)
     cells = (tmp_path / "summary.md").read_text().replace(" ", "")
     # One seed, two tasks, one update, after meta-training; or three, after nothing.
     assert re.search(r"\|MAESN\|[0-9.e-]+M\|1\|2\|1\|", cells)
     assert "|REINFORCE||1|2|3|" in cells
+    returns = {
+        name: [row["mean_return"] for row in table(tmp_path) if row["method"] == name]
+        for name in (plain, tuned)
+    }
+    # Until the weights join, after 0 and 3 episodes, the same.
+    assert returns[plain] == [returns[tuned][k] for k in (0, 1, 4, 5)]
 
 
-def test_runs_can_take_part_a_second_time_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
-    options = "--num-tasks 2 --updates 2 --episodes-per-task 3 --fine-tune trpo --after 1"
-    command = ["compare", str(runs["maesn"]), "--out", str(tmp_path), *options.split()]
-    assert cli.run(command) == 0
-    rows = table(tmp_path)
-    plain, tuned = (
-        [row["mean_return"] for row in rows if row["method"] == name]
-        for name in ("maesn", "maesn-1-then-trpo")
-    )
-    assert len(plain) == len(tuned) == 2 * 3
-    # After 0 and 1 updates the same, after 2 not.
-    assert [a == b for a, b in zip(plain, tuned, strict=True)] == [True, True, False] * 2
-
-
-def test_runs_can_take_part_a_second_time_curious(runs: dict[str, Path], tmp_path: Path) -> None:
-    options = "--num-tasks 2 --updates 2 --episodes-per-task 3 --curious True --curiosity-weight 10"
-    command = ["compare", str(runs["maesn"]), "--out", str(tmp_path), *options.split()]
-    assert cli.run(command) == 0
-    methods = {row["method"]: row for row in table(tmp_path)}
-    (curious,) = (name for name in methods if name.startswith("maesn-curious"))
-    # What is paid for is learned from, but not part of the return.
-    assert methods[curious]["mean_return"] != methods["maesn"]["mean_return"]
-    assert "| MAESN (curious) |" in (tmp_path / "summary.md").read_text()
-
-
-def test_memory_and_curiosity_go_through_the_same_evaluator(
+def test_recurrent_policies_and_bonuses_go_through_the_same_evaluator(
     runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An update of RL2 is an episode; it goes on beyond its trials, and is not fine-tuned."""
@@ -236,59 +235,47 @@ def test_memory_and_curiosity_go_through_the_same_evaluator(
         value=RecurrentValue((), 3, (), MinibatchDescent(epochs=1, minibatches=1)),
         meta_batch_size=2,
     )
-    remembers = create(tmp_path / "rl2", learner).directory
-    options = "--scratch vime:1 --num-tasks 2 --updates 3 --episodes-per-task 3 --fine-tune trpo"
-    command = ["compare", str(runs["maesn"]), str(remembers), *options.split(), "--after", "1"]
+    recurrent = create(tmp_path / "rl2", learner).directory
+    added = [
+        "--scratch",
+        "vime:1",
+        "--then",
+        "trpo",
+        "after=3",
+        "--bonus",
+        "vime",
+        "curiosity.weight=10",
+    ]
+    command = ["compare", str(runs["maesn"]), str(recurrent), *BUDGET, *added]
     assert cli.run([*command, "--out", str(tmp_path / "out")]) == 0
     last = {(row["method"], row["task"]): row for row in table(tmp_path / "out")}
     steps = {who: int(row["steps"]) for who, row in last.items()}
+    (second,) = {method for method, _ in last if method.startswith("maesn-")}
     assert steps["rl2", "0"] == steps["rl2", "1"] == 3 * 40
-    assert steps["vime", "0"] == steps["maesn-1-then-trpo", "1"] == 3 * 3 * 40
+    assert steps["vime", "0"] == steps[second, "1"] == 3 * 3 * 40
     assert ("vime", "1") not in last
     assert not any(method.startswith("rl2-") for method, _ in last)
+    # The bonus is learned from, but no part of the return.
+    assert last[second, "0"]["mean_return"] != last["maesn", "0"]["mean_return"]
     shown = " ".join(capsys.readouterr().out.split())
     assert "RL² takes part as it is: `rl2` cannot be adapted like this" in shown
     assert "RL² was trained for trials of 2 episodes, and is beyond" in shown
+    assert "MAESN (3 episodes, then TRPO; bonus by VIME)" in shown
 
 
-PACED = Changes(paces={"maesn": AtTestTime(step_scale=2.0, full_steps=3)})
-
-
-def test_a_method_takes_the_steps_that_are_chosen_for_it(
+def test_a_method_follows_the_rule_that_is_chosen_for_it(
     runs: dict[str, Path], tmp_path: Path
 ) -> None:
-    """Its line replaces that of the run as it is, and what is fine-tuned takes the same steps."""
-    command = [
-        *["compare", str(runs["maesn"]), "--out", str(tmp_path), "--num-tasks", "2"],
-        *["--updates", "3", "--episodes-per-task", "3", "--fine-tune", "trpo", "--after", "1"],
-        *["--step-scales", "maesn", "2", "--full-steps", "maesn", "3"],
-    ]
-    assert cli.run(command) == 0
-    scaled, tuned = "maesn-steps-x2-3-full-steps", "maesn-steps-x2-3-full-steps-1-then-trpo"
-    rows = table(tmp_path)
-    assert {row["method"] for row in rows} == {scaled, tuned, "zero_action", "random_actions"}
-    paced, improved = (
-        [row["mean_return"] for row in rows if row["method"] == name] for name in (scaled, tuned)
-    )
-    # After 0 and 1 updates the same, then not.
-    assert [a == b for a, b in zip(paced, improved, strict=True)] == [True, True, False, False] * 2
-    assert "MAESN (steps × 2; 3 full steps; 1 update then TRPO)" in (
-        tmp_path / "summary.md"
-    ).read_text(encoding="utf-8")
-    first = Conditions(num_tasks=2, updates=3, episodes_per_task=3)
-    plain = compare([runs["maesn"]], out=tmp_path / "plain", conditions=first).lines[0]
-    done = compare([runs["maesn"]], out=tmp_path, conditions=first, changes=PACED).lines[0]
+    """Its line replaces that of the run's own rule, and keeps its style."""
+    few = Evaluation(num_tasks=2, episodes=9, episodes_per_update=3)
+    rules = Changes(rules={"maesn": GradientRule(step_scale=2.0, full_steps=3)})
+    plain = compare([runs["maesn"]], out=tmp_path / "plain", evaluation=few).lines[0]
+    (done,) = compare([runs["maesn"]], out=tmp_path, evaluation=few, changes=rules).lines
+    assert done.label == "MAESN (steps × 2; 3 full steps)"
     assert done.style.line == plain.style.line
     same = plain.measure("mean_return") == done.measure("mean_return")
     assert same[0, :, 0].all()
     assert not same[0, :, 1:].any()
-
-
-def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Path) -> None:
-    once = Conditions(num_tasks=1, updates=0, episodes_per_task=1)
-    added = AtTestTime(after=3)
-    done = compare([runs["maesn"]], out=tmp_path, conditions=once, changes=Changes(added))
-    assert [line.name for line in done.lines] == ["maesn"]
 
 
 @pytest.mark.parametrize(
@@ -299,21 +286,19 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("--family point --scratch sac --out {0}", "no method `sac` that begins from scratch"),
         ("--family point --scratch trpo:x --out {0}", "must be a positive integer"),
         ("{1} --family wheeled --out {0}", "must be a run on wheeled"),
-        ("{1} --updates -1 --out {0}", "`updates` must be at least 0"),
-        ("{1} --run-updates -1 --out {0}", "`run_updates` must be at least 0"),
+        ("{1} --episodes 75 --out {0}", "`episodes` must be a multiple of `episodes_per_update`"),
+        ("{1} --run-episodes -50 --out {0}", "`episodes` must be at least 0, got -50"),
         (
-            "{1} --fine-tune trpo --twice maml --out {0}",
-            "(--twice) must be methods of the runs, maesn; got maml",
+            "{1} --then trpo after=50 --twice maml --out {0}",
+            "`twice` must be methods of the runs, maesn; got maml",
         ),
         (
-            "--family point --scratch trpo --fine-tune trpo --updates 11 --out {0}",
-            "(--fine-tune, --curious) changes trained runs, of which none take part",
+            "--family point --scratch trpo --then trpo after=50 --out {0}",
+            "`then` and `bonus` add to trained runs, of which none take part",
         ),
-        ("{1} --twice maesn --out {0}", "say what with --fine-tune or --curious"),
-        ("{1} --step-scales maesn 0 --out {0}", "`step_scale` must be positive and finite, got 0"),
-        ("{1} --full-steps maesn 0 --out {0}", "`full_steps` must be at least 1, got 0"),
-        ("{1} --fine-tune trpo --after -1 --out {0}", "`after` must be at least 0, got -1"),
-        ("{1} --step-scales maml 2 --out {0}", "(--step-scales, --full-steps) must be methods of"),
+        ("{1} --twice maesn --out {0}", "say what with `then` or `bonus`"),
+        ("{1} --rule gradient --out {0}", "say of which method, as in `--rules maesn gradient`"),
+        ("{1} --rules maml gradient --out {0}", "`rules` must be methods of the runs, maesn"),
         (
             "--family point --scratch trpo --max-kl 0 --out {0}",
             "`max_kl` must be positive and finite, got 0",
@@ -321,10 +306,10 @@ def test_without_a_rule_nobody_is_fine_tuned(runs: dict[str, Path], tmp_path: Pa
         ("{1} --curiosity-weight -1 --out {0}", "must be finite and at least 0, got -1"),
         ("{1} --step-size inf --out {0}", "`step_size` must be positive and finite, got inf"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
-        ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is told the task"),
+        ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is given the task"),
         ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
-        ("{1} --fine-tune trpo --updates 10 --out {0}", "must be more than `after`, got 10 and 10"),
-        ("{1} --seed 4294967296 --out {0}", "`seed` must lie between 0 and 2^32 - 1"),
+        ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
+        ("{1} --seed 4294967296 --out {0}", "`seed` must be below 2^32"),
         (
             "{1} --scratch-seeds 0 0 --out {0}",
             "`seeds` (--scratch-seeds) must be different numbers",
@@ -355,10 +340,10 @@ def test_a_variant_in_which_a_run_sees_something_else_is_refused(tmp_path: Path)
     run = create(tmp_path / "run", tiny_maesn(), family="blockpush")
     said = r"an environment of `observation_size` 28, as this .* `paper` has, got 26: compare it"
     with pytest.raises(RunError, match=said):
-        compare([run.directory], out=tmp_path, place=WorldSettings(variant="paper"), conditions=FEW)
+        compare([run.directory], out=tmp_path, world=WorldSettings(variant="paper"), evaluation=FEW)
 
 
 def test_runs_in_different_worlds_are_refused(runs: dict[str, Path], tmp_path: Path) -> None:
     other = create(tmp_path / "other", tiny_maesn(), sparse_radius=1.0)
     with pytest.raises(RunError, match="must agree in `sparse_radius` to be compared"):
-        compare([runs["maesn"], other.directory], out=tmp_path / "out", conditions=FEW)
+        compare([runs["maesn"], other.directory], out=tmp_path / "out", evaluation=FEW)

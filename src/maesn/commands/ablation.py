@@ -2,15 +2,18 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from maesn.commands.options import parse
+from maesn.evaluation.evaluation import Evaluation
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.ablation import Ablation, ablate, radius_label
 from maesn.studies.comparison import USUAL
-from maesn.studies.curves import Conditions
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,23 +30,14 @@ class Options:
     """Training tasks per meta-iteration."""
     episodes_per_task: int = 20
     """Episodes that are played of each task before, and again after, an inner update."""
-    seed: int = 0
+    training_seed: int = 0
     """Of the training. Seeds that were trained before under the same `--out` join the figure."""
     only: tuple[str, ...] = ()
     """Names of some lines of the figure; none for all."""
     radii: tuple[float, ...] = ()
     """Sparse radii of the new tasks, in metres; a figure for each. Left out: on `wheeled` 0.8 and
     1, as in the published figure; elsewhere the family's own."""
-    tasks: str = USUAL.tasks
-    """Tasks to adapt to: test, validation, training, ood, or an `.npz` file."""
-    num_tasks: int | None = USUAL.num_tasks
-    """The first so many of them; None: all."""
-    updates: int = USUAL.updates
-    """Updates per task."""
-    test_episodes_per_task: int = USUAL.episodes_per_task
-    """Episodes per task and update in the new tasks."""
-    tasks_at_once: int = USUAL.tasks_at_once
-    """Tasks that advance together in the adaptation. Memory grows with it."""
+    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")] = USUAL
     oracle: Path | None = None
     """Directory of a run of the preset `oracle`, the ceiling of the score; None: no score."""
 
@@ -52,11 +46,10 @@ def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "ablation", arguments)
     enable_compilation_cache()
-    ablation, conditions = _asked_for(options)
     done = ablate(
-        ablation,
+        _asked_for(options),
         options.out,
-        conditions=conditions,
+        evaluation=options.evaluation,
         radii=options.radii,
         oracle=options.oracle,
         say=print,
@@ -66,22 +59,14 @@ def main(arguments: list[str]) -> None:
         print_summary(comparison)
 
 
-def _asked_for(options: Options) -> tuple[Ablation, Conditions]:
+def _asked_for(options: Options) -> Ablation:
     try:
         settings = RunSettings(
             family=options.family,
-            seed=options.seed,
+            seed=options.training_seed,
             iterations=options.iterations,
             episodes_per_task=options.episodes_per_task,
         )
-        conditions = Conditions(
-            tasks=options.tasks,
-            num_tasks=options.num_tasks,
-            updates=options.updates,
-            episodes_per_task=options.test_episodes_per_task,
-            tasks_at_once=options.tasks_at_once,
-        )
-        learner = {"meta_batch_size": options.meta_batch_size}
-        return Ablation(settings, options.only, learner), conditions
+        return Ablation(settings, options.only, {"meta_batch_size": options.meta_batch_size})
     except ValueError as error:
         raise RunError(str(error)) from error

@@ -5,13 +5,12 @@ from pathlib import Path
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.evaluation.tables import adaptation_file
 from maesn.learners import maesn
 from maesn.report import print_adaptation_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,10 +36,10 @@ def main(arguments: list[str]) -> None:
         api.resume(options.run, options.iterations)
     else:
         api.train(maesn(), settings, options.run)
-    print("2. it adapts to 100 unseen goals on sparse reward, which it is not told")
-    outcome = api.adapt(options.run)
-    print_adaptation_summary(adaptation_file(options.run, "test", "sparse"))
-    reached = (outcome.curves.success_rate[:, 0] > 0).mean()
+    print("2. it adapts to 100 unseen goals, which it does not see, on sparse reward")
+    done = api.adapt(options.run)
+    print_adaptation_summary(done.table)
+    reached = (done.curves.success_rate[:, 0] > 0).mean()
     print(f"goals reached by some of 50 episodes before any adaptation: {reached:.0%}")
     print("3. figures")
     for path in api.plot([options.run]):

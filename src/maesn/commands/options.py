@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import tyro
 
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 Options = TypeVar("Options")
 

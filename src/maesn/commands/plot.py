@@ -8,7 +8,7 @@ import tyro
 from maesn import api
 from maesn.commands.options import parse
 from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 @dataclasses.dataclass(frozen=True)

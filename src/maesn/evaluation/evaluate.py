@@ -10,36 +10,34 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import TaskKeys
+from maesn.evaluation.evaluation import CHUNK_SIZE
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
 from maesn.worlds import EpisodeError
 
-# An "update" that no adaptation reaches: its keys are those of the learners themselves.
+# "Updates" that no adaptation reaches. Their keys are those of the learners themselves, and of the
+# episodes that judge a deployed agent.
 _START = 0xFFFFFFFF
-CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
+_DEPLOYED = 0xFFFFFFFE
 
 
 def tasks_at_once(
-    max_simulations: int | None, episodes_per_task: int, most: int = CHUNK_SIZE
+    max_simulations: int | None, episodes_per_update: int, most: int = CHUNK_SIZE
 ) -> int:
     """Return how many tasks to adapt to at once.
 
     Args:
         max_simulations: how many episodes a world can hold; None for any number.
-        episodes_per_task: number of episodes that are played of each task at a time.
+        episodes_per_update: number of episodes that are played of each task at a time.
         most: number of tasks that memory allows.
     """
     if max_simulations is None:
         return most
-    return min(max(max_simulations // episodes_per_task, 1), most)
+    return min(max(max_simulations // episodes_per_update, 1), most)
 
 
 class AdaptationCurves(eqx.Module):
-    """How every task's performance changes with adaptation.
-
-    Entry `[i, k]` is measured on the episodes that are played in task i after k updates, before the
-    learner sees them.
-    """
+    """How every task's performance changes with adaptation: entry `[i, k]` is task i, update k."""
 
     mean_return: Float[Array | np.ndarray, "task *update"]
     """Mean undiscounted return."""
@@ -58,22 +56,31 @@ class AdaptationCurves(eqx.Module):
 class AdaptationOutcome(NamedTuple):
     """Outcome of adapting to a set of tasks."""
 
-    curves: AdaptationCurves
+    explored: AdaptationCurves
+    """Of the episodes that were played after k updates and then learned from."""
+    deployed: AdaptationCurves | None
+    """Of fresh episodes of the deployed agent after k updates; None if none were asked for."""
     contexts: Any
-    """Contexts of the agents, `[task, update, ...]`; as `Agents.context`."""
+    """Contexts of the exploring agents, `[task, update, ...]`; as `Agents.context`."""
     first_update: int
     """Number of updates that lie before the first column."""
     episodes_per_update: int
-    """Number of episodes of a task that an update learns from."""
+    """Number of episodes of a task that an update adds to what the agent has learned from."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if there is no such limit."""
+
+    @property
+    def curves(self) -> AdaptationCurves:
+        """The curves that judge the method: `deployed` where there are any, else `explored`."""
+        return self.explored if self.deployed is None else self.deployed
 
 
 def adapt(
     learner: AbstractFastLearner[Any],
     collect: Collect,
     *,
-    updates: int = 10,
+    episodes: int = 500,
+    deploy: Collect | None = None,
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
     saved: SavedContexts | None = None,
@@ -83,67 +90,77 @@ def adapt(
 
     Args:
         learner: learns in each task separately.
-        collect: plays the episodes of each update.
-        updates: number of updates; the curves have one entry more.
+        collect: plays `collect.episodes_per_task` episodes in each task; an update learns from
+            them.
+        episodes: of each task, in all: a multiple of those.
+        deploy: plays the fresh episodes that judge the deployed agents; None for none.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
-        saved: where an earlier adaptation of all tasks of the set stopped, to go on from there;
-            None to begin anew. An adaptation in two parts plays the same episodes as one in a
-            single part.
+        saved: contexts of all tasks of the set to go on from; None for the learner's own start.
+            An adaptation in two parts plays the same episodes as one in a single part.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
             do not depend on which others there are.
 
     Raises:
         EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
-        ValueError: an update is to learn from too few episodes, or the learner cannot go on from
-            saved contexts.
+        ValueError: the learner cannot go on from contexts.
     """
-    can = learner.capabilities
-    # A learner of trials learns one episode at a time.
-    episodes_per_update = 1 if can.trial_episodes is not None else collect.episodes_per_task
-    if updates:
-        can.check_episodes(episodes_per_update)
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
-    first_update = 0 if saved is None else int(saved.updates)
-    numbers = range(first_update, first_update + updates + 1)
+    first = 0 if saved is None else saved.updates
+    updates = range(first, first + episodes // collect.episodes_per_task + 1)
     parts = [
-        _adapt_chunk(learner, collect, slots, numbers, seed, saved)
+        _adapt_chunk(learner, collect, deploy, slots, updates, seed, saved)
         for slots in _chunks(chosen, chunk_size)
     ]
-    curves, contexts = jax.tree.map(lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts)
+    explored, deployed, contexts = jax.tree.map(
+        lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
+    )
+    trial_episodes = learner.capabilities.trial_episodes
     return AdaptationOutcome(
-        curves,
+        explored,
+        deployed,
         contexts,
-        first_update,
-        episodes_per_update,
-        can.trial_episodes,
+        first,
+        # Trials are played side by side: each has seen one episode more.
+        collect.episodes_per_task if trial_episodes is None else 1,
+        trial_episodes,
     )
 
 
 def _adapt_chunk(
     learner: AbstractFastLearner[Any],
     collect: Collect,
+    deploy: Collect | None,
     slots: np.ndarray,
     updates: range,
     seed: int,
     saved: SavedContexts | None,
-) -> tuple[AdaptationCurves, Any]:
+) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
     if saved is not None:
-        saved = saved._replace(context=jax.tree.map(lambda x: x[slots], saved.context))
+        saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
     state = learner.init(_task_keys(seed, _START, slots), saved)
-    curves, contexts = [], []
-    for update in updates:
-        agents = learner.agents(state)
-        keys = _task_keys(seed, update, slots)
+
+    def play(plays: Collect, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
         try:
-            episodes = collect(keys, agents, jnp.asarray(slots), stage=update)
+            return plays(keys, learner.agents(state, purpose), jnp.asarray(slots), update)
         except EpisodeError as error:
             raise error.after(update) from error
-        curves.append(jax.tree.map(np.asarray, measure(episodes)))
-        contexts.append(jax.tree.map(np.asarray, agents.context))
+
+    columns = []
+    for update in updates:
+        keys = _task_keys(seed, update, slots)
+        fresh = None if deploy is None else play(deploy, "deploy", _deploy_keys(keys), update)
+        explored = play(collect, "explore", keys, update)
+        judged = None if fresh is None else measure(fresh)
+        columns.append(
+            jax.tree.map(np.asarray, (measure(explored), judged, learner.agents(state).context))
+        )
         if update < updates[-1]:
-            state = learner.update(state, episodes)
-    return _stack_updates(curves), _stack_updates(contexts)
+            state = learner.update(state, explored)
+    stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
+        lambda *xs: np.stack(xs, axis=1), *columns
+    )
+    return stacked
 
 
 @jax.jit
@@ -176,30 +193,30 @@ def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
 
 
-def _stack_updates(columns: list[Any]) -> Any:
-    """[task, ...] for each update -> [task, update, ...]."""
-    return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
+def _deploy_keys(keys: TaskKeys) -> TaskKeys:
+    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
 
 
-def as_rows(adaptation: AdaptationOutcome) -> Iterator[dict[str, np.float32 | int]]:
-    """Yield the curves as rows of a table, task by task.
+def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
+    """Yield the curves as rows of a table: `explore` and, if there are any, `deploy`.
 
     `episodes` is the number of episodes per task that the agent has learned from by then. Measures
     are in the precision that they were computed in, so that they are written with no more digits.
     """
-    curves = adaptation.curves
-    num_tasks, num_columns = curves.mean_return.shape
-    for task in range(num_tasks):
-        for column in range(num_columns):
-            update = adaptation.first_update + column
+    judged: dict[Purpose, AdaptationCurves | None] = {
+        "explore": outcome.explored,
+        "deploy": outcome.deployed,
+    }
+    for purpose, curves in judged.items():
+        if curves is None:
+            continue
+        measures = {name: np.asarray(values, np.float32) for name, values in vars(curves).items()}
+        for task, column in np.ndindex(curves.mean_return.shape):
+            update = outcome.first_update + column
             yield {
                 "task": task,
                 "update": update,
-                "episodes": update * adaptation.episodes_per_update,
-                "mean_return": np.float32(curves.mean_return[task, column]),
-                "goal_return": np.float32(curves.goal_return[task, column]),
-                "success_rate": np.float32(curves.success_rate[task, column]),
-                "final_success_rate": np.float32(curves.final_success_rate[task, column]),
-                "time_in_region": np.float32(curves.time_in_region[task, column]),
-                "solved_at_reset": np.float32(curves.solved_at_reset[task, column]),
+                "episodes": update * outcome.episodes_per_update,
+                "purpose": purpose,
+                **{name: values[task, column] for name, values in measures.items()},
             }

@@ -1,15 +1,22 @@
-"""Episodes of exploration, recorded in a run directory for its figures."""
+"""How an agent explores before it has learned anything of its task, recorded for figures."""
 
+import dataclasses
 from contextlib import closing
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
+from maesn.axes import TaskKeys
+from maesn.context import Latent
 from maesn.evaluation.evaluate import adapt, tasks_at_once
-from maesn.evaluation.explore import explore
-from maesn.evaluation.tables import write_arrays
+from maesn.experience.agent import Agents
+from maesn.learners import AbstractFastLearner
 from maesn.runs.run import Run
+from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
 
 # Episodes that figures show, and tasks that they are spread over: where the agent sees what differs
@@ -18,6 +25,63 @@ EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
 # Where they are recorded in a run directory.
 EXPLORATION = Path("figures") / "exploration.npz"
+
+Paths = Float[np.ndarray, "episode time_plus_1 2"]
+
+
+class Exploration(NamedTuple):
+    """Planar paths of an agent that has not learned anything about its task yet, in metres."""
+
+    prior_paths: Paths
+    """z drawn from the prior in every episode."""
+    prior_latents: Float[np.ndarray, "episode z"]
+    """The z of those episodes."""
+    fixed_paths: Paths | None
+    """z held at the prior's mean, so that only the noise of the actions is left; None for a
+    method without a latent."""
+
+
+def explore(
+    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1, seed: int = 0
+) -> Exploration:
+    """Play from the start in new tasks, once drawing z and once holding it at its mean.
+
+    Args:
+        learner: the fast learner of a trained or untrained policy.
+        collect: a world. Of each of its tasks that is played it plays `episodes_per_task`.
+        num_tasks: the first so many tasks of the world are played, the same ones in both cases;
+            from the first one again if there are not as many. One is enough if all tasks look the
+            same to the agent. If it sees what differs (how a table is laid, or an instruction),
+            each shows a part of what it does.
+        seed: of the episodes.
+    """
+    keys = jax.random.split(jax.random.key(seed), num_tasks)
+    agents = learner.agents(learner.init(keys))
+    paths, latents = _play(agents, collect, keys)
+    if not isinstance(agents.context, Latent):
+        return Exploration(paths, latents, None)
+    fixed = dataclasses.replace(agents, context=agents.context.at_mean())
+    return Exploration(paths, latents, _play(fixed, collect, keys)[0])
+
+
+def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, Any]:
+    """Return the paths and the latents of all episodes, task by task."""
+    episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
+    position = jax.vmap(jax.vmap(jax.vmap(collect.world.env.position)))(episodes.observation)
+    paths = jax.vmap(jax.vmap(_until_the_end))(position, episodes.valid)
+    return np.concatenate(paths), np.concatenate(episodes.z)
+
+
+def _until_the_end(
+    path: Float[Array, "time_plus_1 2"], valid: Bool[Array, " time"]
+) -> Float[Array, "time_plus_1 2"]:
+    """Let a path stay where its episode ended: what comes later is garbage.
+
+    Where the last state is not finite, because the physics blew up, the path ends a step earlier.
+    """
+    last = valid.sum()
+    last = jnp.where(jnp.isfinite(path[last]).all(), last, jnp.maximum(last - 1, 0))
+    return path[jnp.minimum(jnp.arange(len(path)), last)]
 
 
 def record_exploration(run: Run) -> Path:
@@ -33,7 +97,7 @@ def record_exploration(run: Run) -> Path:
         # As many episodes of every task as the trained policy's share of goals is counted among.
         at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
         everywhere = Collector(world, EXPLORATION_EPISODES)
-        reach = adapt(new, everywhere, updates=0, chunk_size=at_once).curves
+        reach = adapt(new, everywhere, episodes=0, chunk_size=at_once).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
     arrays = {
         "training_goals": goal(run.training_tasks.tasks),

@@ -10,14 +10,15 @@ import jax
 import numpy as np
 
 from maesn.axes import HostReadings
-from maesn.envs import AnyEnv, RewardKind, TaskFamily
+from maesn.envs import AnyEnv, TaskFamily
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.playback import Playback, record_adaptation
+from maesn.evaluation.running import fast_learner, new_tasks, open_run
 from maesn.evaluation.tables import adaptation_file
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
 from maesn.runs.run import Run
-from maesn.runs.shipped import working_copy
-from maesn.runs.storage import RunError, explained, write_whole
+from maesn.storage import RunError, explained, write_whole
 from maesn.worlds import Scene, arena, places
 from maesn.worlds.collector import Collector
 
@@ -28,32 +29,28 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    directory: str | Path,
+    run: str | Path | Run,
+    evaluation: Evaluation | None = None,
     *,
     task: int = 0,
-    update: Sequence[int] = (0, 5),
-    reward: RewardKind = "sparse",
-    tasks: str = "test",
-    episodes: int = 4,
-    episodes_per_task: int = 50,
-    seed: int = 0,
+    after: Sequence[int] = (0, 250),
+    shown: int = 4,
     out: str | Path | None = None,
     family: str | TaskFamily | None = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
-    The episodes are the first ones of those that `adapt` plays in this task with the same seed.
+    The episodes are the first ones of those that `maesn.adapt` plays in this task with the same
+    evaluation.
 
     Args:
-        directory: of the run, or the name of a policy that comes with the library; its latest
+        run: itself, its directory, or the name of a policy that comes with the library; its latest
             checkpoint is adapted.
+        evaluation: tasks, rule, budgets, seed; None for the usual one.
         task: index of the task in its set.
-        update: numbers of updates after which episodes are shown; 0 is before any adaptation.
-        reward: dense or sparse.
-        tasks: test, validation, training, ood, or the path of an `.npz` file.
-        episodes: how many episodes are shown after each of these updates.
-        episodes_per_task: how many are played; an update learns from all of them.
-        seed: of the episodes.
+        after: numbers of episodes that the agent has learned from when episodes are shown, up to
+            `evaluation.episodes`; 0 is before any adaptation.
+        shown: how many episodes are shown each time.
         out: directory of the pictures; None for `render` in the run's directory.
         family: the run's family, if it is your own: itself, or `module:name`.
 
@@ -64,41 +61,47 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run = Run.open(working_copy(directory), family=family)
-    task_set, updates = run.task_set(tasks), sorted(set(update))
-    _check(task, len(task_set), updates, episodes, episodes_per_task, seed)
-    env = run.env(reward)
-    _refuse_blindness(env)
-    learner = run.learner.fast_learner(run.latest_state())
-    with closing(run.world(task_set, reward)) as world:
-        collect = Collector(world, episodes_per_task)
-        played = record_adaptation(
-            learner, collect, task=task, updates=updates, num_episodes=episodes, seed=seed
+    run, asked = open_run(run, family), Evaluation() if evaluation is None else evaluation
+    updates = _updates(sorted(set(after)), asked)
+    if not 1 <= shown <= asked.episodes_per_update:
+        raise RunError(
+            f"`shown` must be from 1 to `episodes_per_update`, {asked.episodes_per_update}, got "
+            f"{shown}."
         )
+    with new_tasks(run, asked) as world:
+        if not 0 <= task < len(world.tasks):
+            raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
+        env = world.env
+        _refuse_blindness(env)
+        played = record_adaptation(
+            fast_learner(run, asked, world),
+            Collector(world, asked.episodes_per_update),
+            task=task,
+            updates=updates,
+            num_episodes=shown,
+            seed=asked.seed,
+        )
+        goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
-    with closing(_Stage(env, task_set[task], played, stride)) as stage:
-        rows = [stage.row(playback, episodes_per_task) for playback in played]
-    name = f"{adaptation_file(run.directory, tasks, reward).stem}-task-{task}"
-    title = f"{run.settings.method} on {run.config.family}, {reward} reward, {tasks} task {task}"
+    with closing(_Stage(env, goal, played, stride)) as stage:
+        rows = [stage.row(playback, asked.episodes_per_update) for playback in played]
+    name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
+    title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
     period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
     return _write(folder, {f"{name}.gif": moving, f"{name}.png": contact_sheet(title, rows)})
 
 
-def _check(
-    task: int, num_tasks: int, updates: list[int], episodes: int, played: int, seed: int
-) -> None:
-    if not 0 <= task < num_tasks:
-        raise RunError(f"`task` must be from 0 to {num_tasks - 1}, got {task}.")
-    if not updates or updates[0] < 0:
-        raise RunError(f"`update` must be at least one number from 0 on, got {updates}.")
-    if not 1 <= episodes <= played:
+def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
+    """Return the numbers of updates that lie behind numbers of episodes, ascending."""
+    each, most = evaluation.episodes_per_update, evaluation.episodes
+    if not after or after[0] < 0 or after[-1] > most or any(count % each for count in after):
         raise RunError(
-            f"`episodes` must be from 1 to `episodes_per_task`, {played}, got {episodes}."
+            "`after` must be numbers of episodes, multiples of `episodes_per_update`, "
+            f"{each}, from 0 to `episodes`, {most}, got {list(after)}."
         )
-    if not 0 <= seed < 2**32:
-        raise RunError(f"`seed` must be from 0 to 2^32 - 1, got {seed}.")
+    return [count // each for count in after]
 
 
 def _refuse_blindness(env: AnyEnv) -> None:
@@ -122,7 +125,7 @@ class _Stage:
     def row(self, playback: Playback, num_played: int) -> Row:
         """Draw all episodes of one number of updates."""
         cells = [self._cell(playback, episode) for episode in _episodes(playback)]
-        done = f"after {playback.update} update{'s' if playback.update > 1 else ''}"
+        done = f"after {playback.update * num_played} episodes"
         return Row(
             f"{done if playback.update else 'before adaptation'}: mean return "
             f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "

@@ -87,11 +87,11 @@ def record_adaptation(
     outcome = adapt(
         learner,
         recorder,
-        updates=max(updates),
+        episodes=max(updates) * collect.episodes_per_task,
         seed=seed,
         tasks=[task],
     )
-    curves = outcome.curves
+    curves = outcome.explored
     return [
         Playback(
             update,

@@ -1,12 +1,12 @@
 """What decides the curves of an adaptation: two that agree in it are the same curves."""
 
-import dataclasses
 from typing import Any, NamedTuple
 
+from maesn.envs import describe_env
+from maesn.evaluation.evaluation import Evaluation
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.settings import is_left_out
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
 
@@ -19,13 +19,17 @@ class Identity(NamedTuple):
     """Digest of what it has learned before; empty for nothing."""
 
 
+def identity_of_run(run: Run) -> Identity:
+    """Return what the latest checkpoint of a run is."""
+    learner = f"{run.settings.method} {digest(run.learner)}"
+    return Identity(learner, digest_of_arrays(run.latest_state()))
+
+
 def adaptation_record(
     who: Identity,
     world: AbstractWorld,
     engine: EngineName,
-    episodes_per_task: int,
-    seed: int,
-    updates: int,
+    evaluation: Evaluation,
     first_update: int = 0,
 ) -> dict[str, Any]:
     """Return all that decides the curves of an adaptation, as JSON values.
@@ -34,51 +38,20 @@ def adaptation_record(
         who: adapts.
         world: where, to all of its tasks.
         engine: by which name the world's engine was asked for.
-        episodes_per_task: episodes per task and update.
-        seed: of the episodes.
-        updates: number of updates.
+        evaluation: rule and budgets.
         first_update: number of updates that lay before.
     """
-    env = world.env
     return {
         "learner": who.learner,
         "weights": who.weights,
-        "family": env.name,
-        "variant": env.variant,
-        "reward": env.reward_kind,
-        "sparse_radius": float(env.sparse_radius),
-        "engine": engine_of(env, engine),
+        "rule": evaluation.rule_text,
+        "world": describe_env(world.env),
+        "engine": engine_of(world.env, engine),
         "task_digest": world.tasks.digest(),
-        "episodes_per_task": episodes_per_task,
-        "seed": seed,
-        "updates": updates,
+        "episodes_per_update": evaluation.episodes_per_update,
+        "deploy_episodes": evaluation.deploy_episodes,
+        "seed": evaluation.seed,
+        "num_tasks": evaluation.count(world.tasks),
+        "episodes": evaluation.episodes,
         "first_update": first_update,
     }
-
-
-def identity_of_run(run: Run, added: str = "") -> Identity:
-    """Return what the latest checkpoint of a run is.
-
-    Args:
-        run: whose.
-        added: what is added to its learner in new tasks.
-    """
-    learner = f"{run.settings.method} {digest(run.learner)}{added}"
-    return Identity(learner, digest_of_arrays(run.latest_state()))
-
-
-def written_out(settings: Any) -> str:
-    """Write settings out in full: defaults as well, which may be others in a later version.
-
-    Fields that were `added_later` are left out at their default, at which they do what was done
-    before they existed.
-    """
-    if not dataclasses.is_dataclass(settings):
-        return repr(settings)
-    fields = [(field, getattr(settings, field.name)) for field in dataclasses.fields(settings)]
-    values = (
-        f"{field.name}={written_out(value)}"
-        for field, value in fields
-        if not is_left_out(field, value)
-    )
-    return f"{type(settings).__name__}({', '.join(values)})"

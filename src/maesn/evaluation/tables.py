@@ -4,43 +4,50 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContext, Latent
-from maesn.envs import NAMED_SETS, RewardKind
-from maesn.evaluation.evaluate import AdaptationOutcome, as_rows
-from maesn.runs.storage import RunError, explained, write_json, write_whole
+from maesn.envs import NAMED_SETS
+from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
+from maesn.evaluation.evaluation import Evaluation
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    write_arrays,
+    write_json,
+    write_whole,
+)
 
 
-def adaptation_file(
-    directory: Path, tasks: str, reward: RewardKind, first_update: int = 0, suffix: str = ""
-) -> Path:
+def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `from-UPDATE-` before it if the adaptation went on from an earlier one. The suffix says what
-    was added to the learner, and which engine was asked for by name.
+    `from-UPDATE-` before it if the adaptation went on from an earlier one. Behind the reward stand
+    rule and wrappers, the sparse radius and the engine, each where it is not the usual one: tables
+    of different kinds never share a file, and so never a figure.
     """
+    tasks = evaluation.tasks
     name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
     prefix = f"from-{first_update}-" if first_update else ""
-    return directory / "adaptation" / f"{prefix}{name}-{reward}{suffix}.csv"
-
-
-def engine_suffix(engine: str | None) -> str:
-    """Return the suffix of a table that an engine has played which was asked for by name.
-
-    Two engines' tables never share a file, and so never a figure.
-    """
-    return "" if engine is None else f"-on-{engine}"
+    radius = evaluation.sparse_radius
+    suffix = evaluation.suffix + ("" if radius is None else f"-radius-{radius:g}")
+    engine = "" if evaluation.engine is None else f"-on-{evaluation.engine}"
+    return directory / "adaptation" / f"{prefix}{name}-{evaluation.reward}{suffix}{engine}.csv"
 
 
 def latents_file(table: Path) -> Path:
     """Return the path of the latents that belong to a table of adaptation curves."""
     return table.with_suffix(".latents.npz")
+
+
+def record_of_latents(latents: Path) -> Path:
+    """Return the path of the file that says how latents were made."""
+    return latents.with_name(f"{latents.name.removesuffix('.latents.npz')}.settings.json")
 
 
 def record_file(table: Path) -> Path:
@@ -63,26 +70,46 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         return list(csv.DictReader(file))
 
 
-def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> None:
+class Adapted(NamedTuple):
+    """What `maesn.adapt` has done."""
+
+    outcome: AdaptationOutcome
+    table: Path
+    """The curves, a `.csv` file."""
+    latents: Path | None
+    """The adapted latents, an `.npz` file, `[task, update, z]`; None where none are adapted."""
+
+    @property
+    def curves(self) -> AdaptationCurves:
+        """The curves that judge the method, `[task, update]` each."""
+        return self.outcome.curves
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
     """Write curves as a `.csv` file; beside it adapted latents, and how both were made.
 
     Args:
         table: path of the curves.
         outcome: what to write.
         record: how it was made, as JSON values.
+
+    Returns:
+        What was written, and where.
     """
     # In this order: a record never stands beside curves that it does not belong to.
     with explained("replace", record_file(table)):
         record_file(table).unlink(missing_ok=True)
     write_rows(table, list(as_rows(outcome)))
     write_json(record_file(table), dict(record))
-    if isinstance(outcome.contexts, Latent):
-        arrays = {
-            "mean": outcome.contexts.mean.swapaxes(0, 1),
-            "log_std": outcome.contexts.log_std.swapaxes(0, 1),
-            "first_update": np.asarray(outcome.first_update),
-        }
-        write_arrays(latents_file(table), arrays)
+    if not isinstance(outcome.contexts, Latent):
+        return Adapted(outcome, table, None)
+    arrays = {
+        "mean": outcome.contexts.mean,
+        "log_std": outcome.contexts.log_std,
+        "first_update": np.asarray(outcome.first_update),
+    }
+    write_arrays(latents_file(table), arrays)
+    return Adapted(outcome, table, latents_file(table))
 
 
 def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
@@ -99,27 +126,51 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
         raise RunError(
             f"`{path}` cannot be a start: this run's method has no latents that are adapted."
         )
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            mean, log_std = arrays["mean"], arrays["log_std"]
-            first = int(arrays["first_update"])
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.ndim != 3 or not len(mean) or mean.shape != log_std.shape:
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    if mean.shape[1:] != like.mean.shape:
+    mean, log_std, first = _latents(path)
+    if mean[:, -1].shape != like.mean.shape:
         raise RunError(
-            f"`{path}` holds latents of the shape [task, component] = {list(mean.shape[1:])}, but "
+            f"`{path}` holds latents of the shape [task, z] = {list(mean[:, -1].shape)}, but "
             f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
         )
-    return Latent(jnp.asarray(mean[-1]), jnp.asarray(log_std[-1])), first + len(mean) - 1
+    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
+    return last, first + mean.shape[1] - 1
 
 
-def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    """Write an `.npz` file of plain arrays, and the directories above it."""
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **{name: np.asarray(x) for name, x in arrays.items()})
-    _write(path, content.getvalue())
+def adapted_latent(path: Path, task: int) -> tuple[Latent, int]:
+    """Read the last latent that an adaptation has saved of one task, and the updates behind it.
+
+    Args:
+        path: of the file.
+        task: index of the task in the set that was adapted to.
+
+    Raises:
+        RunError: the file cannot be read or lacks the task.
+    """
+    mean, log_std, first = _latents(path)
+    num_tasks, columns, _ = mean.shape
+    if not 0 <= task < num_tasks:
+        raise RunError(
+            f"`task` must be an index from 0 to {num_tasks - 1}, the tasks of `{path}`, got {task}."
+        )
+    last = Latent(jnp.asarray(mean[task, -1]), jnp.asarray(log_std[task, -1]))
+    return last, first + columns - 1
+
+
+def _latents(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return mean and log standard deviation, `[task, update, z]`, and the first update's number.
+
+    Raises:
+        RunError: the file cannot be read or is something else.
+    """
+    try:
+        arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
+        mean, log_std = arrays["mean"], arrays["log_std"]
+        first = int(arrays["first_update"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
+    if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
+        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
+    return mean, log_std, first
 
 
 def _write(path: Path, content: bytes) -> None:

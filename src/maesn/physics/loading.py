@@ -48,24 +48,41 @@ def label(model: str | os.PathLike[str]) -> str:
     return f"{name.strip().partition('>')[0]}>" if _is_xml(name) else name
 
 
+def find_model(model: str | os.PathLike[str]) -> str | Path:
+    """Return the XML of a model, or where a user's file of it is.
+
+    Args:
+        model: as for `load_model`.
+
+    Raises:
+        FileNotFoundError: there is neither such a model nor such a file.
+    """
+    name = os.fspath(model)
+    if _is_xml(name):
+        return name
+    files = (resources.files("maesn.physics") / "models").iterdir()
+    own = {file.name: file for file in files if file.name.endswith(".xml")}
+    for candidate in (name, f"{name}.xml"):
+        if candidate in own:
+            return own[candidate].read_text("utf-8")
+    if not Path(name).is_file():
+        raise FileNotFoundError(
+            f"`model` must be one of {', '.join(sorted(own))} or the path of an XML file, got "
+            f"{name!r}, which is neither: check the spelling, or the directory that a relative "
+            "path starts in"
+        )
+    return Path(name)
+
+
 def _is_xml(name: str) -> bool:
     return name.lstrip().startswith("<")
 
 
 def _compile(name: str) -> mujoco.MjModel:
-    if _is_xml(name):
-        return mujoco.MjModel.from_xml_string(name)
-    own = resources.files("maesn.physics") / "models"
-    names = sorted(entry.name for entry in own.iterdir() if entry.name.endswith(".xml"))
-    for candidate in (name, f"{name}.xml"):
-        if candidate in names:
-            return mujoco.MjModel.from_xml_string((own / candidate).read_text("utf-8"))
-    if not Path(name).is_file():
-        raise FileNotFoundError(
-            f"`model` must be one of {', '.join(names)} or the path of an XML file, got {name!r}, "
-            "which is neither: check the spelling, or the directory that a relative path starts in"
-        )
-    return mujoco.MjModel.from_xml_path(name)
+    found = find_model(name)
+    if isinstance(found, Path):
+        return mujoco.MjModel.from_xml_path(name)
+    return mujoco.MjModel.from_xml_string(found)
 
 
 def _redirect_warnings() -> None:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from maesn.report.reading import ReportError, read_json
 from maesn.report.table_name import table_name
+from maesn.storage import RunError, read_json
 
 Curves = Float[np.ndarray, "task update"]
 
@@ -127,12 +127,12 @@ def stack_seeds(
     """Return one measure of several runs that differ in their seed.
 
     Raises:
-        ReportError: if the runs were not adapted to as many tasks, or not with as many updates.
+        RunError: if the runs were not adapted to as many tasks, or not with as many updates.
     """
     extents = sorted({(t.num_tasks, t.first_update, int(t.updates[-1])) for t in tables})
     if len(extents) > 1:
         found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)
-        raise ReportError(
+        raise RunError(
             f"Expected every seed to be adapted alike, got {found} ({tables[0].tasks} tasks); "
             "run `maesn adapt` with the same `--tasks` and `--updates` for each."
         )
@@ -146,13 +146,13 @@ def read_adaptation(path: Path) -> AdaptationTable:
         path: `<tasks>-<reward>.csv`; rows in any order.
 
     Raises:
-        ReportError: if a column, a row or a number is missing, or a row occurs twice.
+        RunError: if a column, a row or a number is missing, or a row occurs twice.
     """
     rows = _read_rows(path)
     first = min((int(row["update"]) for row in rows), default=0)
     episodes = _grid(rows, "episodes", first, path)
     if (episodes != episodes[:1]).any():
-        raise ReportError(
+        raise RunError(
             f"Expected the same `episodes` for every task in `{path}`, got different ones; "
             f"{_remedy(path)}."
         )
@@ -173,7 +173,7 @@ def _recorded(path: Path) -> dict[str, Any]:
     said = {name: content.get(name) for name in ("episodes_per_task", "trial_episodes")}
     for name, value in said.items():
         if not isinstance(value, int | None):
-            raise ReportError(
+            raise RunError(
                 f"Expected a whole number or null for `{name}` in `{record}`, got {value!r}; "
                 f"{_remedy(path)}."
             )
@@ -191,13 +191,13 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
                 _numbers(row, columns, f"`{path}`, line {reader.line_num}", path) for row in reader
             ]
     except (OSError, UnicodeError, csv.Error) as error:
-        raise ReportError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
+        raise RunError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
 
 
 def _check_columns(present: Sequence[str], path: Path) -> None:
     missing = [name for name in COLUMNS if name not in present]
     if missing:
-        raise ReportError(
+        raise RunError(
             f"Expected the column `{missing[0]}` in `{path}`, got "
             f"{', '.join(present) or 'an empty file'}; {_remedy(path)}."
         )
@@ -213,11 +213,11 @@ def _number(text: str | None, what: str, path: Path) -> float:
     try:
         number = float(text or "")
     except ValueError as error:
-        raise ReportError(
+        raise RunError(
             f"Expected a number for {what}, got {text or 'nothing'}; {_remedy(path)}."
         ) from error
     if not np.isfinite(number):
-        raise ReportError(
+        raise RunError(
             f"Expected a finite number for {what}, got {text}; the adaptation of this task failed, "
             "see what `maesn adapt` reports."
         )
@@ -229,7 +229,7 @@ def _grid(rows: Sequence[Mapping[str, float]], name: str, first: int, path: Path
     cells = {(int(row["task"]), int(row["update"]) - first): row[name] for row in rows}
     num_tasks, num_columns = (1 + max((cell[k] for cell in cells), default=-1) for k in (0, 1))
     if not rows or len(cells) != len(rows) or len(cells) != num_tasks * num_columns:
-        raise ReportError(
+        raise RunError(
             f"Expected one row for each task and update in `{path}`, tasks 0 to {num_tasks - 1} "
             f"and {num_columns} updates, got {len(rows)} rows; {_remedy(path)}."
         )

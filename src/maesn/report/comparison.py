@@ -15,8 +15,9 @@ from maesn.report.adaptation_table import (
     AdaptationTable,
     stack_seeds,
 )
-from maesn.report.reading import ReportError, writing
+from maesn.report.reading import writing
 from maesn.report.style import MethodStyle
+from maesn.storage import RunError
 
 COLUMNS = (
     "method",
@@ -173,11 +174,11 @@ def first_part(table: AdaptationTable, num_tasks: int, updates: int) -> Adaptati
     """Return the table of the first so many tasks and updates.
 
     Raises:
-        ReportError: if the table holds less.
+        RunError: if the table holds less.
     """
     columns = updates + 1
     if table.first_update or table.num_tasks < num_tasks or len(table.episodes) < columns:
-        raise ReportError(
+        raise RunError(
             f"Expected {num_tasks} tasks with {updates} updates from the start, got "
             f"{table.num_tasks} tasks with updates {table.first_update} to "
             f"{int(table.updates[-1])}; delete the table and compare again."
@@ -214,7 +215,7 @@ def write_tidy_table(comparison: Comparison, path: Path) -> None:
     """Write the tidy table as a `.csv` file.
 
     Raises:
-        ReportError: if it cannot be written.
+        RunError: if it cannot be written.
     """
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=COLUMNS, lineterminator="\n")

@@ -79,7 +79,7 @@ def write_summary(comparison: Comparison, path: Path) -> None:
     """Write the tables as Markdown.
 
     Raises:
-        ReportError: the file cannot be written.
+        RunError: the file cannot be written.
     """
     texts = [table.to_markdown() for table in summary_tables(comparison)]
     with writing(path):

@@ -17,7 +17,6 @@ from maesn.report.figures.learning import TrainedSeries, plot_learning_curves
 from maesn.report.figures.structured_noise import plot_structured_noise
 from maesn.report.figures.task_distribution import plot_task_distribution
 from maesn.report.published import is_comparable, published_curve
-from maesn.report.reading import ReportError
 from maesn.report.runs import (
     RecordedRun,
     read_exploration,
@@ -28,6 +27,7 @@ from maesn.report.runs import (
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import save_figure
 from maesn.report.table_name import table_name
+from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
 
@@ -56,10 +56,10 @@ def plot_run_directories(
         The files written, a PNG and a PDF for each figure.
 
     Raises:
-        ReportError: if a directory holds no run, or a file in it is broken.
+        RunError: if a directory holds no run, or a file in it is broken.
     """
     if not directories:
-        raise ReportError("Expected at least one run directory in `directories`, got none.")
+        raise RunError("Expected at least one run directory in `directories`, got none.")
     console = Console() if console is None else console
 
     def say(sentence: str) -> None:

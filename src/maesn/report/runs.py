@@ -14,8 +14,9 @@ from maesn.report.adaptation_table import (
     prior_reach,
     read_adaptation,
 )
-from maesn.report.reading import ReportError, read_arrays, read_json, read_json_lines, take_array
+from maesn.report.reading import take_array
 from maesn.report.table_name import table_name
+from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
@@ -63,16 +64,16 @@ def read_run(path: Path) -> RecordedRun:
     """Read a run's `config.json`.
 
     Raises:
-        ReportError: if it is missing or lacks a setting.
+        RunError: if it is missing or lacks a setting.
     """
     file = path / "config.json"
     config = read_json(file, _RUN_REMEDY)
     settings, learner = config.get("settings"), config.get("learner")
     if not isinstance(settings, dict):
-        raise ReportError(f"Expected `settings` in `{file}`, got none; {_RUN_REMEDY}.")
+        raise RunError(f"Expected `settings` in `{file}`, got none; {_RUN_REMEDY}.")
     for name, kind in {"method": str, "family": str, "variant": str, "seed": int}.items():
         if not isinstance(settings.get(name), kind):
-            raise ReportError(
+            raise RunError(
                 f"Expected `{name}` of type {kind.__name__} among the `settings` in `{file}`, got "
                 f"{settings.get(name)!r}; {_RUN_REMEDY}."
             )
@@ -98,7 +99,7 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet.
 
     Raises:
-        ReportError: if a line is broken or has no `iteration`.
+        RunError: if a line is broken or has no `iteration`.
     """
     file = path / "metrics.jsonl"
     if not file.exists():
@@ -113,7 +114,7 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
         )
     )
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
-        raise ReportError(
+        raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
             f"{_METRICS_REMEDY}."
         )
@@ -169,7 +170,7 @@ def read_exploration(path: Path) -> RecordedExploration | None:
     """Read a run's `figures/exploration.npz`; None if there is none.
 
     Raises:
-        ReportError: if an array is missing or misshapen.
+        RunError: if an array is missing or misshapen.
     """
     file = exploration_file(path)
     if not file.exists():
@@ -234,7 +235,7 @@ def read_latents(path: Path, tasks: str, reward: str) -> Latents | None:
     """Read the latents beside an adaptation table; None if the method has none.
 
     Raises:
-        ReportError: if an array is missing or misshapen.
+        RunError: if an array is missing or misshapen.
     """
     file = path / "adaptation" / f"{tasks}-{reward}.latents.npz"
     if not file.exists():

@@ -7,14 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from maesn.report.reading import ReportError
 from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
+from maesn.storage import RunError
 
 # What decides whether returns can be compared at all.
 _WORLD = ("family", "variant", "sparse_radius", "engine")
-# Settings that are written only where they are not what they always were before they existed.
-_UNWRITTEN = {"engine": "native"}
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -47,7 +45,7 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
     """
     worlds: defaultdict[tuple[str, ...], list[RecordedRun]] = defaultdict(list)
     for run in runs:
-        settings = {**_UNWRITTEN, **run.settings}
+        settings = run.settings
         worlds[tuple(_text(settings.get(name)) for name in _WORLD)].append(run)
     named: dict[str, list[RecordedRun]] = {}
     for world, members in worlds.items():
@@ -64,7 +62,7 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     """Return one series for each experiment, in the order of the methods' styles.
 
     Raises:
-        ReportError: if two runs have the same settings, the seed included.
+        RunError: if two runs have the same settings, the seed included.
     """
     experiments: defaultdict[str, list[RecordedRun]] = defaultdict(list)
     for run in sorted(runs, key=_method_order):
@@ -110,7 +108,7 @@ def _check_seeds_differ(runs: Sequence[RecordedRun]) -> None:
     seen: dict[int, RecordedRun] = {}
     for run in runs:
         if run.seed in seen:
-            raise ReportError(
+            raise RunError(
                 f"Expected runs with different seeds or settings, got seed {run.seed} in both "
                 f"`{seen[run.seed].path}` and `{run.path}`; give only one of them."
             )

@@ -180,7 +180,7 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
         console: where it goes; None for standard output.
 
     Raises:
-        ReportError: if the file is missing or broken.
+        RunError: if the file is missing or broken.
     """
     console = Console() if console is None else console
     for summary in summary_tables([read_adaptation(path)], f"Adaptation: {path.stem}"):

@@ -8,7 +8,7 @@ from maesn.runs.checkpoint import named_leaves, restore
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
 from maesn.runs.shipped import find_run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 
 
 def begun_state(run: Run, source_directory: str | Path) -> Any:

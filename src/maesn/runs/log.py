@@ -15,7 +15,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import RecordWriter
 
-from maesn.runs.storage import explained
+from maesn.storage import explained
 
 logger = logging.getLogger(__name__)
 

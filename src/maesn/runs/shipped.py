@@ -7,7 +7,7 @@ written to: a command that leaves files works in a copy in the current folder.
 import shutil
 from pathlib import Path
 
-from maesn.runs.storage import RunError, explained, new_directory
+from maesn.storage import RunError, explained, new_directory
 
 TRAINED = Path(__file__).resolve().parents[1] / "trained"
 

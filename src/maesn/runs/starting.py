@@ -11,7 +11,7 @@ from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL, AbstractPolicy
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.worlds import EnvContractError, check_env_contract
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key

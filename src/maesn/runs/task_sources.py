@@ -1,28 +1,15 @@
 """Where tasks come from: families by name, a user's own families, and `.npz` files."""
 
 import importlib
-import io
-import zipfile
-import zlib
 from pathlib import Path
 
 import jax
 import numpy as np
 
 from maesn.envs import NAMED_SETS, SetName, TaskFamily, TaskSet, find_family
-from maesn.runs.storage import RunError, write_whole
+from maesn.storage import RunError, read_arrays, write_arrays
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
-
-# What NumPy and the ZIP format raise on a file that is damaged, or something else altogether.
-_UNREADABLE = (
-    OSError,
-    EOFError,
-    ValueError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 def resolve_family(name: str) -> TaskFamily:
@@ -143,7 +130,7 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """
     one_task = family.draw_tasks(np.random.default_rng(0), 1)
     leaves, structure = jax.tree.flatten(one_task)
-    arrays = _read_arrays(Path(path), family.task_names)
+    arrays = _read_rows(Path(path), family.task_names)
     rows = {len(array) if array.ndim else 0 for array in arrays.values()}
     tasks = [
         _fit(array, np.asarray(leaf), f"array `{name}` of `{path}`")
@@ -169,36 +156,16 @@ def save_tasks(path: Path, tasks: TaskSet, family: TaskFamily) -> None:
         RunError: the file cannot be written.
     """
     leaves = map(np.asarray, jax.tree.leaves(tasks.tasks))
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **dict(zip(family.task_names, leaves, strict=True)))
-    write_whole(path, content.getvalue())
+    write_arrays(path, dict(zip(family.task_names, leaves, strict=True)))
 
 
-def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        # Opened here, because NumPy leaves a file open that turns out to be no archive.
-        with path.open("rb") as file:
-            archive = np.load(file, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("it holds a single array without a name")
-            found = list(archive.files)
-            return {name: _array(archive[name]) for name in names}
-    except KeyError as error:
-        raise RunError(
-            f"`{path}` must hold the arrays {', '.join(names)}, one row for each task; "
-            f"it holds {', '.join(found) or 'none'}."
-        ) from error
-    except _UNREADABLE as error:
-        raise RunError(
-            f"`{path}` must be an .npz file with the arrays {', '.join(names)}, as "
-            f"numpy.savez writes it, but cannot be read: {error}."
-        ) from error
-
-
-def _array(entry: np.ndarray | bytes) -> np.ndarray:
-    if isinstance(entry, bytes):  # so NumPy hands over what is not in its own format
-        raise ValueError("an entry of it is no array")
-    return entry
+def _read_rows(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    wanted = f"the arrays {', '.join(names)}, one row for each task"
+    found = read_arrays(path, f"give an .npz file with {wanted}, as numpy.savez writes it")
+    if not set(names) <= set(found):
+        held = ", ".join(found) or "none"
+        raise RunError(f"`{path}` must hold {wanted}; it holds {held}.")
+    return {name: found[name] for name in names}
 
 
 def _fit(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:

@@ -18,7 +18,7 @@ from maesn.runs.compilation import CompileClock
 from maesn.runs.config import CONFIG, installed_versions
 from maesn.runs.log import Progress, RunLog
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError, locked
+from maesn.storage import RunError, locked
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 

@@ -1,17 +1,19 @@
-"""The file of a policy or of an explorer: an `.npz` of plain arrays and one JSON text.
+"""Files that are written whole or not at all, and `.npz` files of plain arrays.
 
+The file of a policy or of an explorer is such an `.npz` with one JSON text beside the arrays.
 Reading it can execute nothing, because pickled objects are refused.
 """
 
 import contextlib
+import io
 import json
 import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ from maesn.runtime.arrays import Arrays
 
 FORMAT = "maesn-policy"
 VERSION = 1
+# A file of this suffix was being written when its process died; nothing reads it.
+PARTIAL = ".partial"
 _METADATA = "metadata"
 
 # What `zipfile`, NumPy and JSON raise where a file is damaged, found by flipping its bits.
@@ -37,12 +41,89 @@ _UNREADABLE = (
 Kind = TypeVar("Kind")
 
 
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file so that at any moment, power cuts included, it is the old one or the new one.
+
+    Args:
+        path: of the file; one that exists is replaced.
+        content: of the file.
+
+    Raises:
+        OSError: the file cannot be written; one that existed is as it was.
+    """
+    target = Path(path)
+    partial = target.with_name(f"{target.name}.{os.getpid()}{PARTIAL}")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(target)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+    sync_directory(target.parent)
+
+
+def sync_directory(directory: str | os.PathLike[str]) -> None:
+    """Make the names in a directory survive a power cut; raises OSError if that fails."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Write arrays of numbers as an `.npz` file; see `write_whole`.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: an array holds Python objects.
+    """
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    write_whole(path, content.getvalue())
+
+
+def read_arrays(path: str | os.PathLike[str], names: Collection[str] | None = None) -> Arrays:
+    """Return the arrays of an `.npz` file by name. Nothing in it is executed.
+
+    Args:
+        path: of the file.
+        names: arrays that are needed; others are left unread. None for all.
+
+    Raises:
+        OSError: the file cannot be opened.
+        ValueError: it is damaged or something else, or an array is missing. The message does not
+            name the file.
+    """
+    with Path(path).open("rb") as file:
+        try:
+            with zipfile.ZipFile(file) as members:
+                damaged = members.testzip()  # before NumPy interprets anything
+            if damaged is not None:
+                raise zipfile.BadZipFile(f"the checksum of {damaged!r} is wrong")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                found = archive.files
+                wanted = found if names is None else [name for name in names if name in found]
+                arrays = {name: _array(name, archive[name]) for name in wanted}
+        except _UNREADABLE as error:
+            raise ValueError(f"it is no .npz file of plain arrays, or damaged ({error})") from error
+    missing = [name for name in names or () if name not in arrays]
+    if missing:
+        held = ", ".join(f"`{name}`" for name in found) or "none"
+        raise ValueError(f"array `{missing[0]}` is missing from the file, which holds {held}")
+    return arrays
+
+
 def write_archive(
     path: str | os.PathLike[str],
     arrays: Mapping[str, NDArray[np.generic]],
     metadata: Mapping[str, Any],
 ) -> None:
-    """Write a file as a whole or not at all: a robot may lose its power at any moment.
+    """Write the file of a policy or of an explorer; see `write_whole`.
 
     Args:
         path: of the file; one that exists is replaced.
@@ -54,36 +135,24 @@ def write_archive(
     """
     head = {"format": FORMAT, "version": VERSION, "arrays": sorted(arrays)}
     text = json.dumps({**head, **metadata})
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **{_METADATA: np.array(text), **arrays})
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(target)
-        _sync_directory(target.parent)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_arrays(path, {_METADATA: np.array(text), **arrays})
 
 
 def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays and the metadata of a file.
+    """Return the arrays and the metadata of a file that `write_archive` wrote.
 
     Raises:
         OSError: the file cannot be opened.
         ValueError: it is damaged, something else, or of a version that this one cannot read.
     """
-    with Path(path).open("rb") as file:
-        try:
-            arrays = _read_arrays(file)
-            metadata = json.loads(str(arrays.pop(_METADATA)))
-        except _UNREADABLE as error:
-            raise ValueError(
-                "it must be a file written by `maesn export` or `Explorer.save`, but it is "
-                f"something else or damaged ({error}); write it again"
-            ) from error
+    try:
+        arrays = read_arrays(path)
+        metadata = json.loads(str(arrays.pop(_METADATA)))
+    except (KeyError, ValueError) as error:
+        raise ValueError(
+            "it must be a file written by `maesn export` or `Explorer.save`, but it is "
+            f"something else or damaged ({error}); write it again"
+        ) from error
     _check_version(metadata)
     # Every array has a checksum, but a damaged table of contents can hide whole arrays.
     missing = set(entry(metadata, "arrays", list)) - set(arrays)
@@ -111,23 +180,10 @@ def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
     return value
 
 
-def _read_arrays(file: BinaryIO) -> Arrays:
-    with zipfile.ZipFile(file) as members:
-        damaged = members.testzip()  # before NumPy interprets anything
-    if damaged is not None:
-        raise zipfile.BadZipFile(f"the checksum of {damaged!r} is wrong")
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def _sync_directory(directory: Path) -> None:
-    """Make the new name survive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _array(name: str, member: NDArray[np.generic] | bytes) -> NDArray[np.generic]:
+    if isinstance(member, bytes):  # NumPy returns a member that is not in its own format as it is
+        raise ValueError(f"`{name}` is no array")
+    return member
 
 
 def _check_version(metadata: Any) -> None:

@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from maesn import api
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractMetaLearner
 from maesn.report.comparison import Comparison
 from maesn.report.style import MethodStyle, series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.runs.storage import RunError
 from maesn.runs.task_sources import resolve_family
+from maesn.storage import RunError
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 from maesn.studies.checks import check_world, open_oracle
-from maesn.studies.comparison import compare_lines, comparison_world, silent
-from maesn.studies.curves import ComparisonWorld, Conditions, Say
+from maesn.studies.comparison import USUAL, compare_lines, comparison_world, silent
+from maesn.studies.curves import ComparisonWorld, Say
 from maesn.studies.lines import LineSpec, line_of_runs
 
 RUNS = "runs"
@@ -63,7 +64,7 @@ def ablate(
     ablation: Ablation,
     out: str | Path,
     *,
-    conditions: Conditions,
+    evaluation: Evaluation = USUAL,
     radii: Sequence[float] = (),
     oracle: str | Path | None = None,
     say: Say = silent,
@@ -77,10 +78,10 @@ def ablate(
     Args:
         ablation: which lines, trained how.
         out: directory of runs, curves, figures and tables.
-        conditions: of the adaptation.
+        evaluation: of all lines.
         radii: sparse radii of the new tasks, in metres; none for `ablation.radii`.
         oracle: directory of a run of the preset `oracle`; without it there is no score.
-        say: is told what goes on.
+        say: receives messages of progress.
 
     Returns:
         One comparison per radius; None stands for the family's own.
@@ -90,9 +91,9 @@ def ablate(
             world with such a radius; the oracle is none, or one of another family.
     """
     out = Path(out)
-    told = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
+    ceiling = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
     worlds = {radius: _world(ablation, radius) for radius in radii or ablation.radii}
-    _check(ablation, out / RUNS, worlds.values(), conditions, told)
+    _check(ablation, out / RUNS, worlds.values(), evaluation, ceiling)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
@@ -100,10 +101,10 @@ def ablate(
     done: dict[float | None, Comparison] = {}
     for radius, settings in worlds.items():
         say(f"adaptation on sparse reward, {radius_label(radius)}")
-        with closing(comparison_world(settings, conditions)) as ground:
-            entries = _entries(runs, ground)
-            place = out / ("own-radius" if radius is None else f"radius-{radius:g}")
-            done[radius] = compare_lines(entries, ground, place, oracle=told, say=say)
+        with closing(comparison_world(settings, evaluation)) as world:
+            lines = _lines(runs, world)
+            folder = out / ("own-radius" if radius is None else f"radius-{radius:g}")
+            done[radius] = compare_lines(lines, world, folder, oracle=ceiling, say=say)
     return done
 
 
@@ -124,13 +125,13 @@ def _check(
     ablation: Ablation,
     directory: Path,
     worlds: Iterable[RunSettings],
-    conditions: Conditions,
-    told: Run | None,
+    evaluation: Evaluation,
+    ceiling: Run | None,
 ) -> None:
     """Refuse, before hours of training, what could not be compared after them."""
     for settings in worlds:
-        with closing(comparison_world(settings, conditions)) as ground:
-            check_world([told] if told else [], ground)
+        with closing(comparison_world(settings, evaluation)) as world:
+            check_world([ceiling] if ceiling else [], world)
     for name in ablation.names:
         for run in _runs(ablation, name, directory):
             _check_same(run, ablation, name)
@@ -205,9 +206,12 @@ def _check_same(run: Run, ablation: Ablation, name: str) -> None:
         )
 
 
-def _entries(runs: Mapping[str, Sequence[Run]], ground: ComparisonWorld) -> list[LineSpec]:
+def _lines(runs: Mapping[str, Sequence[Run]], world: ComparisonWorld) -> list[LineSpec]:
     styles = _styles(list(runs))
-    return [line_of_runs(name, styles[name], found, ground) for name, found in runs.items()]
+    return [
+        line_of_runs(name, styles[name], found, world, world.evaluation)
+        for name, found in runs.items()
+    ]
 
 
 def _finished(ablation: Ablation, name: str, directory: Path, say: Say) -> list[Run]:

@@ -1,4 +1,4 @@
-"""Who takes part in a comparison: trained runs, methods from scratch, and the floor."""
+"""The lines of a comparison: trained runs, methods from scratch, and baselines."""
 
 import dataclasses
 import math
@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import tyro
 
 from maesn.envs import AnyEnv
-from maesn.evaluation.record import Identity, identity_of_run, written_out
-from maesn.evaluation.tables import adaptation_file, engine_suffix
-from maesn.evaluation.test_time import NOTHING_ADDED, AtTestTime
+from maesn.evaluation.evaluation import Evaluation, written_out
+from maesn.evaluation.record import Identity, identity_of_run
+from maesn.evaluation.rules import Trained
+from maesn.evaluation.tables import adaptation_file
 from maesn.learners import (
     SCRATCH,
-    TRPO,
     AbstractFastLearner,
     GradientStep,
     baselines,
@@ -21,13 +21,13 @@ from maesn.learners import (
     trpo,
     vime,
 )
+from maesn.learners.scratch.policy_gradient import TRPO
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.run import Run
-from maesn.runs.storage import RunError
+from maesn.storage import RunError
 from maesn.studies.curves import ComparisonWorld, SeededLearner
-from maesn.worlds import EngineName
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class LineSpec:
 
     name: str
     style: MethodStyle
-    contestants: tuple[SeededLearner, ...]
+    learners: tuple[SeededLearner, ...]
     """One per seed."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if there is no such limit."""
@@ -59,8 +59,8 @@ class Scratch:
     """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
     0.01."""
     curiosity_weight: float = CuriosityBonus().weight
-    """Of vime, and of runs that are made curious: what a transition of typical information gain is
-    paid. Published: 1e-4."""
+    """Of vime from scratch: the bonus for a transition of typical information gain. Published:
+    1e-4."""
 
     def __post_init__(self) -> None:
         for name in ("step_size", "max_kl"):
@@ -99,11 +99,8 @@ def line_of_runs(
     name: str,
     style: MethodStyle,
     runs: Sequence[Run],
-    ground: ComparisonWorld,
-    *,
-    updates: int | None = None,
-    engine: EngineName | None = None,
-    test_time: AtTestTime = NOTHING_ADDED,
+    world: ComparisonWorld,
+    evaluation: Evaluation,
 ) -> LineSpec:
     """Return trained runs that differ in their seed alone.
 
@@ -111,47 +108,36 @@ def line_of_runs(
         name: of the line.
         style: of the line.
         runs: each with its latest checkpoint, never the best one.
-        ground: where they are adapted.
-        updates: number of updates; None for what the conditions say.
-        engine: the engine, if it was asked for by name.
-        test_time: what is added to the learners in new tasks.
+        world: of the comparison.
+        evaluation: with the rule of this line.
 
     Raises:
-        RunError: the learner cannot be given that.
+        RunError: rule and method do not fit.
     """
-    conditions = ground.conditions
-    tuned = test_time.fine_tune is not None
-    number = conditions.updates_of_runs(tuned=tuned) if updates is None else updates
-    suffix = test_time.suffix + engine_suffix(engine)
-    contestants, trial_episodes, training_steps = [], None, 0
+    learners, trial_episodes, training_steps = [], None, 0
     for run in runs:
         trained = run.latest()
         training_steps = max(training_steps, trained.environment_steps)
-        learner = run.learner.fast_learner(trained.state)
-        learner = test_time.add_to(learner, run, ground.env, conditions.episodes_per_task)
+        learner = evaluation.fast_learner(
+            Trained(run.learner, trained.state), run.settings.method, world.env
+        )
         trial_episodes = learner.capabilities.trial_episodes
-        contestants.append(
+        learners.append(
             SeededLearner(
-                name=name + test_time.suffix,
+                name=name + evaluation.suffix,
                 seed=run.settings.seed,
                 learner=learner,
-                record=ground.record(
-                    identity_of_run(run, test_time.written), conditions.seed, number
-                ),
-                num_tasks=ground.num_tasks,
-                earlier=adaptation_file(
-                    run.directory, conditions.tasks, conditions.reward, 0, suffix
-                ),
+                record=world.record(identity_of_run(run), evaluation),
+                earlier=adaptation_file(run.directory, evaluation),
             )
         )
-    drawn = _tuned(style, test_time) if test_time.suffix else style
-    return LineSpec(
-        name + test_time.suffix, drawn, tuple(contestants), trial_episodes, training_steps
-    )
+    drawn = _changed(style, evaluation) if evaluation.label else style
+    name = name + evaluation.suffix
+    return LineSpec(name, drawn, tuple(learners), trial_episodes, training_steps)
 
 
 def line_of_scratch(
-    name: str, num_tasks: int | None, scratch: Scratch, ground: ComparisonWorld
+    name: str, num_tasks: int | None, scratch: Scratch, world: ComparisonWorld
 ) -> LineSpec:
     """Return a method that begins anew in every task, with several seeds.
 
@@ -159,18 +145,16 @@ def line_of_scratch(
         name: one of `SCRATCH`.
         num_tasks: the first so many tasks alone; None for all of the comparison.
         scratch: its settings; each seed is that of fresh policies and of the episodes.
-        ground: where it learns.
+        world: of the comparison.
     """
-    learner = scratch.learner(name, ground.env)
-    count = ground.num_tasks if num_tasks is None else min(num_tasks, ground.num_tasks)
-    contestants = [
-        _unlearned(name, learner, seed, ground, ground.conditions.updates, count)
-        for seed in scratch.seeds
-    ]
-    return LineSpec(name, METHOD_STYLES[name], tuple(contestants))
+    learner, asked = scratch.learner(name, world.env), world.evaluation
+    counts = [count for count in (num_tasks, asked.num_tasks) if count is not None]
+    asked = dataclasses.replace(asked, num_tasks=min(counts, default=None))
+    learners = [_untrained(name, learner, seed, world, asked) for seed in scratch.seeds]
+    return LineSpec(name, METHOD_STYLES[name], tuple(learners))
 
 
-def scratch_lines(scratch: Scratch, ground: ComparisonWorld) -> list[LineSpec]:
+def scratch_lines(scratch: Scratch, world: ComparisonWorld) -> list[LineSpec]:
     """Return the methods that begin anew in every task.
 
     Raises:
@@ -184,7 +168,7 @@ def scratch_lines(scratch: Scratch, ground: ComparisonWorld) -> list[LineSpec]:
                 f"`scratch` must name each method once, got {' '.join(scratch.methods)}: `{name}` "
                 "is meant twice (`vpg` is `reinforce`)."
             )
-    return [line_of_scratch(*one, scratch, ground) for one in chosen]
+    return [line_of_scratch(*one, scratch, world) for one in chosen]
 
 
 def _method_and_count(text: str) -> tuple[str, int | None]:
@@ -201,36 +185,35 @@ def _method_and_count(text: str) -> tuple[str, int | None]:
     return SCRATCH[name].__name__, int(count) if colon else None
 
 
-def baseline_lines(ground: ComparisonWorld) -> list[LineSpec]:
-    """Return the agents that learn nothing, of which the better one is the floor."""
-    env, seed = ground.env, ground.conditions.seed
-    entries = []
-    for name, learner in baselines(env.observation_size, env.action_size, env.action_kind).items():
-        contestant = _unlearned(name.replace(" ", "_"), learner, seed, ground, 0, ground.num_tasks)
-        style = MethodStyle(name, DARK_GREY, ":", ".")
-        entries.append(LineSpec(contestant.name, style, (contestant,)))
-    return entries
+def baseline_lines(world: ComparisonWorld) -> list[LineSpec]:
+    """Return the agents that learn nothing, of which the better one is the baseline."""
+    env, asked = world.env, dataclasses.replace(world.evaluation, episodes=0)
+    lines = []
+    for label, learner in baselines(env.observation_size, env.action_size, env.action_kind).items():
+        name = label.replace(" ", "_")
+        one = _untrained(name, learner, asked.seed, world, asked)
+        lines.append(LineSpec(name, MethodStyle(label, DARK_GREY, ":", "."), (one,)))
+    return lines
 
 
-def _unlearned(
+def _untrained(
     name: str,
     learner: AbstractFastLearner[Any],
     seed: int,
-    ground: ComparisonWorld,
-    updates: int,
-    num_tasks: int,
+    world: ComparisonWorld,
+    evaluation: Evaluation,
 ) -> SeededLearner:
-    """Return a contestant that has learned nothing before."""
+    """Return a learner that has not been trained before."""
     written = " ".join(f"{name} {written_out(learner)}".split())
-    record = ground.record(Identity(written), seed, updates)
-    return SeededLearner(name, seed, learner, record, num_tasks)
+    record = world.record(Identity(written), dataclasses.replace(evaluation, seed=seed))
+    return SeededLearner(name, seed, learner, record)
 
 
-def _tuned(style: MethodStyle, test_time: AtTestTime) -> MethodStyle:
-    """Return the style of a changed method: dashed, unless nothing but its steps is changed."""
+def _changed(style: MethodStyle, evaluation: Evaluation) -> MethodStyle:
+    """Return the style of a line whose label says what is changed; dashed if something is added."""
     # Into parentheses that are there already, as in "MAML (bias only)".
     opened = f"{style.label[:-1]}; " if style.label.endswith(")") else f"{style.label} ("
-    named = dataclasses.replace(style, label=f"{opened}{test_time.label})")
-    if not (test_time.curious or test_time.fine_tune):
+    named = dataclasses.replace(style, label=f"{opened}{evaluation.label})")
+    if not evaluation.wrappers:
         return named
     return dataclasses.replace(named, line=(0, (2.0, 1.0)), marker="d")

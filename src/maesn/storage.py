@@ -1,20 +1,24 @@
-"""Files of a run: written whole or not at all, and whatever fails is told in one sentence."""
+"""Files: written whole or not at all, read without executing anything.
+
+What a user can mend is a `RunError`, whose message says in one sentence what to do.
+"""
 
 import contextlib
 import errno
 import fcntl
 import json
 import logging
-import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from maesn.runtime import archive
+
 logger = logging.getLogger(__name__)
 
-# A file of this suffix was being written when its process died; nothing reads it.
-PARTIAL = ".partial"
 # Stands in a directory that is being filled. Where it has stayed, its process died over that.
 UNFINISHED = ".unfinished"
 
@@ -32,7 +36,7 @@ _ADVICE = {
 
 
 class RunError(Exception):
-    """A run cannot be made, read or continued; the message is a sentence for the user."""
+    """What was asked for cannot be done; the message is a sentence that says what to do."""
 
 
 @contextlib.contextmanager
@@ -49,6 +53,19 @@ def explained(action: str, path: Path) -> Iterator[None]:
         reason = error.strerror or str(error)
         advice = _ADVICE.get(error.errno or 0, "look at the file system, then try again")
         raise RunError(f"cannot {action} `{path}` ({reason}): {advice}.") from error
+
+
+@contextlib.contextmanager
+def refusals(before: str = "") -> Iterator[None]:
+    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`.
+
+    Args:
+        before: what the message begins with.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise RunError(f"{before}{error}") from error
 
 
 @contextlib.contextmanager
@@ -86,27 +103,8 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         RunError: the operating system refuses, for example because the disk is full.
     """
-    partial = path.with_name(path.name + PARTIAL)
     with explained("write", path):
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
-        sync_directory(path.parent)
-
-
-def sync_directory(directory: Path) -> None:
-    """Make the names in a directory survive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        archive.write_whole(path, content)
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
@@ -122,21 +120,68 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     write_whole(path, (text + "\n").encode())
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON document.
+def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
+    """Read a JSON object.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
 
     Raises:
-        RunError: the file is missing, unreadable, or not a JSON object.
+        RunError: the file is missing, unreadable, or no JSON object.
     """
-    with explained("read", path):
-        content = path.read_bytes()
     try:
-        document = json.loads(content)
-    except ValueError as error:
-        raise RunError(f"`{path}` must hold a JSON document, but: {error}.") from error
-    if not isinstance(document, dict):
-        raise RunError(f"`{path}` must hold a JSON object, got {type(document).__name__}.")
-    return document
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise RunError(f"Expected a JSON file at `{path}`, got {_why(error)}; {remedy}.") from error
+    return _object(document, f"`{path}`", remedy)
+
+
+def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
+    """Read a file with one JSON object per line.
+
+    A last line without its line break is left out: it may be being written at this moment.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
+
+    Raises:
+        RunError: the file is unreadable, or a line is no JSON object.
+    """
+    try:
+        complete, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    except (OSError, ValueError) as error:
+        raise RunError(f"Expected metrics at `{path}`, got {_why(error)}; {remedy}.") from error
+    lines = enumerate(complete.splitlines(), start=1)
+    return [_line(line, f"`{path}`, line {i}", remedy) for i, line in lines if line.strip()]
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an `.npz` file of plain arrays, and the directories above it.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
+
+
+def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
+    """Read the arrays of an `.npz` file by name. Pickled objects are refused.
+
+    Args:
+        path: of the file.
+        remedy: what the user should do if it is missing or damaged.
+
+    Raises:
+        RunError: the file is unreadable, or holds something else than arrays.
+    """
+    try:
+        return archive.read_arrays(path)
+    except (OSError, ValueError) as error:
+        raise RunError(f"Expected arrays at `{path}`, got {_why(error)}; {remedy}.") from error
 
 
 @contextlib.contextmanager
@@ -164,3 +209,27 @@ def locked(path: Path) -> Iterator[None]:
                 path.parent,
             )
         yield
+
+
+def _line(line: str, where: str, remedy: str) -> dict[str, Any]:
+    try:
+        document = json.loads(line)
+    except ValueError as error:
+        raise RunError(
+            f"Expected a JSON object in {where}, got {line[:40]!r}; {remedy}."
+        ) from error
+    return _object(document, where, remedy)
+
+
+def _object(document: Any, where: str, remedy: str) -> dict[str, Any]:
+    if not isinstance(document, dict):
+        raise RunError(f"Expected an object in {where}, got {type(document).__name__}; {remedy}.")
+    return document
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return f"something else that cannot be read ({error})"

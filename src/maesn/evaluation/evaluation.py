@@ -1,0 +1,155 @@
+"""What is done in new tasks: which tasks, under which rule, for how many episodes."""
+
+import dataclasses
+from collections.abc import Sized
+from typing import Annotated, Any
+
+import tyro
+
+from maesn.envs import RewardKind
+from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, default_rule
+from maesn.runs.serialization import digest_of_document
+from maesn.settings import check_choice
+from maesn.storage import RunError
+from maesn.worlds import EngineName
+
+CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
+
+    tasks: str = "test"
+    """test (report on these), validation (choose on these), training, ood (unlike all of these), or
+    the path of an `.npz` file."""
+    num_tasks: int | None = None
+    """The first so many of them; None: all."""
+    reward: RewardKind = "sparse"
+    """Reward in the new tasks."""
+    rule: Annotated[AbstractRule | None, tyro.conf.Suppress] = None
+    """What happens in a new task; None: what the method prescribes."""
+    wrappers: Annotated[tuple[AbstractWrapper, ...], tyro.conf.Suppress] = ()
+    """What is added to the rule, such as fine-tuning or a bonus."""
+    episodes: int = 500
+    """Episodes of each task that are learned from."""
+    episodes_per_update: int = 50
+    """Episodes of each task that an update learns from. A policy that remembers earlier episodes,
+    as that of `rl2`, plays as many trials side by side, one episode of each between two updates."""
+    deploy_episodes: int = 0
+    """Fresh episodes of each task that judge the deployed agent after every update. They are not
+    learned from. 0: the paper's procedure, which judges by the episodes that are learned from."""
+    seed: int = 0
+    """Of the episodes."""
+    sparse_radius: float | None = None
+    """Metres around the goal in which sparse reward tells the distance; None: the run's own."""
+    engine: EngineName | None = None
+    """Engine that moves the world, native or mjx; None: the run's own."""
+    num_threads: int | None = None
+    """Threads of the physics engine, 0 for one for each CPU; None: as the run's settings say."""
+    tasks_at_once: int = CHUNK_SIZE
+    """Tasks that advance together. Memory grows with it; what is played does not depend on it."""
+
+    def __post_init__(self) -> None:
+        check_choice("reward", self.reward, RewardKind)
+        least = {
+            "num_tasks": 1,
+            "episodes": 0,
+            "episodes_per_update": 1,
+            "deploy_episodes": 0,
+            "seed": 0,
+            "num_threads": 0,
+            "tasks_at_once": 1,
+        }
+        for name, smallest in least.items():
+            value = getattr(self, name)
+            if value is not None and value < smallest:
+                raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
+        if self.seed >= 2**32:
+            raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
+        if self.sparse_radius is not None and not self.sparse_radius > 0:
+            raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+        if self.episodes % self.episodes_per_update:
+            raise ValueError(
+                f"`episodes` must be a multiple of `episodes_per_update`, got {self.episodes} and "
+                f"{self.episodes_per_update}."
+            )
+        for wrapper in self.wrappers:
+            wrapper.check_budget(self.episodes, self.episodes_per_update)
+
+    @property
+    def updates(self) -> int:
+        """Number of updates."""
+        return self.episodes // self.episodes_per_update
+
+    def count(self, tasks: Sized) -> int:
+        """Return how many tasks of a set are adapted to: the first ones."""
+        return len(tasks) if self.num_tasks is None else min(self.num_tasks, len(tasks))
+
+    @property
+    def label(self) -> str:
+        """What figures add to a method's name; empty for the method as it is."""
+        parts = [] if self.rule is None else [self.rule.label]
+        return "; ".join(filter(None, [*parts, *(one.label for one in self.wrappers)]))
+
+    @property
+    def suffix(self) -> str:
+        """What names of files add for rule and wrappers; empty for the method as it is."""
+        if not self.label:
+            return ""
+        words = "".join(c if c.isalnum() else " " for c in self.label.lower()).split()
+        return f"-{'-'.join(words)}-{digest_of_document({'rule': self.rule_text})[:6]}"
+
+    @property
+    def rule_text(self) -> str:
+        """Rule and wrappers with all their settings, for the record; empty for the method's own."""
+        rule = self.rule if self.rule is not None and self.rule.label else None
+        chosen = [*self.wrappers] if rule is None else [rule, *self.wrappers]
+        return " ".join(map(written_out, chosen))
+
+    def fast_learner(self, trained: Trained, method: str, env: Any) -> Any:
+        """Return what learns in the new tasks.
+
+        Args:
+            trained: what meta-training has made.
+            method: its name, for error messages.
+            env: of the new tasks.
+
+        Raises:
+            RunError: rule and method do not fit, or an update has too few episodes.
+        """
+        try:
+            rule = default_rule(trained) if self.rule is None else self.rule
+            learner = rule.fast_learner(trained, env)
+            for wrapper in self.wrappers:
+                learner = wrapper.wrap(learner, env)
+            self._check_fit(learner)
+        except ValueError as error:
+            raise RunError(f"`{method}` cannot be adapted like this: {error}") from error
+        return learner
+
+    def _check_fit(self, learner: Any) -> None:
+        """Refuse budgets that the learner can do nothing with."""
+        capabilities = learner.capabilities
+        if self.updates:
+            capabilities.check_episodes(self.episodes_per_update)
+        trials = capabilities.trial_episodes is not None
+        if trials and self.deploy_episodes not in (0, self.episodes_per_update):
+            raise ValueError(
+                "`deploy_episodes` must be 0 or equal `episodes_per_update` for a policy that "
+                f"remembers earlier episodes, got {self.deploy_episodes} and "
+                f"{self.episodes_per_update}: each trial goes on with an episode of its own."
+            )
+
+
+def written_out(settings: Any) -> str:
+    """Write settings out in full, defaults as well: in a later version they may be others."""
+    if not dataclasses.is_dataclass(settings):
+        return repr(settings)
+    values = (
+        f"{field.name}={written_out(getattr(settings, field.name))}"
+        for field in dataclasses.fields(settings)
+    )
+    kind = type(settings)
+    own = "" if kind.__module__.startswith("maesn.") else f"{kind.__module__}:"
+    return f"{own}{kind.__name__}({', '.join(values)})"

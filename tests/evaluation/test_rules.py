@@ -1,0 +1,254 @@
+"""Rules and what is added to them, from the command line to the table."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import tiny_maesn, tiny_settings
+
+from maesn import api, cli
+from maesn.envs import point
+from maesn.evaluation.evaluation import Evaluation, written_out
+from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
+from maesn.evaluation.rules import (
+    FixedAgents,
+    GradientRule,
+    NoAdaptation,
+    ThenReinforce,
+    ThenTrpo,
+    Trained,
+    VimeBonus,
+    default_rule,
+)
+from maesn.learners import (
+    METHODS,
+    BonusFastLearner,
+    BonusMetaLearner,
+    CuriosityBonus,
+    FineTuning,
+    GradientFastLearner,
+)
+from maesn.policies import GaussianMLP
+from maesn.runs.run import Run
+from maesn.storage import RunError
+
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
+BUDGET = ["--episodes", "9", "--episodes-per-update", "3"]
+FEW = {"episodes": 6, "episodes_per_update": 3}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("rules") / "run"
+    Run.create(directory, tiny_maesn(), tiny_settings())
+    return directory
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("goals") / "few.npz"
+    np.savez(path, goal=np.float32([[0.0, 2.0], [2.0, 0.0]]))
+    return str(path)
+
+
+def rows(table: Path) -> list[str]:
+    return table.read_text().splitlines()
+
+
+def test_fine_tuning_has_a_table_of_its_own(trained: Path, few: str, tmp_path: Path) -> None:
+    asked = Evaluation(few, episodes=9, episodes_per_update=3)
+    plain = api.adapt(trained, asked)
+    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--then", "trpo", "after=3"]
+    assert cli.run(command) == 0
+    (tuned,) = (trained / "adaptation").glob("file-few-sparse-3-episodes-then-trpo-*.csv")
+    # The same until the policy is tuned: after 0 and 3 episodes.
+    assert rows(plain.table)[:3] == rows(tuned)[:3]
+    assert rows(plain.table)[4] != rows(tuned)[4]
+
+
+def test_other_step_sizes(trained: Path, few: str) -> None:
+    asked = {"tasks": few, "episodes": 9, "episodes_per_update": 3}
+    rules = [None, "gradient step_scale=2", "gradient full_steps=3"]
+    done = [
+        api.adapt(trained, rule=None if rule is None else rule_from_text(rule), **asked)
+        for rule in rules
+    ]
+    assert len({one.table for one in done}) == 3
+    plain, doubled, paced = (np.load(one.latents)["mean"] for one in done)  # [task, update, z]
+    # Up to the first update, in which the same episodes are learned from with steps of two sizes.
+    np.testing.assert_allclose(doubled[:, 1], 2 * plain[:, 1], rtol=1e-5)
+    # Steps 1, 1, 1/2 and steps 1, 1, 1: what differs is the third.
+    np.testing.assert_array_equal(paced[:, :3], plain[:, :3])
+    third, whole = (kept[:, 3] - kept[:, 2] for kept in (plain, paced))
+    np.testing.assert_allclose(whole, 2 * third, rtol=1e-4, atol=1e-6)
+
+
+def test_settings_that_differ_have_files_that_differ() -> None:
+    scales = (1.0, 2.0, 0.5, 0.12345678, 0.12345679)
+    suffixes = [Evaluation(rule=GradientRule(step_scale=scale)).suffix for scale in scales]
+    assert suffixes[0] == Evaluation().suffix == ""
+    assert len(set(suffixes)) == len(scales)
+    assert suffixes[1].startswith("-steps-2-")
+
+
+@pytest.mark.parametrize(
+    ("name", "rule", "reason"),
+    [
+        ("rl2", "gradient", "needs a method that follows a gradient in new tasks"),
+        ("oracle", "gradient", "needs a method that changes something in a new task"),
+        ("maesn", "memory", "needs a policy that remembers earlier episodes"),
+    ],
+)
+def test_a_rule_that_does_not_fit_the_method_is_refused(
+    tmp_path: Path, few: str, name: str, rule: str, reason: str
+) -> None:
+    run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=4), tiny_settings(method=name))
+    with pytest.raises(RunError, match=f"`{name}` cannot be adapted like this: .*{reason}"):
+        api.adapt(run, tasks=few, rule=rule_from_text(rule))
+
+
+def test_each_method_has_a_rule_of_its_own(trained: Path) -> None:
+    run = Run.open(trained)
+    assert default_rule(Trained(run.learner, run.latest_state())) == GradientRule()
+
+
+def test_without_adaptation_the_agents_stay(trained: Path, few: str) -> None:
+    done = api.adapt(trained, tasks=few, rule=NoAdaptation(), **FEW)
+    assert np.all(done.outcome.contexts.mean == 0)
+    learner = Evaluation(rule=NoAdaptation()).fast_learner(
+        Trained(Run.open(trained).learner, Run.open(trained).latest_state()), "maesn", point
+    )
+    assert isinstance(learner, FixedAgents)
+    assert not learner.capabilities.learns_from_reward
+
+
+def test_deployed_agents_are_judged_on_fresh_episodes(trained: Path, few: str) -> None:
+    done = api.adapt(trained, tasks=few, deploy_episodes=4, out=None, **FEW)
+    plain = api.adapt(trained, tasks=few, **FEW)
+    # What is explored and learned from is the same, whether anything is deployed or not.
+    np.testing.assert_array_equal(
+        done.outcome.explored.mean_return, plain.outcome.explored.mean_return
+    )
+    np.testing.assert_array_equal(done.outcome.contexts.mean, plain.outcome.contexts.mean)
+    assert plain.outcome.deployed is None
+    assert done.curves is done.outcome.deployed
+    assert done.curves.mean_return.shape == (2, 3)
+    assert not np.array_equal(done.curves.mean_return, plain.curves.mean_return)
+
+
+def test_the_record_says_by_which_rule(trained: Path, few: str) -> None:
+    added = (ThenTrpo(after=3), VimeBonus())
+    done = api.adapt(trained, tasks=few, wrappers=added, **FEW)
+    record = json.loads(done.table.with_suffix(".settings.json").read_text())
+    for settings in (ThenTrpo(after=3), CuriosityBonus()):
+        for name, value in vars(settings).items():
+            assert f"{name}={written_out(value)}" in record["rule"]
+
+
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+def test_the_weights_learn_from_the_bonus_as_well(trained: Path, order: slice) -> None:
+    run, env = Run.open(trained), point.make_env()
+    added = (ThenTrpo(after=3), VimeBonus())[order]
+    trained_as = Trained(run.learner, run.latest_state())
+    both = Evaluation(wrappers=added, **FEW).fast_learner(trained_as, "maesn", env)
+    assert isinstance(both, BonusFastLearner)
+    assert isinstance(both.learner, FineTuning)
+    assert isinstance(both.learner.learner, GradientFastLearner)
+
+
+def test_a_run_with_a_bonus_is_trained_stored_and_adapted(tmp_path: Path, few: str) -> None:
+    command = (
+        "train maesn+curiosity --family point --reward sparse --iterations 1 "
+        "--episodes-per-task 3 --learner.meta-batch-size 2 --learner.policy.hidden-sizes 4 "
+        f"--curiosity.updates 2 --curiosity.weight 0.5 --run {tmp_path / 'run'}"
+    )
+    assert cli.run(command.split()) == 0
+    run = Run.open(tmp_path / "run")
+    assert run.settings.method == "maesn+curiosity"
+    assert isinstance(run.learner, BonusMetaLearner)
+    assert run.learner.curiosity.weight == 0.5
+    assert run.learner.learner.policy == GaussianMLP((4,))
+    assert run.latest().iteration == 1
+    assert "bonus" in (run.directory / "metrics.jsonl").read_text()
+    api.adapt(run, tasks=few, **FEW)
+    with pytest.raises(RunError, match="it has a curiosity bonus already"):
+        api.adapt(run, tasks=few, wrappers=(VimeBonus(),))
+
+
+def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="`after` must be at least 0, got -2"):
+        ThenTrpo(after=-2)
+    with pytest.raises(ValueError, match="`step_scale` must be positive and finite, got inf"):
+        GradientRule(step_scale=float("inf"))
+    with pytest.raises(ValueError, match="`full_steps` must be at least 1, got 0"):
+        GradientRule(full_steps=0)
+    recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), tiny_settings())
+    for added, reason in ((ThenTrpo(), "`learner` must be"), (VimeBonus(), "`learner` must learn")):
+        with pytest.raises(RunError, match=f"`rl2` cannot be adapted like this: {reason}"):
+            api.adapt(recurrent, wrappers=(added,), episodes=550)
+    with pytest.raises(RunError, match="`episodes` must be more than `after`, got 500 and 500"):
+        api.adapt(trained, wrappers=(ThenTrpo(),))
+    with pytest.raises(RunError, match="`after` must be a multiple of `episodes_per_update`"):
+        api.adapt(trained, wrappers=(ThenReinforce(after=30),))
+    with pytest.raises(RunError, match="`deploy_episodes` must be 0 or equal"):
+        api.adapt(recurrent, deploy_episodes=7)
+    with pytest.raises(RunError, match="an update needs at least 2 episodes of a task, got 1"):
+        api.adapt(trained, episodes_per_update=1)
+    with pytest.raises(RunError, match="an evaluation has no setting `updates`"):
+        api.adapt(trained, updates=3)
+
+
+def test_rules_as_text() -> None:
+    assert rule_from_text("gradient") == GradientRule()
+    assert rule_from_text("gradient step_scale=2 full_steps=3") == GradientRule(2.0, 3)
+    assert then_from_text("trpo max_kl=0.02 after=100") == ThenTrpo(0.02, 100)
+    assert then_from_text("reinforce") == ThenReinforce()
+    assert bonus_from_text("vime curiosity.weight=0.5") == VimeBonus(CuriosityBonus(0.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("gradeint", "must be one of gradient, memory, none, or `module:name` of your own"),
+        ("gradient step=2", "it has no setting `step`"),
+        ("gradient step_scale", "write NAME=VALUE with one of step_scale, full_steps"),
+        ("gradient step_scale=fast", "`GradientRule.step_scale` must be of type float"),
+        ("gradient step_scale=-1", "`step_scale` must be positive and finite, got -1"),
+        ("nowhere:Rule", "`module` must be importable"),
+        ("json:dumps", "must be a class that extends `maesn.AbstractRule`"),
+    ],
+)
+def test_mistakes_in_the_text_of_a_rule_get_a_sentence(text: str, message: str) -> None:
+    with pytest.raises(RunError) as refused:
+        rule_from_text(text)
+    assert message in str(refused.value)
+
+
+def test_a_rule_of_ones_own_is_found_by_name(
+    trained: Path, few: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = (
+        "import maesn\n\n"
+        "class Widened(maesn.AbstractRule):\n"
+        "    factor: float = 2.0\n\n"
+        "    def fast_learner(self, trained, env):\n"
+        "        return trained.fast_learner()\n"
+    )
+    (tmp_path / "my_rules.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--rule", "my_rules:Widened"]
+    assert cli.run([*command, "factor=3"]) == 0
+    (table,) = (trained / "adaptation").glob("file-few-sparse-widened-*.csv")
+    record = json.loads(table.with_suffix(".settings.json").read_text())
+    assert record["rule"] == "my_rules:Widened(factor=3.0)"
+    del sys.modules["my_rules"]
+
+
+def test_a_label_says_what_is_changed() -> None:
+    assert Evaluation().label == ""
+    assert Evaluation(rule=GradientRule(2.0, 10)).label == "steps × 2; 10 full steps"
+    both = Evaluation(episodes=1000, wrappers=(ThenTrpo(), VimeBonus()))
+    assert both.label == "500 episodes, then TRPO; bonus by VIME"

@@ -1,0 +1,89 @@
+"""`.npz` files of plain arrays, and files that are written whole or not at all."""
+
+import errno
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maesn.runtime.archive import read_arrays, write_arrays, write_whole
+
+ARRAYS = {
+    "goal": np.arange(6.0).reshape(3, 2),
+    "block": np.int32([1, 2]),
+    "name": np.array("a text"),
+}
+
+
+def test_arrays_come_back_with_their_types(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "file.npz", ARRAYS)
+    found = read_arrays(tmp_path / "file.npz")
+    assert list(found) == list(ARRAYS)
+    for name, array in ARRAYS.items():
+        assert found[name].dtype == array.dtype
+        np.testing.assert_array_equal(found[name], array)
+
+
+def test_only_what_is_needed_is_read(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "file.npz", ARRAYS)
+    assert list(read_arrays(tmp_path / "file.npz", ("block", "goal"))) == ["block", "goal"]
+
+
+def test_a_missing_array_is_named_with_those_that_are_there(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "file.npz", {"goal": np.zeros(2), "block": np.zeros(2)})
+    with pytest.raises(ValueError, match=r"array `layout` is missing.*holds `goal`, `block`"):
+        read_arrays(tmp_path / "file.npz", ("goal", "layout"))
+    np.savez(tmp_path / "empty.npz")
+    with pytest.raises(ValueError, match=r"array `goal` is missing.*holds none"):
+        read_arrays(tmp_path / "empty.npz", ("goal",))
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "single.npy", np.zeros(2))
+    np.savez(tmp_path / "objects.npz", goal=np.array([{"a": 1}], dtype=object))
+    (tmp_path / "text.npz").write_text("goal: 1, 2")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    with zipfile.ZipFile(tmp_path / "other.npz", "w") as members:
+        members.writestr("goal", "1, 2")
+    names = [path.name for path in tmp_path.iterdir()]
+    assert len(names) == 5
+    for name in names:
+        with pytest.raises(ValueError, match=r"no \.npz file of plain arrays, or damaged"):
+            read_arrays(tmp_path / name)
+    with pytest.raises(FileNotFoundError):
+        read_arrays(tmp_path / "nothing.npz")
+
+
+def test_a_flipped_bit_in_an_array_is_noticed(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "file.npz", {"goal": np.zeros(1000)})
+    content = bytearray((tmp_path / "file.npz").read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / "file.npz").write_bytes(content)
+    with pytest.raises(ValueError, match="checksum"):
+        read_arrays(tmp_path / "file.npz")
+
+
+def test_objects_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="Object arrays"):
+        write_arrays(tmp_path / "file.npz", {"goal": np.array([{}], dtype=object)})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_write_keeps_the_file_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_whole(tmp_path / "file", b"old")
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_whole(tmp_path / "file", b"new")
+    assert (tmp_path / "file").read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    write_whole(tmp_path / "file", b"new")
+    assert (tmp_path / "file").read_bytes() == b"new"
