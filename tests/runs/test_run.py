@@ -60,7 +60,7 @@ def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
     first, same, other = (tensors(run.checkpoints()[0]) for run in runs)
     assert first == same != other
     assert runs[0].latest().iteration == runs[0].latest().environment_steps == 0
-    assert runs[0].latest_state().parameters.context.mean.shape == (100, 2)
+    assert runs[0].latest_state().parameters.context_table.mean.shape == (100, 2)
 
 
 def test_the_untrained_state_has_a_key_that_no_iteration_has(tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         depends on the distance of the goal. A policy sees `uninformative_reward` there instead,
         the same in all tasks.
         """
-        env = self if kind == "paid" else dataclasses.replace(self, reward_kind="sparse")
+        env = self if kind == "own" else dataclasses.replace(self, reward_kind="sparse")
         reward = env.reward(readings, action, next_readings, task)
         if env.reward_kind == "dense":
             return reward.total

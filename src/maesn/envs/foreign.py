@@ -119,7 +119,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         Raises:
             ValueError: the kind is another one.
         """
-        if kind not in ("paid", self.reward_kind):
+        if kind not in ("own", self.reward_kind):
             raise ValueError(
                 f"`{self.name}` gives the {self.reward_kind} reward alone, but the policy reads "
                 f"the {kind} one: set `reward` to {kind}, or the policy's `observed_reward` to own."

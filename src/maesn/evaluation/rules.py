@@ -21,7 +21,6 @@ from maesn.learners import (
     AbstractMetaLearner,
     BonusFastLearner,
     Capabilities,
-    CuriosityBonus,
     FineTuning,
     GradientFastLearner,
     GradientStep,
@@ -31,6 +30,7 @@ from maesn.learners import (
     TrustRegionWeightStep,
     inside,
 )
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 
 
 class Trained(NamedTuple):

@@ -13,7 +13,7 @@ from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
-from maesn.policies.gaussian_mlp import MINIMUM_STD
+from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.storage import Snapshot, write_snapshot
@@ -129,7 +129,7 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         raise ValueError(f"`learner` has a curiosity bonus, which needs a model; {advice}.")
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
-    if not learner.learns_from_reward:
+    if not learner.capabilities.learns_from_reward:
         raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
     if learner.advantage.drifts:
         raise ValueError(
@@ -197,7 +197,7 @@ def _adapted(start: Latent, prior: RuntimeLatent) -> RuntimeLatent:
 
 def _start(learner: GradientFastLearner) -> RuntimeLatent:
     """Return the latent that the learner starts a new task from."""
-    start = _latent(learner.context.start_new(learner.learned_context, 1))
+    start = _latent(learner.context.start_new(learner.context_table, 1))
     return RuntimeLatent(start.mean[0], start.log_std[0])
 
 
@@ -212,7 +212,7 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     if step.learned:
         sizes = _latent(learner.step_sizes.context)
     else:
-        fixed = np.full(learner.learned_context.size, float(step.initial_size))
+        fixed = np.full(learner.context_table.size, float(step.initial_size))
         sizes = RuntimeLatent(fixed, fixed)
     scale = float(learner.schedule.scale)
     return LearningRule(
