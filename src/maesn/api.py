@@ -1,7 +1,7 @@
 """The library's verbs, as functions of Python. The command line calls them, one for one."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,11 @@ from maesn.evaluation.tables import (
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.runs.beginning import begun_state
+from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.runs.shipped import find_run
 from maesn.storage import RunError, read_json
 
 USUAL = Evaluation()
@@ -61,16 +61,27 @@ def train(
 
 
 def resume(
-    directory: str | Path, iterations: int | None = None, family: str | TaskFamily | None = None
+    run: str | Path | Run,
+    iterations: int | None = None,
+    family: str | TaskFamily | None = None,
+    change: Mapping[str, Any] | None = None,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
     Args:
-        directory: of the run.
+        run: the run, or its directory.
         iterations: total number of meta-iterations; None for that of the run's settings.
         family: the run's family, if it is your own: itself, or `module:name`.
+        change: settings that are to differ from here on, name -> value, which is written down in
+            the run; see `maesn.runs.changes.change_run`.
+
+    Raises:
+        RunError: there is no such run, or it cannot be changed so.
+        EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    run = Run.open(directory, family=family)
+    run = Run.open(run, family=family)
+    if change:
+        run = change_run(run, change)
     train_live(run, iterations=iterations)
     return run
 
@@ -151,7 +162,7 @@ def export(
         RunError: the run cannot be exported, the latents are not this run's, or there is no such
             task.
     """
-    opened = run if isinstance(run, Run) else Run.open(find_run(run), family=family)
+    opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
     description: dict[str, str | int | float] = {

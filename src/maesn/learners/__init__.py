@@ -26,6 +26,10 @@ from maesn.learners.presets import method_name as method_name
 from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
+from maesn.learners.recommended import RECOMMENDED as RECOMMENDED
+from maesn.learners.recommended import RECOMMENDED_RUNS as RECOMMENDED_RUNS
+from maesn.learners.recommended import recommended as recommended
+from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner as RecurrentFastLearner
 from maesn.learners.recurrent.fast_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.recurrent.meta_learner import RecurrentInfo as RecurrentInfo
@@ -45,4 +49,5 @@ from maesn.learners.scratch.policy_gradient import vime as vime
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.bonus import BonusMetaLearner as BonusMetaLearner
 from maesn.learners.wrappers.bonus import inside as inside
+from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
