@@ -37,7 +37,7 @@ def recorded(episodes: Episodes, task: int) -> tuple[Episode, ...]:
         valid = np.asarray(episodes.valid[task, number])
         observation, action, reward, drawn = (
             np.asarray(array[task, number], np.float64)
-            for array in (episodes.observation, episodes.action, episodes.reward, episodes.context)
+            for array in (episodes.observation, episodes.action, episodes.reward, episodes.z)
         )
         observation, action = observation[:-1][valid], action[valid]
         found.append(Episode(drawn, observation, action, action, reward[valid]))
@@ -83,9 +83,10 @@ def synthetic(learner: GradientFastLearner, context: Any, seed: int) -> Episodes
         solved_at_start=jnp.zeros(shape, bool),
         terminated=jnp.asarray(length < steps),
         noise=jnp.asarray(noise),
-        context=jnp.asarray(drawn.astype(dtype)),
+        description=jnp.zeros((*shape, 0), dtype),
+        z=jnp.asarray(drawn.astype(dtype)),
         behaviour=DiagonalGaussian(jnp.asarray(action), jnp.zeros(action.shape, dtype)),
-        carry=None,
+        trial_end=None,
     )
 
 
