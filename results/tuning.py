@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 from maesn.evaluation.test_time import AtTestTime
 
-from maesn.report.comparison import Line
+from maesn.report.line import Line
 from maesn.report.tables import markdown_row
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare

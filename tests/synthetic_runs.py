@@ -2,20 +2,18 @@
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maesn.report.adaptation_table import (
-    COLUMNS,
-    MEASURES,
-    SOLVED_AT_RESET,
-    AdaptationTable,
-)
-from maesn.report.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
+from maesn.report.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable
+from maesn.report.line import Line
+from maesn.report.reading import Latents
+from maesn.report.runs import LearningCurve, RecordedExploration, RecordedRun
 from maesn.report.series import Series, group_series
+from maesn.report.style import METHOD_STYLES, MethodStyle
 
 NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
 RADIUS = 0.8
@@ -41,6 +39,8 @@ def adaptation_table(
     return AdaptationTable(
         tasks="test",
         reward="sparse",
+        purpose=EXPLORE,
+        updates=np.arange(NUM_UPDATES + 1),
         episodes=50 * np.arange(NUM_UPDATES + 1),
         mean_return=-396.0 + gain * progress + noise,
         goal_return=-390.0 + gain * progress + noise,
@@ -48,6 +48,7 @@ def adaptation_table(
         final_success_rate=0.8 * rate,
         time_in_region=0.3 * rate,
         solved_at_reset=np.zeros_like(rate),
+        explored_success_rate=rate,
     )
 
 
@@ -71,11 +72,11 @@ def exploration(*, has_latents: bool = True) -> RecordedExploration:
 
 def latents(num_components: int = 2) -> Latents:
     """The prior, then means on a circle; each component's spread is its number, from 1."""
-    mean = np.zeros((NUM_UPDATES + 1, NUM_TASKS, num_components))
+    mean = np.zeros((NUM_TASKS, NUM_UPDATES + 1, num_components))
     angle = np.linspace(0.0, np.pi, NUM_TASKS)
-    mean[-1] = np.cos(angle)[:, None] * np.arange(1, num_components + 1)
+    mean[:, -1] = np.cos(angle)[:, None] * np.arange(1, num_components + 1)
     log_std = np.zeros_like(mean)
-    log_std[-1] = np.log(0.5)
+    log_std[:, -1] = np.log(0.5)
     return Latents(mean, log_std)
 
 
@@ -102,27 +103,37 @@ def run(
         "iterations": 30,
         **settings,
     }
-    named = {name: everything[name] for name in ("method", "family", "variant", "seed")}
-    path = Path(f"runs/{method}-{seed}")
-    return RecordedRun(path=path, settings=everything, learner=learner or {}, **named)
+    return RecordedRun(Path(f"runs/{method}-{seed}"), everything, learner or {})
 
 
 def series(*methods: str) -> list[Series]:
     return group_series([run(method) for method in methods])
 
 
-def write_adaptation(path: Path, table: AdaptationTable) -> None:
+def line(method: str = "maesn", *tables: AdaptationTable) -> Line:
+    """A method's adaptation, one table per seed."""
+    style = METHOD_STYLES.get(method, MethodStyle(method, "#000000", "-", "o"))
+    return Line(method, style, tuple(range(len(tables))), tables)
+
+
+def write_adaptation(
+    path: Path, table: AdaptationTable, deployed: AdaptationTable | None = None
+) -> None:
+    """Write a table of episodes that are learned from, and of a deployed agent's if given."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        curves = [table.measure(name) for name in MEASURES]
-        known = table.solved_at_reset is not None
-        curves += [table.solved_at_reset] if known else []
-        writer.writerow([*COLUMNS, SOLVED_AT_RESET] if known else COLUMNS)
-        for task in range(table.num_tasks):
-            for column, update in enumerate(table.updates):
-                measures = (float(curve[task, column]) for curve in curves)
-                writer.writerow([task, update, table.episodes[column], *measures])
+        writer.writerow(COLUMNS)
+        for purpose, rows in (("explore", table), ("deploy", deployed)):
+            if rows is not None:
+                writer.writerows(_rows(rows, purpose))
+
+
+def _rows(table: AdaptationTable, purpose: str) -> Iterator[list[Any]]:
+    curves = [table.measure(name) for name in (*MEASURES, "solved_at_reset")]
+    for task, column in np.ndindex(table.mean_return.shape):
+        measures = (float(curve[task, column]) for curve in curves)
+        yield [task, table.updates[column], table.episodes[column], purpose, *measures]
 
 
 def write_metrics(path: Path, curve: LearningCurve) -> None:

@@ -12,10 +12,11 @@ import pytest
 import maesn
 from maesn import api, cli
 from maesn.evaluation import exploration
-from maesn.evaluation.tables import adaptation_file, latents_file
+from maesn.evaluation.tables import adaptation_file
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
+from maesn.report.table_files import latents_file
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError

@@ -16,11 +16,11 @@ from maesn.evaluation.tables import (
     Adapted,
     adaptation_file,
     adapted_latent,
-    record_of_latents,
     write_outcome,
 )
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
+from maesn.report.table_files import record_of_latents
 from maesn.runs.beginning import begun_state
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings

@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.report.adaptation_table import (
-    COLUMNS,
-    MEASURES,
-    read_adaptation,
-    stack_seeds,
-)
-from maesn.report.table_name import table_name
+from maesn.report.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
+from maesn.report.reading import read_adaptation
+from maesn.report.table_files import TableName, table_name, table_path
 from maesn.report.tables import summary_tables
 from maesn.storage import RunError
 
 HEADER = ",".join(COLUMNS)
-ROW = "0,0,0,-396.0,-390.0,0.1,0.1,0.02"
+ROW = "0,0,0,explore,-396.0,-390.0,0.1,0.1,0.02,0"
+ONES = "explore,1,1,1,1,1,0"
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -30,7 +27,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     for name in MEASURES:
         np.testing.assert_array_equal(table.measure(name), written.measure(name))
     np.testing.assert_array_equal(table.solved_at_reset, written.solved_at_reset)
-    assert (table.tasks, table.reward) == ("validation", "dense")
+    assert (table.tasks, table.reward, table.purpose) == ("validation", "dense", EXPLORE)
     assert table.episodes.tolist() == [0, 50, 100, 150]
     assert table.updates.tolist() == [0, 1, 2, 3]
     assert table.num_tasks == NUM_TASKS
@@ -46,15 +43,49 @@ def test_the_order_of_the_rows_does_not_matter(tmp_path: Path) -> None:
     assert (table.tasks, table.reward) == ("my-goals", "sparse")
 
 
-def test_an_adaptation_that_went_on_starts_later(tmp_path: Path) -> None:
+def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Path) -> None:
+    path = tmp_path / "test-sparse.csv"
+    explored = adaptation_table()
+    deployed = replace(explored, success_rate=np.ones((NUM_TASKS, NUM_UPDATES + 1)))
+    write_adaptation(path, explored, deployed)
+    table = read_adaptation(path)
+    assert table.purpose == DEPLOY
+    np.testing.assert_array_equal(table.success_rate, deployed.success_rate)
+    np.testing.assert_array_equal(table.explored_success_rate, explored.success_rate)
+    # The deployed agent plays no prior episodes.
+    assert table.prior_reach == explored.prior_reach
+    assert explored.prior_reach is not None
+    assert explored.prior_reach.share < 1
+
+
+def test_an_adaptation_that_continued_another_starts_later(tmp_path: Path) -> None:
     path = tmp_path / "test-sparse.csv"
     written = adaptation_table()
-    write_adaptation(path, replace(written, first_update=10, episodes=written.episodes + 500))
+    later = replace(written, updates=written.updates + 10, episodes=written.episodes + 500)
+    write_adaptation(path, later)
     table = read_adaptation(path)
     assert table.updates.tolist() == [10, 11, 12, 13]
     assert table.episodes_per_update == 50
     # Its first column is not played from the prior.
     assert table.prior_reach is None
+
+
+def test_the_path_of_a_table_says_what_its_name_says() -> None:
+    usual = table_path(Path("run"), "test", "sparse")
+    assert usual == Path("run/adaptation/test-sparse.csv")
+    assert table_name(usual) == TableName("test", "sparse")
+    other = table_path(Path("run"), "ood", "dense", first_update=10, changed="-on-mjx")
+    assert table_name(other) == TableName("from-10-ood", "dense", "-on-mjx")
+
+
+def test_tables_of_two_files_of_tasks_with_one_name_are_told_apart() -> None:
+    path = table_path(Path("run"), "elsewhere/test.npz", "sparse")
+    assert path.name == "file-test-sparse.csv"
+    first, second = (
+        table_path(Path("run"), f"{place}/test.npz", "sparse", digest=digest)
+        for place, digest in (("here", "0a1b"), ("there", "2c3d"))
+    )
+    assert (first.name, second.name) == ("file-test-0a1b-sparse.csv", "file-test-2c3d-sparse.csv")
 
 
 @pytest.mark.parametrize(
@@ -65,7 +96,7 @@ def test_an_adaptation_that_went_on_starts_later(tmp_path: Path) -> None:
         ("file-my-sparse-goals-dense", ("file-my-sparse-goals", "dense", "")),
         ("test-sparse-10-then-trpo", ("test", "sparse", "-10-then-trpo")),
         ("ood-sparse-3-full-steps-on-mjx", ("ood", "sparse", "-3-full-steps-on-mjx")),
-        ("validation-dense-curious", ("validation", "dense", "-curious")),
+        ("validation-dense-bonus-vime", ("validation", "dense", "-bonus-vime")),
         ("table", ("table", "", "")),
     ],
 )
@@ -77,15 +108,15 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     """Of RL2, an update is one episode, of which as many are played as there are trials."""
     path = tmp_path / "test-sparse.csv"
     write_adaptation(path, replace(adaptation_table(), episodes=np.arange(NUM_UPDATES + 1)))
-    record = {"episodes_per_task": 30, "trial_episodes": 2}
+    record = {"episodes_per_update": 30, "trial_episodes": 2}
     path.with_suffix(".settings.json").write_text(json.dumps(record))
     table = read_adaptation(path)
     assert table.episodes_per_update == 1
     assert table.prior_reach is not None
     assert table.prior_reach.episodes == 30
     assert table.first_beyond == 2
-    (summary,) = summary_tables([replace(table, solved_at_reset=None)], "RL2")
-    assert summary.note == (
+    (summary,) = summary_tables([table], "RL2", brief=True)
+    assert summary.notes[0] == (
         "Meta-training has prepared for 2 episodes: from update 2 on it is beyond them."
     )
 
@@ -94,7 +125,7 @@ def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:
     rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
     rates[:2, 0] = 0.02, 1.0
     rates[:, 1] = 1.0
-    reach = replace(adaptation_table(), success_rate=rates).prior_reach
+    reach = replace(adaptation_table(), explored_success_rate=rates).prior_reach
     assert reach is not None
     assert (reach.share, reach.episodes) == (2 / NUM_TASKS, 50)
 
@@ -104,7 +135,7 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     rates[:2, 0] = 0.02, 1.0
     at_reset = np.zeros_like(rates)
     at_reset[1] = 1.0
-    table = replace(adaptation_table(), success_rate=rates, solved_at_reset=at_reset)
+    table = replace(adaptation_table(), explored_success_rate=rates, solved_at_reset=at_reset)
     assert np.flatnonzero(table.is_solved_at_reset).tolist() == [1]
     reach = table.prior_reach
     assert reach is not None
@@ -116,22 +147,8 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     assert everything.prior_reach is None
 
 
-def test_a_table_of_an_earlier_version_is_read_and_says_nothing_of_resets(tmp_path: Path) -> None:
-    path = tmp_path / "test-sparse.csv"
-    written = replace(adaptation_table(), solved_at_reset=None)
-    write_adaptation(path, written)
-    table = read_adaptation(path)
-    assert table.solved_at_reset is None
-    assert not table.is_solved_at_reset.any()
-    assert table.prior_reach == written.prior_reach
-    np.testing.assert_array_equal(table.mean_return, written.mean_return)
-    assert table.select(np.arange(NUM_TASKS) < 2).num_tasks == 2
-
-
 def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
-    table = adaptation_table()
-    column = {name: table.measure(name)[:, :1] for name in MEASURES}
-    single = replace(table, episodes=table.episodes[:1], solved_at_reset=None, **column)
+    single = adaptation_table().first_part(NUM_TASKS, updates=0)
     assert single.episodes_per_update is None
     assert single.prior_reach is None
 
@@ -156,16 +173,22 @@ def test_seeds_with_different_tasks_are_refused() -> None:
     [
         ("", "the column `task` .* got an empty file"),
         ("task,update\n0,0\n", "the column `episodes` .* got task, update"),
-        (f"{HEADER}\n", "one row for each task and update .* got 0 rows"),
-        (f"{HEADER}\n{ROW}\n{ROW}\n", "one row for each .* got 2 rows"),
-        (f"{HEADER}\n{ROW}\n1,1,50,1,1,1,1,1\n", "tasks 0 to 1 and 2 updates, got 2 rows"),
+        (f"{HEADER}\n", "one row of purpose explore for each task and update .* got 0 rows"),
+        (f"{HEADER}\n{ROW}\n{ROW}\n", "one row of purpose explore for each .* got 2 rows"),
+        (f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n", "tasks 0 to 1 and 2 updates, got 2 rows"),
         (
             f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
-            "number for `goal_return` in .*line 2.*good",
+            "number for `goal_return` in .*line 2, got good",
         ),
-        (f"{HEADER}\n0,0,0,-396.0\n", "number for `goal_return` in .*line 2, got nothing"),
+        (f"{HEADER}\n0,0,0,explore,-396.0\n", "number for `goal_return` in .*line 2, got nothing"),
         (f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n", "finite number for `mean_return`.*got nan"),
-        (f"{HEADER}\n{ROW}\n1,0,7,1,1,1,1,1\n", "the same `episodes` for every task"),
+        (f"{HEADER}\n{ROW}\n1,0,7,{ONES}\n", "the same `update` and `episodes` for every"),
+        (f"{HEADER}\n{ROW.replace('explore', 'play')}\n", "explore or deploy for `purpose`.*play"),
+        (f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n", "purpose explore .* got 0 rows"),
+        (
+            f"{HEADER}\n{ROW}\n0,1,50,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
+            "the same `update` and `episodes` for every task and purpose",
+        ),
     ],
 )
 def test_a_broken_table_is_refused_in_one_sentence(

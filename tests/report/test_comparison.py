@@ -10,20 +10,14 @@ import pytest
 from figure_checks import check_saved_whole, legend, line, note
 from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
+from synthetic_runs import line as named
 
 from maesn.report.adaptation_table import AdaptationTable
-from maesn.report.comparison import (
-    COLUMNS,
-    Comparison,
-    Line,
-    first_part,
-    paired,
-    tidy_rows,
-    write_tidy_table,
-)
+from maesn.report.comparison import Comparison, tidy_rows, write_tidy_table
 from maesn.report.comparison_tables import print_summary, summary_tables, write_summary
 from maesn.report.figures.comparison import plot_comparison
-from maesn.report.style import METHOD_STYLES, ONE_COLUMN, MethodStyle
+from maesn.report.line import Line
+from maesn.report.style import METHOD_STYLES, ONE_COLUMN
 from maesn.storage import RunError
 
 HORIZON = 20
@@ -31,31 +25,26 @@ HORIZON = 20
 
 def constant(value: float, num_tasks: int = 8) -> AdaptationTable:
     return dataclasses.replace(
-        first_part(adaptation_table(num_tasks), num_tasks, 0),
+        adaptation_table(num_tasks).first_part(num_tasks, 0),
         mean_return=np.full((num_tasks, 1), value),
     )
-
-
-def named(name: str, *tables: AdaptationTable) -> Line:
-    style = METHOD_STYLES.get(name, MethodStyle(name, "#000000", "-", "o"))
-    return Line(name, style, tuple(range(len(tables))), tables)
 
 
 def comparison(*lines: Line, oracle: float | None = -300.0) -> Comparison:
     return Comparison(
         lines=lines or (named("maesn", adaptation_table()),),
         horizon=HORIZON,
-        floor=(named("idle", constant(-400.0)), named("random", constant(-420.0))),
+        baselines=(named("idle", constant(-400.0)), named("random", constant(-420.0))),
         oracle=None if oracle is None else named("oracle", constant(oracle)),
     )
 
 
-def test_the_score_is_linear_between_the_better_floor_and_the_oracle_and_beyond() -> None:
+def test_the_score_is_linear_between_the_better_baseline_and_the_oracle_and_beyond() -> None:
     returns = np.array([-400.0, -350.0, -300.0, -450.0, -200.0])
     np.testing.assert_allclose(comparison().score(returns, 8), [0.0, 0.5, 1.0, -0.5, 2.0])
 
 
-def test_floor_and_oracle_are_means_over_the_tasks_that_are_scored() -> None:
+def test_baseline_and_oracle_are_means_over_the_tasks_that_are_scored() -> None:
     uneven = dataclasses.replace(
         constant(0.0), mean_return=np.array([[-300.0]] * 4 + [[-100.0]] * 4)
     )
@@ -64,7 +53,7 @@ def test_floor_and_oracle_are_means_over_the_tasks_that_are_scored() -> None:
     assert told.bounds(4) == (-400.0, -300.0)
 
 
-def test_without_an_oracle_above_the_floor_there_is_no_score_and_it_is_said_why() -> None:
+def test_without_an_oracle_above_the_baseline_there_is_no_score_and_it_is_said_why() -> None:
     for oracle, why in ((None, "--oracle DIR"), (-400.0, "oracle's mean return -400.0 is not")):
         compared = comparison(oracle=oracle)
         assert compared.score(np.zeros(3), 8) is None
@@ -75,7 +64,7 @@ def test_without_an_oracle_above_the_floor_there_is_no_score_and_it_is_said_why(
 
 
 def test_methods_without_a_score_are_named_where_others_have_one() -> None:
-    # On the first four tasks the oracle is no better than the floor.
+    # On the first four tasks the oracle is no better than the baseline.
     uneven = dataclasses.replace(
         constant(0.0), mean_return=np.array([[-400.0]] * 4 + [[-100.0]] * 4)
     )
@@ -94,8 +83,20 @@ def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Pa
     write_tidy_table(compared, tmp_path / "table.csv")
     with (tmp_path / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
-    # Floor and oracle are played once, at the start.
+    assert tuple(rows[0]) == (
+        "method",
+        "seed",
+        "task",
+        "update",
+        "purpose",
+        "steps",
+        "mean_return",
+        "goal_return",
+        "success_rate",
+        "score",
+        "solved_at_reset",
+    )
+    # Baselines and oracle are played once, at the start.
     assert len(rows) == (2 * 8 + 5) * (NUM_UPDATES + 1) + 3 * 8
     keys = {(row["method"], row["seed"], row["task"], row["update"]) for row in rows}
     assert len(keys) == len(rows)
@@ -114,19 +115,21 @@ def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Pa
 
 def test_a_longer_table_is_cut_to_what_is_compared() -> None:
     table = adaptation_table()
-    cut = first_part(table, 3, 1)
+    cut = table.first_part(3, 1)
     np.testing.assert_array_equal(cut.mean_return, table.mean_return[:3, :2])
     assert cut.episodes.tolist() == [0, 50]
     for tasks, updates in ((9, 1), (3, NUM_UPDATES + 1)):
         with pytest.raises(RunError, match=f"{tasks} tasks with {updates} updates"):
-            first_part(table, tasks, updates)
+            table.first_part(tasks, updates)
 
 
 def test_pairs_are_compared_on_the_tasks_that_both_have() -> None:
-    first, second = named("maesn", adaptation_table()), named("vime", adaptation_table(5, seed=1))
-    one, other = paired(first, second, "mean_return")
-    assert one.shape == other.shape == (1, 5)
-    np.testing.assert_array_equal(one, first.measure("mean_return")[:, :5, -1])
+    long, short = adaptation_table(), adaptation_table(5, seed=1)
+    *_, beats = summary_tables(comparison(named("maesn", long), named("vime", short)))
+    wins = np.mean(long.mean_return[:5, -1] > short.mean_return[:, -1])
+    assert 0 < wins < 1
+    assert beats.rows[0][:2] == ("MAESN", "VIME")
+    assert beats.rows[0][2].startswith(f"{wins:.2f} [")
 
 
 def test_the_summary_says_what_it_resamples(tmp_path: Path) -> None:
@@ -155,7 +158,7 @@ def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None
     assert maesn[6].startswith(f"{adaptation_table().mean_return[:5, -1].mean():.1f} [")
     assert vime[1:] == everything.rows[1][1:]
     assert [row[1] for row in everything.rows] == ["48 M", "", "", "", ""]
-    # Also where floor and oracle alone have more of them.
+    # Also where baselines and oracle alone have more of them.
     assert len(summary_tables(comparison(named("vime", adaptation_table(5))))) == 2
     alike = comparison(trained, named("trpo", adaptation_table()))
     assert len(summary_tables(alike)) == 2
@@ -176,7 +179,7 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     compared = dataclasses.replace(
         some,
         lines=tuple(with_solved([1, 6], line) for line in some.lines),
-        floor=tuple(with_solved([1, 6], line) for line in some.floor),
+        baselines=tuple(with_solved([1, 6], line) for line in some.baselines),
     )
     write_tidy_table(compared, tmp_path / "table.csv")
     with (tmp_path / "table.csv").open(newline="") as file:
@@ -193,17 +196,17 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     solved_alone = dataclasses.replace(
         compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
     )
-    floor = tuple(with_solved([0], line) for line in some.floor)
-    _, _, others, _ = summary_tables(dataclasses.replace(solved_alone, floor=floor))
+    baselines = tuple(with_solved([0], line) for line in some.baselines)
+    _, _, others, _ = summary_tables(dataclasses.replace(solved_alone, baselines=baselines))
     assert others.rows[0][0] == "MAESN"
-    nobody = dataclasses.replace(solved_alone, floor=floor, lines=solved_alone.lines[:1])
+    nobody = dataclasses.replace(solved_alone, baselines=baselines, lines=solved_alone.lines[:1])
     assert [table.title for table in summary_tables(nobody)] == [
         everything.title,
         f"{everything.title}, the first 1 alone",
     ]
 
 
-def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> None:
+def test_the_figure_counts_steps_and_marks_baseline_and_oracle(tmp_path: Path) -> None:
     compared = comparison(named("maesn", adaptation_table()), named("trpo", adaptation_table(5)))
     figure = plot_comparison(compared)
     returns, success = figure.axes
@@ -211,10 +214,10 @@ def test_the_figure_counts_steps_and_marks_floor_and_oracle(tmp_path: Path) -> N
     drawn = line(returns, "MAESN")
     np.testing.assert_array_equal(drawn[:, 0], HORIZON * 50 * np.arange(NUM_UPDATES + 1))
     np.testing.assert_allclose(drawn[:, 1], adaptation_table().mean_return.mean(0))
-    assert line(returns, "floor")[:, 1].tolist() == [-400.0, -400.0]
+    assert line(returns, "baseline")[:, 1].tolist() == [-400.0, -400.0]
     assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
     assert success.get_xscale() == "linear"
-    assert set(legend(figure)) == {"MAESN", "TRPO (first 5 tasks)", "floor", "oracle"}
+    assert set(legend(figure)) == {"MAESN", "TRPO (first 5 tasks)", "baseline", "oracle"}
     check_saved_whole(figure, tmp_path)
 
 

@@ -8,43 +8,37 @@ import numpy as np
 import pytest
 from figure_checks import check_saved_whole, crowd, legend, line, note
 from matplotlib.figure import Figure
-from synthetic_runs import (
-    adaptation_table,
-    learning_curve,
-    series,
-)
+from synthetic_runs import adaptation_table, learning_curve
+from synthetic_runs import line as method
 
-from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
-from maesn.report.figures.learning import TrainedSeries, moving_mean, plot_learning_curves
+from maesn.report.adaptation_table import DEPLOY
+from maesn.report.figures.adaptation import plot_adaptation_curves
+from maesn.report.figures.learning import Trained, moving_mean, plot_learning_curves
+from maesn.report.line import Line
 from maesn.report.published import published_curve
 from maesn.report.statistics import mean_interval
 from maesn.report.style import METHOD_STYLES
 
 
 def learning_figure() -> Figure:
-    maesn, maml = series("maesn", "maml")
     seeds = (learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20))
-    return plot_learning_curves(
-        [TrainedSeries(maesn, seeds), TrainedSeries(maml, (learning_curve(),))], "dense"
-    )
+    maesn = Trained(METHOD_STYLES["maesn"], seeds)
+    return plot_learning_curves([maesn, Trained(METHOD_STYLES["maml"], seeds[1:2])], "dense")
 
 
 def adaptation_figure() -> Figure:
-    maesn, maml = series("maesn", "maml")
-    seeds = tuple(adaptation_table(seed=seed) for seed in range(3))
-    return plot_adaptation_curves(
-        [
-            AdaptedSeries(maesn, seeds, published_curve("wheeled", "maesn")),
-            AdaptedSeries(maml, (adaptation_table(gain=5.0),), None),
-        ]
-    )
+    seeds = (adaptation_table(seed=seed) for seed in range(3))
+    lines = [method("maesn", *seeds), method("maml", adaptation_table(gain=5.0))]
+    return plot_adaptation_curves(lines, {"maesn": published_curve("wheeled", "maesn")})
 
 
 def crowded_adaptation_figure() -> Figure:
-    seeds = (adaptation_table(), adaptation_table(seed=1))
-    first, *others = crowd()
-    lines = [AdaptedSeries(one, (adaptation_table(),)) for one in others]
-    return plot_adaptation_curves([AdaptedSeries(first, seeds), *lines])
+    tables = (adaptation_table(), adaptation_table(seed=1))
+    lines = [
+        Line(one.name, one.style, (0, 1)[: 1 + (not i)], tables[: 1 + (not i)])
+        for i, one in enumerate(crowd())
+    ]
+    return plot_adaptation_curves(lines, {})
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -79,9 +73,9 @@ def test_learning_curves() -> None:
 
 
 def test_a_method_without_a_metric_has_no_line_for_it() -> None:
-    (maesn,) = series("maesn")
     curve = replace(learning_curve(), return_before=np.full(30, np.nan))
-    before, after, _ = plot_learning_curves([TrainedSeries(maesn, (curve,))], "sparse").axes
+    maesn = Trained(METHOD_STYLES["maesn"], (curve,))
+    before, after, _ = plot_learning_curves([maesn], "sparse").axes
     assert not before.lines
     assert len(after.lines) == 2  # the average, and what it is the average of
 
@@ -103,6 +97,7 @@ def test_adaptation_curves() -> None:
     assert note(figure).splitlines() == [
         "bands of MAESN: 95 % interval, resampling 8 tasks and 3 seeds",
         "other bands: 95 % interval, resampling 8 tasks; 1 seed",
+        "judged on the episodes that were learned from, z drawn, as in the paper",
     ]
     np.testing.assert_array_equal(line(returns, "MAESN, published")[:, 0], [0, 1, 2, 3])
     assert line(returns, "MAESN, published")[0, 1] == -395.7
@@ -110,22 +105,31 @@ def test_adaptation_curves() -> None:
 
 
 def test_the_band_is_the_interval() -> None:
-    (maesn,) = series("maesn")
     table = adaptation_table()
-    figure = plot_adaptation_curves([AdaptedSeries(maesn, (table,))])
+    figure = plot_adaptation_curves([method("maesn", table)], {})
     interval = mean_interval(table.mean_return[None, :, -1])
     band = figure.axes[0].collections[0].get_paths()[0].vertices
     at_end = band[band[:, 0] == 3.0, 1]
     assert {at_end.min(), at_end.max()} == {interval.low, interval.high}
     assert line(figure.axes[0], "MAESN")[-1, 1] == pytest.approx(interval.mean)
-    assert note(figure) == "bands: 95 % interval, resampling 8 tasks; 1 seed"
+    assert note(figure).startswith("bands: 95 % interval, resampling 8 tasks; 1 seed\n")
+
+
+def test_the_note_says_which_lines_judge_the_deployed_agent() -> None:
+    fresh = replace(adaptation_table(), purpose=DEPLOY)
+    (_, one) = note(plot_adaptation_curves([method("maesn", fresh)], {})).splitlines()
+    assert one == "judged on fresh episodes of the deployed mean"
+    lines = [method("maesn", fresh), method("maml", adaptation_table())]
+    said = note(plot_adaptation_curves(lines, {})).replace("\n", " ")
+    assert "MAESN: judged on fresh episodes of the deployed mean; MAML: judged on the" in said
 
 
 def test_two_numbers_of_episodes_share_no_axis() -> None:
-    maesn, maml = series("maesn", "maml")
     other = replace(adaptation_table(), episodes=20 * np.arange(4))
-    lines = [AdaptedSeries(maesn, (adaptation_table(),)), AdaptedSeries(maml, (other,))]
-    assert not plot_adaptation_curves(lines).axes[0].child_axes
+    lines = [method("maesn", adaptation_table()), method("maml", other)]
+    figure = plot_adaptation_curves(lines, {})
+    assert not figure.axes[0].child_axes
+    assert "episodes per update: MAESN 50, MAML 20" in note(figure)
 
 
 def test_methods_are_drawn_in_their_own_style() -> None:

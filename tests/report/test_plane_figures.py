@@ -18,10 +18,9 @@ from synthetic_runs import (
     fan,
     half_circle,
     latents,
-    series,
 )
 
-from maesn.report.figures.exploration import ExploringSeries, plot_exploration
+from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
 from maesn.report.figures.latents import plot_latents
 from maesn.report.figures.plane import (
     direction_scale,
@@ -31,22 +30,22 @@ from maesn.report.figures.plane import (
 )
 from maesn.report.figures.structured_noise import plot_structured_noise
 from maesn.report.figures.task_distribution import plot_task_distribution
+from maesn.report.style import METHOD_STYLES
 
 
 def exploration_figure() -> Figure:
-    maesn, maml = series("maesn", "maml")
+    maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
     return plot_exploration(
         [
-            ExploringSeries(maesn, exploration(), adaptation_table()),
-            ExploringSeries(maml, exploration(has_latents=False), None),
+            ExplorationPanel(maesn, exploration(), adaptation_table().prior_reach),
+            ExplorationPanel(maml, exploration(has_latents=False), None),
         ]
     )
 
 
 def crowded_exploration_figure() -> Figure:
-    return plot_exploration(
-        [ExploringSeries(one, exploration(), adaptation_table()) for one in crowd()]
-    )
+    reach = adaptation_table().prior_reach
+    return plot_exploration([ExplorationPanel(one.style, exploration(), reach) for one in crowd()])
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -85,8 +84,8 @@ def test_exploration() -> None:
 
 @pytest.mark.parametrize("number", [1, 3, 6])
 def test_lower_left_panels_keep_their_labels(number: int) -> None:
-    methods = series("maesn", "maml", "latent_space", "maml_bias", "maml_bias_only", "maesn_theta")
-    panels = [ExploringSeries(one, exploration(), None) for one in methods[:number]]
+    styles = list(METHOD_STYLES.values())[:number]
+    panels = [ExplorationPanel(style, exploration(), None) for style in styles]
     axes = plot_exploration(panels).axes
     assert len(axes) == number + 1
     assert axes[-1].get_xlabel() == "x (m)"
@@ -164,7 +163,7 @@ def test_latents() -> None:
     assert bar.get_ylabel() == "direction of the goal (°)"
     np.testing.assert_allclose(ellipses(before).get_widths(), 2.0)  # 1 sigma of the prior
     np.testing.assert_allclose(ellipses(after).get_heights(), 1.0)
-    np.testing.assert_array_equal(ellipses(after).get_offsets(), latents().mean[-1])
+    np.testing.assert_array_equal(ellipses(after).get_offsets(), latents().mean[:, -1])
     colours = ellipses(after).get_edgecolor()
     assert len({tuple(colour) for colour in colours}) == NUM_TASKS
     for axes in (before, after):

@@ -7,13 +7,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 from synthetic_runs import write_run
 
 from maesn.report.plot import plot_run_directories
+from maesn.report.reading import Latents
 from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
+
+
+@pytest.fixture
+def unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Touch the files of figures instead of laying them out, which takes a second each."""
+
+    def touch(figure: Figure, directory: Path, name: str) -> list[Path]:
+        assert figure.axes
+        directory.mkdir(parents=True, exist_ok=True)
+        files = [directory / f"{name}.png", directory / f"{name}.pdf"]
+        for file in files:
+            file.touch(exist_ok=False)
+        return files
+
+    monkeypatch.setattr("maesn.report.plot.save_figure", touch)
 
 
 def draw(directories: list[Path], out: Path) -> tuple[set[str], str]:
@@ -44,6 +61,7 @@ def test_one_run_gives_every_figure(tmp_path: Path) -> None:
     assert sentence.endswith("of the 8 goals (test tasks) are reached within 50 prior episodes.")
 
 
+@pytest.mark.usefixtures("unsaved")
 def test_several_runs_share_figures(tmp_path: Path) -> None:
     runs = [
         write_run(tmp_path / "a", seed=0, without=["exploration"]),
@@ -63,6 +81,7 @@ def test_several_runs_share_figures(tmp_path: Path) -> None:
     assert f"No metrics in `{runs[2]}`: " in said
 
 
+@pytest.mark.usefixtures("unsaved")
 def test_worlds_and_rewards_are_kept_apart(tmp_path: Path) -> None:
     without = ["adaptation", "exploration"]
     runs = [
@@ -90,6 +109,7 @@ def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) 
     ]
 
 
+@pytest.mark.usefixtures("unsaved")
 def test_tables_of_changed_learners_are_named_and_not_drawn(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", without=["exploration", "metrics"])
     table = run / "adaptation" / "test-sparse.csv"
@@ -97,10 +117,11 @@ def test_tables_of_changed_learners_are_named_and_not_drawn(tmp_path: Path) -> N
     tuned.write_bytes(table.read_bytes())
     names, said = draw([run], tmp_path / "out")
     assert names == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
-    assert "Not drawn, because the learner was changed in the new tasks" in said
+    assert "Not drawn, because the rule or the radius was changed in the new tasks" in said
     assert f"engine asked for by name: `{tuned}`." in said
 
 
+@pytest.mark.usefixtures("unsaved")
 def test_a_method_that_was_not_adapted_is_named(tmp_path: Path) -> None:
     whole = write_run(tmp_path / "whole", without=["exploration", "metrics"])
     bare = write_run(tmp_path / "bare", "maml", without=["adaptation", "exploration", "metrics"])
@@ -112,6 +133,7 @@ def test_a_method_that_was_not_adapted_is_named(tmp_path: Path) -> None:
     ) in said
 
 
+@pytest.mark.usefixtures("unsaved")
 def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", without=["metrics"])
     file = run / "figures" / "exploration.npz"
@@ -121,6 +143,26 @@ def test_goals_of_another_task_set_do_not_colour_latents(tmp_path: Path) -> None
     names, said = draw([run], tmp_path / "out")
     assert "latents-maesn-test-sparse" in names
     assert "prior episodes" not in said
+
+
+def test_the_goals_of_the_test_tasks_colour_no_other_latents(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where two task sets have as many tasks."""
+    run = write_run(tmp_path / "run", without=["metrics"])
+    for name in ("test-sparse.csv", "test-sparse.latents.npz"):
+        file = run / "adaptation" / name
+        file.with_name(name.replace("test", "ood")).write_bytes(file.read_bytes())
+    coloured: list[bool] = []
+
+    def plot(_: Latents, goals: np.ndarray | None) -> Figure:
+        coloured.append(goals is not None)
+        return Figure()
+
+    monkeypatch.setattr("maesn.report.plot.plot_latents", plot)
+    monkeypatch.setattr("maesn.report.plot.save_figure", lambda *_: [])
+    plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
+    assert coloured == [False, True]  # ood, then test
 
 
 @pytest.mark.parametrize(
@@ -145,11 +187,11 @@ def test_no_run_is_refused(tmp_path: Path) -> None:
         plot_run_directories([tmp_path], tmp_path)
 
 
-def test_plotting_loads_no_learner_and_no_physics() -> None:
-    program = (
-        "import sys, maesn.report.plot; print(*{name.partition('.')[0] for name in sys.modules})"
-    )
+def test_plotting_loads_no_learner_no_physics_and_no_windows() -> None:
+    program = "import sys, maesn.report.plot; print(*sys.modules)"
     command = [sys.executable, "-c", program]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert not set(output.split()) & LEARNER_AND_PHYSICS
-    assert "matplotlib" in output.split()
+    loaded = set(output.split())
+    assert not {name.partition(".")[0] for name in loaded} & LEARNER_AND_PHYSICS
+    assert "matplotlib.figure" in loaded
+    assert "matplotlib.pyplot" not in loaded

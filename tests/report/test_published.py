@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_runs import adaptation_table, run
 
-from maesn.report.published import is_comparable, published_curve
+from maesn.report.published import comparable_curve, published_curve
 
 
 @pytest.mark.parametrize(
@@ -44,14 +44,14 @@ def test_what_the_paper_does_not_show(family: str, method: str) -> None:
 
 
 def test_only_the_same_protocol_is_comparable() -> None:
-    table, settings = adaptation_table(), run().settings
-    assert is_comparable(settings, table)
-    assert is_comparable({**settings, "sparse_radius": 0.8}, table)
-    assert not is_comparable({**settings, "sparse_radius": 1.0}, table)
-    assert not is_comparable({**settings, "variant": "paper"}, table)
-    assert not is_comparable({**settings, "family": "point"}, table)
-    assert not is_comparable(settings, replace(table, reward="dense"))
-    assert not is_comparable(settings, replace(table, episodes=20 * np.arange(4)))
-    assert is_comparable(
-        {**settings, "family": "blockpush"}, replace(table, episodes=20 * np.arange(4))
-    )
+    table = adaptation_table()
+    per_twenty = replace(table, episodes=20 * np.arange(4))
+    curve = comparable_curve(run(), table)
+    assert curve is not None
+    assert curve.name == "MAESN"
+    assert comparable_curve(run(sparse_radius=0.8), table)
+    assert comparable_curve(run(family="blockpush"), per_twenty)
+    for other in ({"sparse_radius": 1.0}, {"variant": "paper"}, {"family": "point"}):
+        assert comparable_curve(run(**other), table) is None
+    assert comparable_curve(run(), replace(table, reward="dense")) is None
+    assert comparable_curve(run(), per_twenty) is None

@@ -19,7 +19,7 @@ from synthetic_runs import (
     write_run,
 )
 
-from maesn.report.runs import read_exploration, read_latents, read_learning_curve, read_run
+from maesn.report.runs import read_exploration, read_learning_curve, read_run
 from maesn.storage import RunError
 
 
@@ -34,10 +34,10 @@ def refused(call: Callable[[], object]) -> str:
 
 def test_settings_are_read(tmp_path: Path) -> None:
     run = read_run(write_run(tmp_path / "a", "maml", seed=3, learner={"meta_batch_size": 20}))
-    assert (run.method, run.family, run.variant, run.seed) == ("maml", "wheeled", "reference", 3)
+    assert (run.method, run.family, run.seed) == ("maml", "wheeled", 3)
     assert run.settings["iterations"] == 30
     assert run.learner == {"meta_batch_size": 20}
-    assert [file.name for file in run.adaptation_files()] == ["test-sparse.csv"]
+    assert [file.name for file in run.tables().values()] == ["test-sparse.csv"]
     assert run.adaptation("validation", "sparse") is None
 
 
@@ -142,8 +142,11 @@ def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
         ({"goals": None}, r"`goals` \[task, 2\] .* got episodes_per_task, fixed_paths"),
         ({"goals": np.zeros((3, 3))}, r"`goals` \[task, 2\] .* got float64 \[3, 3\]"),
         ({"prior_paths": np.zeros((0, 5, 2))}, r"`prior_paths` .* got float64 \[0, 5, 2\]"),
-        ({"prior_paths": np.array(["x"])}, r"`prior_paths` \[episode, time, 2\] .* got <U1 \[1\]"),
-        ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, context\] .* got float64 \[2"),
+        (
+            {"prior_paths": np.array(["x"])},
+            r"`prior_paths` \[episode, time_plus_1, 2\] .* got <U1 \[1\]",
+        ),
+        ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, z\] .* got float64 \[2"),
         ({"solved_at_reset": np.zeros(3)}, r"`solved_at_reset` \[8\] .* got float64 \[3\]"),
         (
             {"landmarks": np.zeros((3, 5, 2))},
@@ -176,24 +179,25 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
 
 
 def test_latents_are_read(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "a", "maesn")
-    read = read_latents(run, "test", "sparse")
+    read = read_run(write_run(tmp_path / "a", "maesn")).latents("test", "sparse")
     assert read is not None
     np.testing.assert_array_equal(read.mean, latents().mean)
-    assert (read.num_tasks, read.num_components, read.first_update, read.last_update) == (
-        8,
-        2,
-        0,
-        3,
-    )
-    assert read_latents(write_run(tmp_path / "b", "maml"), "test", "sparse") is None
+    np.testing.assert_array_equal(read.log_std, latents().log_std)
+    assert (read.first_update, read.last_update) == (0, 3)
+    assert read_run(write_run(tmp_path / "b", "maml")).latents("test", "sparse") is None
 
 
-def test_latents_of_two_shapes_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "adaptation" / "test-sparse.latents.npz"
-    file.parent.mkdir()
-    np.savez(file, mean=np.zeros((4, 8, 2)), log_std=np.zeros((4, 8, 3)), first_update=0)
-    message = refused(lambda: read_latents(tmp_path, "test", "sparse"))
-    assert "Expected `log_std` [4, 8, 2]" in message
-    assert "got float64 [4, 8, 3]" in message
-    assert "maesn adapt" in message
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"log_std": np.zeros((8, 4, 3))}, r"`log_std` \[8, 4, 2\] .* got float64 \[8, 4, 3\]"),
+        ({"mean": latents().mean.swapaxes(0, 1)}, r"`mean` \[8, 4, z\] .* got float64 \[4, 8, 2\]"),
+    ],
+)
+def test_latents_of_other_shapes_than_the_table_are_refused(
+    tmp_path: Path, change: dict[str, np.ndarray], complaint: str
+) -> None:
+    directory = write_run(tmp_path / "run", "maesn")
+    np.savez(directory / "adaptation" / "test-sparse.latents.npz", **{**vars(latents()), **change})
+    with pytest.raises(RunError, match=complaint + ".*maesn adapt"):
+        read_run(directory).latents("test", "sparse")

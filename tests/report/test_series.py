@@ -12,7 +12,7 @@ def test_seeds_of_one_experiment_are_one_series() -> None:
     runs = [run(seed=seed, num_threads=seed, checkpoint_every=1 + seed) for seed in range(3)]
     (series,) = group_series(runs)
     assert series.runs == tuple(runs)
-    assert (series.name, series.label, series.method) == ("maesn", "MAESN", "maesn")
+    assert (series.name, series.label) == ("maesn", "MAESN")
     assert series.style == METHOD_STYLES["maesn"]
 
 

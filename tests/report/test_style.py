@@ -1,8 +1,6 @@
 """The look of figures: told apart without colour, and nobody else's settings touched."""
 
 import itertools
-import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -49,12 +47,6 @@ def test_the_users_settings_are_left_alone_and_not_used(tmp_path: Path) -> None:
         assert dict(mpl.rcParams) == before
     assert axes.xaxis.label.get_fontsize() == 8.0
     assert axes.figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
-
-
-def test_pyplot_and_its_windows_stay_out() -> None:
-    program = "import sys, maesn.report.plot; print('matplotlib.pyplot' in sys.modules)"
-    command = [sys.executable, "-c", program]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_files_are_repeatable_sized_and_embed_their_fonts(tmp_path: Path) -> None:

@@ -11,21 +11,20 @@ from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.report import print_adaptation_summary
-from maesn.report.adaptation_table import MEASURES
+from maesn.report.adaptation_table import DEPLOY, MEASURES, AdaptationTable
 from maesn.report.statistics import difference_interval, mean_interval
-from maesn.report.tables import (
-    UNITS,
-    IntervalTable,
-    difference_table,
-    summary_table,
-    summary_tables,
-)
+from maesn.report.tables import UNITS, TextTable, difference_table, summary_tables
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
 
 
-def shown(table: IntervalTable, width: int = 80) -> str:
+def summary(*, brief: bool = False) -> TextTable:
+    (table,) = summary_tables(TABLES, "MAESN on 30 tasks", brief=brief)
+    return table
+
+
+def shown(table: TextTable, width: int = 80) -> str:
     console = Console(file=io.StringIO(), width=width)
     console.print(table.to_rich())
     output = console.file
@@ -33,7 +32,7 @@ def shown(table: IntervalTable, width: int = 80) -> str:
     return output.getvalue()
 
 
-def markdown_cells(table: IntervalTable) -> list[list[str]]:
+def markdown_cells(table: TextTable) -> list[list[str]]:
     lines = [line for line in table.to_markdown().splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
@@ -43,7 +42,7 @@ def numbers(cell: str) -> list[float]:
 
 
 def test_markdown_has_every_interval() -> None:
-    heads, _, *rows = markdown_cells(summary_table(TABLES, "MAESN"))
+    heads, _, *rows = markdown_cells(summary())
     assert heads[:2] == ["update", "episodes"]
     assert [row[:2] for row in rows] == [["0", "0"], ["1", "50"], ["2", "100"], ["3", "150"]]
     for update, row in enumerate(rows):
@@ -56,37 +55,45 @@ def test_markdown_has_every_interval() -> None:
 
 
 def test_markdown_says_what_the_brackets_are() -> None:
-    text = summary_table(TABLES, "MAESN").to_markdown()
-    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds." in text
-    assert "**MAESN**" in text
+    text = summary().to_markdown()
+    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds. Judged on the" in text
+    assert "**MAESN on 30 tasks**" in text
 
 
 def test_differences_are_method_minus_reference() -> None:
     worse = [adaptation_table(num_tasks=30, seed=7, gain=10.0)]
     table = difference_table(TABLES, {"MAML": worse}, "Minus MAESN")
-    (row,) = table.cells
+    ((name, returns, *_),) = table.rows
     first, second = (
         worse[0].mean_return[None, :, -1],
         np.stack([t.mean_return[:, -1] for t in TABLES]),
     )
-    assert row[0] == difference_interval(first, second)
-    assert row[0].mean < -30.0
-    assert markdown_cells(table)[2][0] == "MAML"
-    assert markdown_cells(table)[2][1].startswith("-3")
+    interval = difference_interval(first, second)
+    assert interval.mean < -30.0
+    assert name == "MAML"
+    expected = [interval.mean, interval.low, interval.high]
+    np.testing.assert_allclose(numbers(returns), expected, atol=0.0501)
+    assert markdown_cells(table)[2][1] == returns
     assert "+" in difference_table(worse, {"MAESN": TABLES}, "").to_markdown()
 
 
 def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
-    table = summary_table(TABLES, "MAESN on 30 tasks")
-    lines = shown(table).splitlines()
+    lines = shown(summary(brief=True)).splitlines()
     assert "MAESN on 30 tasks" in lines[0]
     assert max(map(len, lines)) <= 80
-    assert "± half the 95 % interval, resampling 30 tasks and 3 seeds" in lines[-1]
+    assert "± half the 95 % interval, resampling 30 tasks and 3 seeds" in lines[-2]
+    assert "Judged on the episodes that were learned from" in lines[-1]
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
     assert len(rows) == NUM_UPDATES + 1
-    last = [cell.mean for cell in table.cells[-1]]
-    printed = numbers(rows[-1])[::2]
-    np.testing.assert_allclose(printed, np.array(last) * [1, 1, 100, 100, 100], atol=0.0501)
+    last = [
+        mean_interval(np.stack([table.measure(name)[:, -1] for table in TABLES]))
+        for name in MEASURES
+    ]
+    scale = np.array([1, 1, 100, 100, 100])
+    means = scale * [interval.mean for interval in last]
+    halves = scale * [(interval.high - interval.low) / 2 for interval in last]
+    np.testing.assert_allclose(numbers(rows[-1])[::2], means, atol=0.0501)
+    np.testing.assert_allclose(numbers(rows[-1])[1::2], halves, atol=0.0501)
 
 
 def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> None:
@@ -94,44 +101,75 @@ def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> N
     at_reset[[4, 7, 8]] = 1.0
     tables = [replace(table, solved_at_reset=at_reset) for table in TABLES]
     everything, others = summary_tables(tables, "MAESN")
-    assert everything.note == "3 of the 30 tasks are solved at reset."
-    assert everything.note in everything.to_markdown()
-    assert everything.note in shown(everything)
-    assert (others.title, others.note) == ("MAESN, without tasks solved at reset", "")
+    counted = "3 of the 30 tasks are solved at reset."
+    assert counted in everything.to_markdown()
+    assert counted in shown(summary_tables(tables, "MAESN", brief=True)[0])
+    assert others.title == "MAESN, without tasks solved at reset"
+    assert counted not in others.to_markdown()
     rest = [np.delete(table.mean_return[:, -1], [4, 7, 8]) for table in TABLES]
-    assert others.cells[-1][0] == mean_interval(np.stack(rest))
-    assert difference_table(tables, {"MAML": TABLES}, "").note == everything.note
+    assert numbers(others.rows[-1][2])[0] == pytest.approx(np.mean(rest), abs=0.0501)
+    assert counted in difference_table(tables, {"MAML": TABLES}, "").to_markdown()
 
 
-def test_where_no_task_is_solved_at_reset_there_is_one_table_without_a_note() -> None:
-    (summary,) = summary_tables(TABLES, "MAESN")
-    assert summary.note == ""
+def test_where_no_task_is_solved_at_reset_there_is_one_table() -> None:
+    assert "solved at reset" not in summary().to_markdown()
     all_solved = replace(TABLES[0], solved_at_reset=np.ones((30, NUM_UPDATES + 1)))
-    (summary,) = summary_tables([all_solved], "MAESN")
-    assert summary.note == "30 of the 30 tasks are solved at reset."
+    (table,) = summary_tables([all_solved], "MAESN")
+    assert "30 of the 30 tasks are solved at reset." in table.to_markdown()
 
 
 def test_one_task_has_means_without_intervals() -> None:
-    table = summary_table([adaptation_table(num_tasks=1)], "one")
-    assert "±" not in "".join(shown(table).splitlines()[:-1])
-    assert "[" not in table.to_markdown()
-    assert "no interval: 1 task and 1 seed" in table.to_markdown()
+    for brief in (True, False):
+        (table,) = summary_tables([adaptation_table(num_tasks=1)], "one", brief=brief)
+        assert not any("±" in cell or "[" in cell for row in table.rows for cell in row)
+        assert "no interval: 1 task and 1 seed" in table.to_markdown()
 
 
-def test_markdown_is_written(tmp_path: Path) -> None:
-    table = summary_table(TABLES, "MAESN")
-    table.write_markdown(tmp_path / "results" / "maesn.md")
-    assert (tmp_path / "results" / "maesn.md").read_text(encoding="utf-8") == table.to_markdown()
+def printed(path: Path, table: AdaptationTable, deployed: AdaptationTable | None = None) -> str:
+    write_adaptation(path / "test-sparse.csv", table, deployed)
+    console = Console(file=io.StringIO(), width=80)
+    print_adaptation_summary(path / "test-sparse.csv", console)
+    output = console.file
+    assert isinstance(output, io.StringIO)
+    return " ".join(output.getvalue().split())
 
 
-def test_the_summary_of_a_file_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_adaptation(tmp_path / "test-sparse.csv", TABLES[0])
-    print_adaptation_summary(tmp_path / "test-sparse.csv")
-    output = capsys.readouterr().out
+def test_the_summary_of_a_file_is_printed(tmp_path: Path) -> None:
+    output = printed(tmp_path, TABLES[0])
     assert "Adaptation: test-sparse" in output
     assert f"{TABLES[0].mean_return[:, -1].mean():.1f}" in output
+    assert "Each task" not in output
+    assert "No episode" not in output
+    fresh = printed(tmp_path, TABLES[0], TABLES[1])
+    assert f"{TABLES[1].mean_return[:, -1].mean():.1f}" in fresh
+    assert "Judged on fresh episodes of the deployed mean." in fresh
+
+
+def test_each_of_few_tasks_has_a_row(tmp_path: Path) -> None:
+    table = adaptation_table(num_tasks=10)
+    output = printed(tmp_path, table)
+    assert "Each task, before and after 3 updates" in output
+    for task in range(10):
+        ends = [f"{table.mean_return[task, k]:.1f}" for k in (0, -1)]
+        rates = [f"{100 * table.success_rate[task, k]:.1f}" for k in (0, -1)]
+        assert " ".join([str(task), *ends, *rates]) in output
+
+
+def test_tasks_without_a_success_had_nothing_to_learn_from(tmp_path: Path) -> None:
+    rates = adaptation_table(num_tasks=12).success_rate.copy()
+    rates[[2, 5]] = 0.0
+    rates[7, :-1] = 0.0  # one episode after the last update reached the goal
+    table = replace(adaptation_table(num_tasks=12), success_rate=rates)
+    said = "No episode reached the goal in 2 of 12 tasks: there the adaptation had nothing to learn"
+    assert said in printed(tmp_path, table)
+    # What the deployed agent reaches was not learned from.
+    deployed = replace(table, purpose=DEPLOY, success_rate=np.ones_like(rates))
+    assert said in printed(tmp_path, table, deployed)
+    write_adaptation(tmp_path / "test-dense.csv", table)
+    console = Console(file=io.StringIO())
+    print_adaptation_summary(tmp_path / "test-dense.csv", console)
+    assert isinstance(console.file, io.StringIO)
+    assert "No episode" not in console.file.getvalue()
 
 
 def test_zero_has_no_minus() -> None:

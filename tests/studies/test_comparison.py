@@ -19,7 +19,7 @@ from maesn.learners import ProximalStep, RecurrentValue, oracle, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import GaussianMLP, Recurrent
 from maesn.policies.usual import USUAL
-from maesn.report.adaptation_table import read_adaptation
+from maesn.report.reading import read_adaptation
 from maesn.report.style import METHOD_STYLES
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run

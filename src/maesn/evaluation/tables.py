@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContext, Latent
-from maesn.envs import NAMED_SETS
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
+from maesn.report.table_files import latents_file, record_file, table_path
 from maesn.storage import (
     RunError,
     explained,
@@ -26,33 +26,16 @@ from maesn.storage import (
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set or `file-STEM`; with
-    `from-UPDATE-` before it if the adaptation went on from an earlier one. Behind the reward stand
-    rule and wrappers, the sparse radius and the engine, each where it is not the usual one: tables
-    of different kinds never share a file, and so never a figure.
+    See `table_path`. Behind the reward stand rule and wrappers, the sparse radius and the engine,
+    each where it is not the usual one: tables of different kinds never share a file, and so never a
+    figure.
     """
-    tasks = evaluation.tasks
-    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
-    prefix = f"from-{first_update}-" if first_update else ""
     radius = evaluation.sparse_radius
-    suffix = evaluation.suffix + ("" if radius is None else f"-radius-{radius:g}")
-    engine = "" if evaluation.engine is None else f"-on-{evaluation.engine}"
-    return directory / "adaptation" / f"{prefix}{name}-{evaluation.reward}{suffix}{engine}.csv"
-
-
-def latents_file(table: Path) -> Path:
-    """Return the path of the latents that belong to a table of adaptation curves."""
-    return table.with_suffix(".latents.npz")
-
-
-def record_of_latents(latents: Path) -> Path:
-    """Return the path of the file that says how latents were made."""
-    return latents.with_name(f"{latents.name.removesuffix('.latents.npz')}.settings.json")
-
-
-def record_file(table: Path) -> Path:
-    """Return the path of the file that says how a table of adaptation curves was made."""
-    return table.with_suffix(".settings.json")
+    changed = evaluation.suffix + ("" if radius is None else f"-radius-{radius:g}")
+    changed += "" if evaluation.engine is None else f"-on-{evaluation.engine}"
+    return table_path(
+        directory, evaluation.tasks, evaluation.reward, first_update=first_update, changed=changed
+    )
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

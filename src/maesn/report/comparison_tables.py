@@ -1,16 +1,13 @@
 """What a comparison comes to, as tables: where the methods end, and who beats whom."""
 
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from maesn.report.comparison import Comparison, Line, paired
-from maesn.report.reading import writing
+from maesn.report.comparison import Comparison
+from maesn.report.line import Line, note_on_judging
 from maesn.report.statistics import (
     Interval,
     improvement_interval,
@@ -18,58 +15,40 @@ from maesn.report.statistics import (
     mean_interval,
     score_interval,
 )
-from maesn.report.tables import MAX_WIDTH, UNITS, WITHOUT_SOLVED, Unit, markdown_row, note_on_solved
+from maesn.report.tables import (
+    UNITS,
+    WITHOUT_SOLVED,
+    TextTable,
+    Unit,
+    labels_of,
+    note_on_solved,
+    print_tables,
+)
+from maesn.storage import write_whole
 
 _SCORE = Unit("score", digits=2)
 _SCORE_INTERVAL = (
-    "The score's interval draws the same tasks for method, floor and oracle; there is none if in "
-    "some of the draws the oracle is not above the floor."
+    "The score's interval draws the same tasks for method, baseline and oracle; there is none if "
+    "in some of the draws the oracle is not above the baseline."
 )
 _MILLION = 1e6
 _PROBABILITY = Unit("probability", digits=2)
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A table of texts, with a title above and sentences below."""
-
-    title: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-
-    def to_rich(self) -> Table:
-        """Return the table for a terminal."""
-        table = Table(title=self.title, caption="\n".join(self.notes), box=None)
-        for column, heading in enumerate(self.headings):
-            # A heading may be broken between words, a number may not be broken.
-            widths = [len(row[column]) for row in self.rows] + [*map(len, heading.split())]
-            table.add_column(heading, justify="right" if column else "left", min_width=max(widths))
-        for row in self.rows:
-            table.add_row(*map(Text, row))
-        return table
-
-    def to_markdown(self) -> str:
-        """Return the table as Markdown."""
-        ruler = ["---", *["---:"] * (len(self.headings) - 1)]
-        lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
-        return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
-
-
 def summary_tables(comparison: Comparison) -> list[TextTable]:
     """Return where each method ends and, if there are several, who beats whom.
 
-    Where some methods were adapted to the first tasks alone, it is said where all end in these;
-    where some tasks are solved at reset, where the methods end in the others.
+    Where some methods were adapted to the first tasks alone, a second table has all methods in
+    these. Where some tasks are solved at reset, another one has the methods in the others.
     """
     tables = [_ends(comparison)]
     fewest = min(line.num_tasks for line in comparison.lines)
     if fewest < max(line.num_tasks for line in comparison.everyone):
-        tables.append(_ends(comparison.of_first(fewest), f"the first {fewest} alone"))
+        tables.append(_ends(comparison.of_first(fewest), f", the first {fewest} alone"))
     unsolved = ~comparison.is_solved_at_reset
     others = comparison.of_tasks(unsolved)
     if others.lines and not unsolved.all():
-        tables.append(_ends(others, WITHOUT_SOLVED))
+        tables.append(_ends(others, f", {WITHOUT_SOLVED}"))
     if len(comparison.lines) > 1:
         tables.append(_improvements(comparison))
     return tables
@@ -82,8 +61,7 @@ def write_summary(comparison: Comparison, path: Path) -> None:
         RunError: the file cannot be written.
     """
     texts = [table.to_markdown() for table in summary_tables(comparison)]
-    with writing(path):
-        path.write_text("\n".join(texts), encoding="utf-8")
+    write_whole(path, "\n".join(texts).encode())
 
 
 def print_summary(comparison: Comparison, console: Console | None = None) -> None:
@@ -93,53 +71,50 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
         comparison: what to show.
         console: where; None for standard output.
     """
-    console = Console() if console is None else console
-    for table in summary_tables(comparison):
-        # A narrow terminal may break lines, but no number is cut off.
-        console.print(table.to_rich(), width=max(console.width, MAX_WIDTH), crop=False)
+    print_tables(summary_tables(comparison), Console() if console is None else console)
 
 
 def _ends(comparison: Comparison, addition: str = "") -> TextTable:
-    headings = (
-        "method",
-        "trained on",
-        "seeds",
-        "tasks",
-        "updates",
-        "steps",
-        "return",
-        "IQM",
-        "reaches goal (%)",
-        "score",
-    )
-    labels: list[str] = []
-    rows = [_end(comparison, line, labels) for line in comparison.everyone]
+    first = comparison.lines[0].tables[0]
+    intervals: list[Interval] = []
+    rows = [_end(comparison, line, intervals) for line in comparison.everyone]
+    is_trained = any(line.training_steps is not None for line in comparison.everyone)
     notes = [
-        "Mean and interquartile mean (IQM) of the sparse-reward curves' last points."
-        if comparison.lines[0].tables[0].reward == "sparse"
-        else "Mean and interquartile mean (IQM) of the dense-reward curves' last points.",
-        f"In brackets: {'; or '.join(dict.fromkeys(labels))}.",
-        "Trained on: environment steps of meta-training." if _is_trained(comparison) else "",
+        f"Mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points.",
+        f"Methods {note_on_judging(comparison.lines)}.",
+        f"In brackets: {labels_of(intervals)}.",
+        "Trained on: environment steps of meta-training." if is_trained else "",
         note_on_solved(comparison.is_solved_at_reset),
         *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
         comparison.why_no_score or _SCORE_INTERVAL,
         "" if comparison.why_no_score else _scoreless(comparison),
     ]
-    tasks = ", ".join(filter(None, (f"{comparison.lines[0].tables[0].tasks} tasks", addition)))
-    title = f"After each method's last update, in {tasks}"
-    return TextTable(title, headings, tuple(rows), tuple(filter(None, notes)))
+    return TextTable(
+        f"After each method's last update, in {first.tasks} tasks{addition}",
+        (
+            "method",
+            "trained on",
+            "seeds",
+            "tasks",
+            "updates",
+            "steps",
+            "return",
+            "IQM",
+            "reaches goal (%)",
+            "score",
+        ),
+        tuple(rows),
+        tuple(filter(None, notes)),
+        is_named=True,
+    )
 
 
-def _is_trained(comparison: Comparison) -> bool:
-    return any(line.training_steps is not None for line in comparison.everyone)
-
-
-def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ...]:
-    """Return one method's row; what its intervals resample is added to the labels."""
+def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> tuple[str, ...]:
+    """Return one method's row, and append the intervals of its returns."""
     last = line.measure("mean_return")[..., -1]
     returns, middle = mean_interval(last), interquartile_mean_interval(last)
     success = mean_interval(line.measure("success_rate")[..., -1])
-    labels += [returns.label, middle.label]
+    intervals += [returns, middle]
     return (
         line.label,
         "" if line.training_steps is None else f"{line.training_steps / _MILLION:.3g} M",
@@ -147,32 +122,35 @@ def _end(comparison: Comparison, line: Line, labels: list[str]) -> tuple[str, ..
         str(line.num_tasks),
         str(int(line.tables[0].updates[-1])),
         f"{int(comparison.steps(line)[-1]):,}",
-        _text(returns, UNITS["mean_return"]),
-        _text(middle, UNITS["mean_return"]),
-        _text(success, UNITS["success_rate"]),
+        UNITS["mean_return"].ends(returns),
+        UNITS["mean_return"].ends(middle),
+        UNITS["success_rate"].ends(success),
         _score(comparison, line),
     )
 
 
 def _score(comparison: Comparison, line: Line) -> str:
     """Return the score of the last point with its interval; empty if there is no score."""
-    if comparison.oracle is None or comparison.score(np.zeros(1), line.num_tasks) is None:
+    if comparison.oracle is None or not _has_score(comparison, line):
         return ""
     oracle, *baselines = (
         one.measure("mean_return")[:, : line.num_tasks, 0]
-        for one in (comparison.oracle, *comparison.floor)
+        for one in (comparison.oracle, *comparison.baselines)
     )
     last = line.measure("mean_return")[..., -1]
-    return _text(score_interval(last, baselines, oracle), _SCORE)
+    return _SCORE.ends(score_interval(last, baselines, oracle))
+
+
+def _has_score(comparison: Comparison, line: Line) -> bool:
+    return comparison.score(np.zeros(1), line.num_tasks) is not None
 
 
 def _scoreless(comparison: Comparison) -> str:
     """Name the methods that have no score where others have one; empty if there are none."""
-    lines = comparison.lines
-    labels = [line.label for line in lines if comparison.score(np.zeros(1), line.num_tasks) is None]
+    labels = [line.label for line in comparison.lines if not _has_score(comparison, line)]
     if not labels:
         return ""
-    return f"No score of {', '.join(labels)}: on these tasks the oracle is not above the floor."
+    return f"No score of {', '.join(labels)}: on these tasks the oracle is not above the baseline."
 
 
 def _beyond(line: Line) -> str:
@@ -183,33 +161,29 @@ def _beyond(line: Line) -> str:
     return (
         f"{line.label} was trained for trials of {line.trial_episodes} episodes, and is beyond "
         f"them from update {last + 1} on: after update {last}, the last that it was trained for, "
-        f"its return is {_text(prepared, UNITS['mean_return'])}."
+        f"its return is {UNITS['mean_return'].ends(prepared)}."
     )
 
 
 def _improvements(comparison: Comparison) -> TextTable:
-    rows, labels = [], []
-    for first, second in combinations(comparison.lines, 2):
-        interval = improvement_interval(*paired(first, second, "mean_return"))
-        labels.append(interval.label)
-        rows.append((first.label, second.label, _text(interval, _PROBABILITY)))
+    """Compare the methods' last points in pairs, over the tasks that both have."""
+    rows, intervals = [], []
+    for pair in combinations(comparison.lines, 2):
+        both = min(line.num_tasks for line in pair)
+        ends = [line.measure("mean_return")[:, :both, -1] for line in pair]
+        intervals.append(improvement_interval(*ends))
+        rows.append((pair[0].label, pair[1].label, _PROBABILITY.ends(intervals[-1])))
     return TextTable(
         "Probability that the first method's last point is above the second's in a task",
         ("first", "second", "probability"),
         tuple(rows),
         (
-            f"In brackets: {'; or '.join(dict.fromkeys(labels))}. A tie counts as half a win.",
+            f"In brackets: {labels_of(intervals)}. A tie counts as half a win.",
             *(
                 f"{line.label}: after update {int(line.tables[0].updates[-1])}, beyond its trials."
                 for line in comparison.lines
                 if line.first_beyond is not None
             ),
         ),
+        is_named=True,
     )
-
-
-def _text(interval: Interval, unit: Unit) -> str:
-    mean = unit.number(interval.mean)
-    if not interval.is_known:
-        return mean
-    return f"{mean} [{unit.number(interval.low)}, {unit.number(interval.high)}]"

@@ -9,32 +9,23 @@ from typing import TypeAlias
 
 from rich.console import Console
 
-from maesn.report.adaptation_table import AdaptationTable
-from maesn.report.figures.adaptation import AdaptedSeries, plot_adaptation_curves
-from maesn.report.figures.exploration import ExploringSeries, plot_exploration
+from maesn.report.figures.adaptation import plot_adaptation_curves
+from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
 from maesn.report.figures.latents import plot_latents
-from maesn.report.figures.learning import TrainedSeries, plot_learning_curves
+from maesn.report.figures.learning import Trained, plot_learning_curves
 from maesn.report.figures.structured_noise import plot_structured_noise
 from maesn.report.figures.task_distribution import plot_task_distribution
-from maesn.report.published import is_comparable, published_curve
-from maesn.report.runs import (
-    RecordedRun,
-    read_exploration,
-    read_latents,
-    read_learning_curve,
-    read_run,
-)
+from maesn.report.published import comparable_curve
+from maesn.report.runs import RecordedRun, read_exploration, read_learning_curve, read_run
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import save_figure
-from maesn.report.table_name import table_name
 from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
 
-Say: TypeAlias = Callable[[str], None]
+_RECORDED_TASKS = "test"  # the tasks whose goals an exploration records
 
-# Of a run adapted to several task sets, the first of these says how many goals are reached.
-_PREFERRED_SETS = ("test", "validation", "training", "ood")
+Say: TypeAlias = Callable[[str], None]
 
 
 def plot_run_directories(
@@ -42,10 +33,10 @@ def plot_run_directories(
 ) -> list[Path]:
     """Draw every figure that the runs have data for.
 
-    Runs that differ in their seed alone become one line. Runs in different worlds (family, variant
-    or sparse radius) get a directory of figures each, because their returns cannot be compared.
-    What is missing is said in a sentence each, with the command that makes it; so is the share of
-    goals that each method reaches before it adapts.
+    Runs that differ in their seed alone become one line. Runs in different worlds (family, variant,
+    sparse radius or engine) get a directory of figures each, because their returns cannot be
+    compared. Sentences say what is missing, with the command that makes it, and which share of the
+    goals each method reaches before it adapts.
 
     Args:
         directories: of runs, as `maesn train` and `maesn adapt` leave them.
@@ -56,7 +47,7 @@ def plot_run_directories(
         The files written, a PNG and a PDF for each figure.
 
     Raises:
-        RunError: if a directory holds no run, or a file in it is broken.
+        RunError: a directory holds no run, or a file in it is broken.
     """
     if not directories:
         raise RunError("Expected at least one run directory in `directories`, got none.")
@@ -65,54 +56,40 @@ def plot_run_directories(
     def say(sentence: str) -> None:
         console.print(sentence, markup=False, highlight=False, soft_wrap=True)
 
-    worlds = group_worlds([read_run(path) for path in _distinct(directories)])
+    distinct: dict[Path, Path] = {}
+    for path in directories:
+        distinct.setdefault(path.resolve(), path)
+    worlds = group_worlds([read_run(path) for path in distinct.values()])
     written: list[Path] = []
     for name, runs in worlds.items():
-        written += _plot_world(runs, out / name if len(worlds) > 1 else out, say)
+        place, series = out / name if len(worlds) > 1 else out, group_series(runs)
+        for plot in (_plot_learning, _plot_adaptation, _plot_exploration, _plot_latents):
+            written += plot(series, place, say)
     return written
-
-
-def _distinct(directories: Sequence[Path]) -> list[Path]:
-    first: dict[Path, Path] = {}
-    for path in directories:
-        first.setdefault(path.resolve(), path)
-    return list(first.values())
-
-
-def _plot_world(runs: Sequence[RecordedRun], out: Path, say: Say) -> list[Path]:
-    series = group_series(runs)
-    return [
-        *_plot_learning(series, out, say),
-        *_plot_adaptation(series, out, say),
-        *_plot_exploration(series, out, say),
-        *_plot_latents(series, out),
-    ]
 
 
 def _plot_learning(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
     """Draw one figure per training reward; returns of two rewards have no common axis."""
-    trained: dict[str, list[TrainedSeries]] = {}
+    trained: dict[str, list[Trained]] = {}
     missing: list[RecordedRun] = []
-    for line in series:
-        curves = {run: read_learning_curve(run.path) for run in line.runs}
+    for one in series:
+        curves = {run: read_learning_curve(run.path) for run in one.runs}
         missing += [run for run, curve in curves.items() if curve is None]
         finished = tuple(curve for curve in curves.values() if curve is not None)
         if finished:
-            reward = str(line.runs[0].settings.get("reward", "dense"))
-            trained.setdefault(reward, []).append(TrainedSeries(line, finished))
+            reward = str(one.runs[0].settings.get("reward", "dense"))
+            trained.setdefault(reward, []).append(Trained(one.style, finished))
     _say_missing(missing, "metrics", "`maesn train` or `maesn resume DIR` writes them", say)
-    return [
-        file
-        for reward, lines in trained.items()
-        for file in save_figure(
-            plot_learning_curves(lines, reward), out, f"learning-curves-{reward}"
-        )
-    ]
+    written: list[Path] = []
+    for reward, lines in trained.items():
+        figure = plot_learning_curves(lines, reward)
+        written += save_figure(figure, out, f"learning-curves-{reward}")
+    return written
 
 
 def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
     """Draw one figure per task set and reward that some run was adapted to."""
-    runs = [run for line in series for run in line.runs]
+    runs = [run for one in series for run in one.runs]
     sets = list(dict.fromkeys(pair for run in runs for pair in _adapted_sets(run)))
     if not sets:
         _say_missing(runs, "adaptation", "`maesn adapt DIR` writes it", say)
@@ -122,102 +99,80 @@ def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path
         lacking = [run for run in runs if (tasks, reward) not in _adapted_sets(run)]
         command = f"`maesn adapt DIR --tasks {tasks} --reward {reward}` writes it"
         _say_missing(lacking, f"adaptation to the {tasks} tasks with {reward} reward", command, say)
-        adapted = [line for line in (_adapted(one, tasks, reward) for one in series) if line]
-        figure = plot_adaptation_curves(adapted)
+        adapted = [(one, line) for one in series if (line := one.adapted(tasks, reward))]
+        published = {
+            line.name: comparable_curve(one.runs[0], line.tables[0]) for one, line in adapted
+        }
+        figure = plot_adaptation_curves([line for _, line in adapted], published)
         written += save_figure(figure, out, f"adaptation-curves-{tasks}-{reward}")
     return written
 
 
 def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
     """Return task sets and rewards of a run's adaptations in which nothing was changed."""
-    names = [table_name(file) for file in run.adaptation_files()]
-    return [(name.tasks, name.reward) for name in names if not name.changed]
-
-
-def _adapted(series: Series, tasks: str, reward: str) -> AdaptedSeries | None:
-    found = [(run, run.adaptation(tasks, reward)) for run in series.runs]
-    tables = tuple(table for _, table in found if table is not None)
-    if not tables:
-        return None
-    first = series.runs[0]
-    comparable = is_comparable(first.settings, tables[0])
-    published = published_curve(first.family, first.method) if comparable else None
-    return AdaptedSeries(series, tables, published)
+    return [(name.tasks, name.reward) for name in run.tables() if not name.changed]
 
 
 def _plot_exploration(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
     """Draw the tasks, what the prior explores, and what its latents contribute."""
-    exploring = [panel for panel in map(_exploring, series) if panel is not None]
-    drawn = {panel.series.name for panel in exploring}
-    missing = [line.runs[0] for line in series if line.name not in drawn]
+    found = {one.name: _explorer(one, say) for one in series}
+    explorers = {name: explorer for name, explorer in found.items() if explorer is not None}
+    missing = [one.runs[0] for one in series if one.name not in explorers]
     _say_missing(missing, "exploration trajectories", _RECORDING, say)
-    if not exploring:
+    if not explorers:
         return []
-    for panel in exploring:
-        _say_share(panel, say)
-    written = save_figure(
-        plot_task_distribution(exploring[0].exploration), out, "task-distribution"
-    )
-    written += save_figure(plot_exploration(exploring), out, "exploration")
-    for panel in exploring:
-        if panel.exploration.fixed_paths is not None:
-            figure = plot_structured_noise(panel.exploration)
-            written += save_figure(figure, out, f"structured-noise-{panel.series.name}")
+    first, *_ = panels = list(explorers.values())
+    written = save_figure(plot_task_distribution(first.exploration), out, "task-distribution")
+    written += save_figure(plot_exploration(panels), out, "exploration")
+    for name, explorer in explorers.items():
+        if explorer.exploration.fixed_paths is not None:
+            figure = plot_structured_noise(explorer.exploration)
+            written += save_figure(figure, out, f"structured-noise-{name}")
     return written
 
 
-def _exploring(series: Series) -> ExploringSeries | None:
-    """Return what the first of a series' runs that has trajectories explores."""
+def _explorer(series: Series, say: Say) -> ExplorationPanel | None:
+    """Return what the first run with trajectories explores, and say how many goals it reaches."""
     for run in series.runs:
         exploration = read_exploration(run.path)
         if exploration is not None:
-            return ExploringSeries(series, exploration, _sparse_table(run, len(exploration.goals)))
+            table = run.adaptation(_RECORDED_TASKS, "sparse")
+            has_goals = table is not None and table.num_tasks == len(exploration.goals)
+            reach = table.prior_reach if table is not None and has_goals else None
+            if reach is not None:
+                say(
+                    f"{series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
+                    f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
+                )
+            return ExplorationPanel(series.style, exploration, reach)
     return None
 
 
-def _sparse_table(run: RecordedRun, num_goals: int) -> AdaptationTable | None:
-    """Return a run's adaptation with sparse reward to that many tasks, the test set first."""
-    sets = [tasks for tasks, reward in _adapted_sets(run) if reward == "sparse"]
-    sets.sort(key=lambda tasks: (*_PREFERRED_SETS, tasks).index(tasks))
-    tables = (run.adaptation(tasks, "sparse") for tasks in sets)
-    return next((table for table in tables if table and table.num_tasks == num_goals), None)
-
-
-def _say_share(panel: ExploringSeries, say: Say) -> None:
-    table = panel.table
-    reach = None if table is None else table.prior_reach
-    if table is not None and reach is not None:
-        say(
-            f"{panel.series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
-            f"({table.tasks} tasks) are reached within {reach.episodes} prior episodes."
-        )
-
-
-def _plot_latents(series: Sequence[Series], out: Path) -> list[Path]:
+def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
     """Draw the latents of each method that has them, for each task set that it was adapted to."""
     written: list[Path] = []
-    for line in series:
-        run = line.runs[0]
+    for one in series:
+        run = one.runs[0]
         exploration = read_exploration(run.path)
         for tasks, reward in _adapted_sets(run):
-            latents = read_latents(run.path, tasks, reward)
-            if latents is None or latents.num_components < 2:
+            latents = run.latents(tasks, reward)
+            if latents is None or latents.mean.shape[-1] < 2:
                 continue
-            goals = None if exploration is None else exploration.goals
-            if goals is not None and len(goals) != latents.num_tasks:
-                goals = None
-            name = f"latents-{line.name}-{tasks}-{reward}"
+            goals = None
+            if exploration is not None and tasks == _RECORDED_TASKS:
+                goals = exploration.goals if len(exploration.goals) == len(latents.mean) else None
+            name = f"latents-{one.name}-{tasks}-{reward}"
             written += save_figure(plot_latents(latents, goals), out, name)
     return written
 
 
 def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:
-    files = [file for run in runs for file in run.adaptation_files() if table_name(file).changed]
+    files = [file for run in runs for name, file in run.tables().items() if name.changed]
     if files:
         places = ", ".join(f"`{file}`" for file in files)
         say(
-            "Not drawn, because the learner was changed in the new tasks or the engine asked for "
-            f"by name: {places}."
+            "Not drawn, because the rule or the radius was changed in the new tasks or the engine "
+            f"asked for by name: {places}."
         )
 
 

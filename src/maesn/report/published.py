@@ -1,15 +1,15 @@
 """The published adaptation curves, to be drawn beside our own where they are comparable."""
 
 import csv
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.runs import RecordedRun
 
 # Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
 # published; the table's header says what it is.
@@ -51,37 +51,35 @@ class PublishedCurve:
     mean_return: Float[np.ndarray, " point"]
 
 
+def comparable_curve(run: RecordedRun, table: AdaptationTable) -> PublishedCurve | None:
+    """Return the published curve of a run's method; None if the run's returns mean another thing.
+
+    Args:
+        run: which was adapted.
+        table: its adaptation.
+    """
+    protocol = _PROTOCOLS.get(run.family)
+    is_comparable = (
+        protocol is not None
+        and run.settings["variant"] == "reference"
+        and run.settings.get("sparse_radius") in (None, protocol.sparse_radius)
+        and table.reward == "sparse"
+        and table.episodes_per_update == protocol.episodes_per_update
+    )
+    return published_curve(run.family, run.method) if is_comparable else None
+
+
 def published_curve(family: str, method: str) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if it shows nothing."""
     name = _PUBLISHED_NAME.get(method, "")
+    text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     points = [
         (float(row["update"]), float(row[name]))
-        for row in _rows()
+        for row in rows
         if row["family"] == family and row.get(name)
     ]
     if not points:
         return None
     update, mean_return = np.array(points).T
     return PublishedCurve(name, update, mean_return)
-
-
-def is_comparable(settings: Mapping[str, Any], table: AdaptationTable) -> bool:
-    """Whether a run's returns mean what the published ones do.
-
-    Args:
-        settings: of the run, as in `config.json`.
-        table: its adaptation.
-    """
-    protocol = _PROTOCOLS.get(settings["family"])
-    return (
-        protocol is not None
-        and settings["variant"] == "reference"
-        and settings.get("sparse_radius") in (None, protocol.sparse_radius)
-        and table.reward == "sparse"
-        and table.episodes_per_update == protocol.episodes_per_update
-    )
-
-
-def _rows() -> list[dict[str, str]]:
-    text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

@@ -1,56 +1,208 @@
-"""Files that may be absent or wrong, or cannot be written: what came, and what to do.
+"""Reading the files of an adaptation, and records of arrays."""
 
-Nothing here executes what it reads.
-"""
-
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import csv
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
+from jaxtyping import Float
 
-from maesn.storage import RunError
+from maesn.report.adaptation_table import (
+    COLUMNS,
+    DEPLOY,
+    EXPLORE,
+    MEASURES,
+    AdaptationTable,
+    Curves,
+)
+from maesn.report.table_files import latents_file, record_file, table_name
+from maesn.storage import RunError, read_arrays, read_json
 
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Name what cannot be written inside the block.
-
-    Raises:
-        RunError: it cannot.
-    """
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise RunError(f"Cannot write `{path}` ({reason}): choose another `--out`.") from error
+Record = TypeVar("Record")
 
 
-def take_array(
-    arrays: Mapping[str, np.ndarray], name: str, shape: Sequence[int | str], path: Path, remedy: str
-) -> np.ndarray:
-    """Return one array in double precision, after checking its shape.
+def read_adaptation(path: Path) -> AdaptationTable:
+    """Read a table of `maesn adapt`, and its record where there is one beside it.
 
     Args:
-        arrays: as `read_arrays` returns them.
-        name: which one.
-        shape: a number where the size is fixed, the name of the axis where it is free.
-        path: where the arrays are from, for the message.
-        remedy: what the user should do if it is wrong.
+        path: `<tasks>-<reward>.csv`; rows in any order.
 
     Raises:
-        RunError: if the array is absent, not numeric or of another shape.
+        RunError: a column, a row or a number is missing, or a row occurs twice.
     """
-    expected = f"`{name}` [{', '.join(map(str, shape))}]"
-    if name not in arrays:
-        present = ", ".join(sorted(arrays)) or "no arrays"
-        raise RunError(f"Expected {expected} in `{path}`, got {present}; {remedy}.")
-    array = arrays[name]
-    fits = array.ndim == len(shape) and all(
-        size == wanted or isinstance(wanted, str)
-        for size, wanted in zip(array.shape, shape, strict=False)
+    columns = _read_columns(path)
+    explored = _grids(columns, EXPLORE, path)
+    is_deployed = DEPLOY in columns["purpose"]
+    judged = _grids(columns, DEPLOY, path) if is_deployed else explored
+    episodes = judged["episodes"]
+    if judged["update"].shape != explored["update"].shape or (episodes != episodes[:1]).any():
+        raise RunError(
+            f"Expected the same `update` and `episodes` for every task and purpose in `{path}`, "
+            f"got different ones; {_remedy(path)}."
+        )
+    name = table_name(path)
+    return AdaptationTable(
+        tasks=name.tasks,
+        reward=name.reward,
+        purpose=DEPLOY if is_deployed else EXPLORE,
+        updates=judged["update"][0].astype(int),
+        episodes=episodes[0].astype(int),
+        **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
+        explored_success_rate=explored["success_rate"],
+        explored_episodes=_recorded(path, "episodes_per_update"),
+        trial_episodes=_recorded(path, "trial_episodes"),
     )
-    if not fits or array.dtype.kind not in "fiu" or 0 in array.shape:
-        got = f"{array.dtype} {list(array.shape)}"
-        raise RunError(f"Expected {expected} in `{path}`, got {got}; {remedy}.")
-    return array.astype(np.float64)
+
+
+def _recorded(path: Path, name: str) -> int | None:
+    """Return a number of the record beside a table; None if there is no record."""
+    record = record_file(path)
+    value = read_json(record, _remedy(path)).get(name) if record.exists() else None
+    if not isinstance(value, int | None):
+        raise RunError(
+            f"Expected a whole number or null for `{name}` in `{record}`, got {value!r}; "
+            f"{_remedy(path)}."
+        )
+    return value
+
+
+def _read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a table; all but `purpose` hold finite numbers."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows, present = list(reader), reader.fieldnames or ()
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise RunError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
+    missing = [name for name in COLUMNS if name not in present]
+    if missing:
+        raise RunError(
+            f"Expected the column `{missing[0]}` in `{path}`, got "
+            f"{', '.join(present) or 'an empty file'}; {_remedy(path)}."
+        )
+    return {
+        name: np.array([_value(name, row[name], path, line) for line, row in enumerate(rows, 2)])
+        for name in COLUMNS
+    }
+
+
+def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
+    where = f"`{name}` in `{path}`, line {line}"
+    if name == "purpose":
+        if text not in (EXPLORE, DEPLOY):
+            raise RunError(
+                f"Expected {EXPLORE} or {DEPLOY} for {where}, got {text or 'nothing'}; "
+                f"{_remedy(path)}."
+            )
+        return text
+    try:
+        number = float(text or "")
+    except ValueError as error:
+        raise RunError(
+            f"Expected a number for {where}, got {text or 'nothing'}; {_remedy(path)}."
+        ) from error
+    if not np.isfinite(number):
+        raise RunError(
+            f"Expected a finite number for {where}, got {text}; the adaptation of this task "
+            "failed, see what `maesn adapt` reports."
+        )
+    return number
+
+
+def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[str, Curves]:
+    """Arrange the numbers of one purpose as `[task, update]`; tasks count from 0."""
+    chosen = columns["purpose"] == purpose
+    rows = {name: column[chosen] for name, column in columns.items() if name != "purpose"}
+    order = np.lexsort((rows["update"], rows["task"]))
+    updates, num_tasks = np.unique(rows["update"]), len(np.unique(rows["task"]))
+    expected = np.stack(
+        [np.repeat(np.arange(num_tasks), len(updates)), np.tile(updates, num_tasks)]
+    )
+    found = np.stack([rows["task"][order], rows["update"][order]])
+    if not len(order) or not np.array_equal(found, expected) or (np.diff(updates) != 1).any():
+        raise RunError(
+            f"Expected one row of purpose {purpose} for each task and update in `{path}`, tasks 0 "
+            f"to {num_tasks - 1} and {len(updates)} updates, got {len(order)} rows; "
+            f"{_remedy(path)}."
+        )
+    return {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Latents:
+    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
+
+    mean: Float[np.ndarray, "task update z"]
+    log_std: Float[np.ndarray, "task update z"]
+    first_update: int = 0
+    """Number of updates that lie before the first column."""
+
+    @property
+    def last_update(self) -> int:
+        """Number of updates that lie before the last column."""
+        return self.first_update + int(self.mean.shape[1]) - 1
+
+
+def read_latents(table: Path) -> Latents | None:
+    """Read the latents beside an adaptation table; None if the method has none.
+
+    Args:
+        table: path of the table.
+
+    Raises:
+        RunError: an array is missing, or does not have the tasks and updates of the table.
+    """
+    file = latents_file(table)
+    if not file.exists():
+        return None
+    adapted = read_adaptation(table)
+    sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
+    return read_record(Latents, file, _remedy(table), sizes)
+
+
+def read_record(
+    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] | None = None
+) -> Record:
+    """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
+
+    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
+    one size in all of them. A field with a default may be absent or empty.
+
+    Args:
+        kind: the dataclass.
+        path: of the file.
+        remedy: what the user should do if the file is wrong.
+        sizes: of axes that are known before.
+
+    Raises:
+        RunError: an array is absent, not numeric, empty or of another shape.
+    """
+    arrays, known = read_arrays(path, remedy), dict(sizes or {})
+    hints, values = get_type_hints(kind), {}
+    for field in dataclasses.fields(cast(Any, kind)):
+        array = arrays.get(field.name)
+        has_default = field.default is not dataclasses.MISSING
+        if has_default and (array is None or not array.size):
+            continue
+        hint = next(iter(get_args(hints[field.name])), hints[field.name])
+        axes = getattr(hint, "dim_str", "").split()
+        wanted = [str(known.get(axis, axis)) for axis in axes]
+        expected = f"Expected `{field.name}` [{', '.join(wanted)}] in `{path}`"
+        if array is None:
+            present = ", ".join(sorted(arrays)) or "no arrays"
+            raise RunError(f"{expected}, got {present}; {remedy}.")
+        fits = array.ndim == len(axes) and all(
+            str(size) == one or not one.isdecimal()
+            for size, one in zip(array.shape, wanted, strict=True)
+        )
+        if not fits or array.dtype.kind not in "fiu" or not array.size:
+            raise RunError(f"{expected}, got {array.dtype} {list(array.shape)}; {remedy}.")
+        known |= zip(axes, array.shape, strict=True)
+        values[field.name] = array.astype(np.float64) if axes else hint(array)
+    return kind(**values)
+
+
+def _remedy(path: Path) -> str:
+    return f"write `{path.name}` again with `maesn adapt`"

@@ -8,21 +8,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from maesn.report.adaptation_table import (
-    AdaptationTable,
-    PriorReach,
-    prior_reach,
-    read_adaptation,
-)
-from maesn.report.reading import take_array
-from maesn.report.table_name import table_name
-from maesn.storage import RunError, read_arrays, read_json, read_json_lines
+from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
+from maesn.report.reading import Latents, read_adaptation, read_latents, read_record
+from maesn.report.table_files import TableName, table_name
+from maesn.storage import RunError, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 _METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
-_ADAPT_REMEDY = "write it again with `maesn adapt DIR`"
 _EXPLORE_REMEDY = "delete it, and `maesn plot DIR` records it again"
 
 
@@ -31,40 +25,56 @@ class RecordedRun:
     """One run directory and the settings that it was started with."""
 
     path: Path
-    method: str
-    family: str
-    variant: str
-    seed: int
     settings: Mapping[str, Any]
     """Settings of the run, as in `config.json`."""
     learner: Mapping[str, Any]
     """Settings of the learner, nested as there."""
 
-    def adaptation_files(self) -> list[Path]:
-        """Return the tables that `maesn adapt` has left, in the order of their names."""
-        files = sorted((self.path / "adaptation").glob("*.csv"))
-        return [file for file in files if table_name(file).reward]
+    @property
+    def method(self) -> str:
+        """The preset that the run trained."""
+        return str(self.settings["method"])
 
-    def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
-        """Return the table of one task set and reward; None if there is none."""
-        file = self.path / "adaptation" / f"{tasks}-{reward}.csv"
-        if not file.exists():
-            return None
-        return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
+    @property
+    def family(self) -> str:
+        """Name of the task family."""
+        return str(self.settings["family"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of the run."""
+        return int(self.settings["seed"])
 
     @property
     def trial_episodes(self) -> int | None:
         """Number of episodes that meta-training has prepared for; None if there is no limit."""
-        learner = self.learner.get("learner", self.learner)  # inside of one that is curious
-        number = learner.get("trial_episodes")
+        # A learner with a bonus holds the learner that it adds the bonus to.
+        number = self.learner.get("learner", self.learner).get("trial_episodes")
         return number if isinstance(number, int) else None
+
+    def tables(self) -> dict[TableName, Path]:
+        """Return the tables that `maesn adapt` has left, by what their names say."""
+        files = sorted((self.path / "adaptation").glob("*.csv"))
+        return {name: file for file in files if (name := table_name(file)).reward}
+
+    def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
+        """Return the usual adaptation to a task set with a reward; None if there is none."""
+        file = self.tables().get(TableName(tasks, reward))
+        if file is None:
+            return None
+        return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
+
+    def latents(self, tasks: str, reward: str) -> Latents | None:
+        """Return the latents of the same adaptation; None if the method has none."""
+        file = self.tables().get(TableName(tasks, reward))
+        return None if file is None else read_latents(file)
 
 
 def read_run(path: Path) -> RecordedRun:
     """Read a run's `config.json`.
 
     Raises:
-        RunError: if it is missing or lacks a setting.
+        RunError: it is missing or lacks a setting.
     """
     file = path / "config.json"
     config = read_json(file, _RUN_REMEDY)
@@ -77,9 +87,7 @@ def read_run(path: Path) -> RecordedRun:
                 f"Expected `{name}` of type {kind.__name__} among the `settings` in `{file}`, got "
                 f"{settings.get(name)!r}; {_RUN_REMEDY}."
             )
-    named = {name: settings[name] for name in ("method", "family", "variant", "seed")}
-    learner = learner if isinstance(learner, dict) else {}
-    return RecordedRun(path=path, settings=settings, learner=learner, **named)
+    return RecordedRun(path, settings, learner if isinstance(learner, dict) else {})
 
 
 @dataclass(frozen=True)
@@ -99,20 +107,14 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet.
 
     Raises:
-        RunError: if a line is broken or has no `iteration`.
+        RunError: a line is broken or has no `iteration`.
     """
     file = path / "metrics.jsonl"
-    if not file.exists():
-        return None
-    lines = read_json_lines(file, _METRICS_REMEDY)
+    lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-    curve = LearningCurve(
-        *(
-            np.array([_metric(line, name) for line in lines])
-            for name in ("iteration", "return_before", "return_after", "success_after")
-        )
-    )
+    names = ("iteration", "return_before", "return_after", "success_after")
+    curve = LearningCurve(*(np.array([_metric(line, name) for line in lines]) for name in names))
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
@@ -139,16 +141,16 @@ class RecordedExploration:
     """Episodes of the trained policy before any adaptation."""
     untrained_paths: Positions
     """Episodes of a policy that was just initialised."""
-    fixed_paths: Positions | None
-    """Episodes of the trained policy with one latent; None for methods without latents."""
-    prior_latents: Float[np.ndarray, "episode context"] | None
-    """The latents drawn in `prior_paths`; None for methods without latents."""
     untrained_success_rate: Float[np.ndarray, " task"]
     """Share of an untrained policy's episodes that reach each goal."""
     solved_at_reset: Float[np.ndarray, " task"]
     """Share of them that start there."""
     episodes_per_task: int
     """Number of those episodes per task."""
+    fixed_paths: Positions | None = None
+    """Episodes of the trained policy with one latent; None for methods without latents."""
+    prior_latents: Float[np.ndarray, "episode z"] | None = None
+    """The latents drawn in `prior_paths`; None for methods without latents."""
     training_landmarks: Float[np.ndarray, "row landmark 2"] | None = None
     """What the training tasks lay out beside their goals; None in a world of goals alone."""
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
@@ -161,87 +163,13 @@ class RecordedExploration:
         return prior_reach(self.untrained_success_rate, solved, self.episodes_per_task)
 
 
-def exploration_file(path: Path) -> Path:
-    """Return where a run keeps its exploration trajectories."""
-    return path / "figures" / "exploration.npz"
-
-
 def read_exploration(path: Path) -> RecordedExploration | None:
     """Read a run's `figures/exploration.npz`; None if there is none.
 
     Raises:
-        RunError: if an array is missing or misshapen.
+        RunError: an array is missing or misshapen.
     """
-    file = exploration_file(path)
+    file = path / "figures" / "exploration.npz"
     if not file.exists():
         return None
-    arrays = read_arrays(file, _EXPLORE_REMEDY)
-
-    def take(name: str, *shape: int | str) -> np.ndarray:
-        return take_array(arrays, name, shape, file, _EXPLORE_REMEDY)
-
-    def landmarks(name: str, rows: int) -> np.ndarray | None:
-        return take(name, rows, "landmark", 2) if name in arrays else None
-
-    has_latents = "fixed_paths" in arrays
-    prior = take("prior_paths", "episode", "time", 2)
-    training_goals, goals = take("training_goals", "row", 2), take("goals", "task", 2)
-    return RecordedExploration(
-        training_goals=training_goals,
-        goals=goals,
-        sparse_radius=float(take("sparse_radius")),
-        prior_paths=prior,
-        untrained_paths=take("untrained_paths", "episode", "time", 2),
-        fixed_paths=take("fixed_paths", "episode", "time", 2) if has_latents else None,
-        prior_latents=(
-            take("prior_latents", len(prior), "context")
-            if has_latents and "prior_latents" in arrays
-            else None
-        ),
-        untrained_success_rate=take("untrained_success_rate", len(goals)),
-        solved_at_reset=take("solved_at_reset", len(goals)),
-        episodes_per_task=int(take("episodes_per_task")),
-        training_landmarks=landmarks("training_landmarks", len(training_goals)),
-        landmarks=landmarks("landmarks", len(goals)),
-    )
-
-
-@dataclass(frozen=True)
-class Latents:
-    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
-
-    mean: Float[np.ndarray, "update task context"]
-    log_std: Float[np.ndarray, "update task context"]
-    first_update: int = 0
-    """Number of updates that lie before the first entry."""
-
-    @property
-    def last_update(self) -> int:
-        """Number of updates that lie before the last entry."""
-        return self.first_update + int(self.mean.shape[0]) - 1
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of tasks."""
-        return int(self.mean.shape[1])
-
-    @property
-    def num_components(self) -> int:
-        """Number of components of a latent."""
-        return int(self.mean.shape[2])
-
-
-def read_latents(path: Path, tasks: str, reward: str) -> Latents | None:
-    """Read the latents beside an adaptation table; None if the method has none.
-
-    Raises:
-        RunError: if an array is missing or misshapen.
-    """
-    file = path / "adaptation" / f"{tasks}-{reward}.latents.npz"
-    if not file.exists():
-        return None
-    arrays = read_arrays(file, _ADAPT_REMEDY)
-    mean = take_array(arrays, "mean", ("update", "task", "dim"), file, _ADAPT_REMEDY)
-    log_std = take_array(arrays, "log_std", mean.shape, file, _ADAPT_REMEDY)
-    first = take_array(arrays, "first_update", (), file, _ADAPT_REMEDY)
-    return Latents(mean, log_std, int(first))
+    return read_record(RecordedExploration, file, _EXPLORE_REMEDY)

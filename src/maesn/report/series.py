@@ -1,4 +1,4 @@
-"""Which runs are seeds of one experiment, and which experiments belong into one figure."""
+"""Which runs are seeds of one experiment, and which experiments belong in one figure."""
 
 import json
 import re
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from maesn.report.line import Line
 from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.storage import RunError
@@ -19,7 +20,7 @@ _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
 @dataclass(frozen=True)
 class Series:
-    """Runs that differ in their seed alone: one line of a figure."""
+    """Runs that differ in their seed alone; each figure has one line for them."""
 
     name: str
     """For file names: the method, numbered if the figure has several series of it."""
@@ -31,10 +32,11 @@ class Series:
         """The method's name, with the settings in which it differs from others of that name."""
         return self.style.label
 
-    @property
-    def method(self) -> str:
-        """The preset that the runs trained."""
-        return self.runs[0].method
+    def adapted(self, tasks: str, reward: str) -> Line | None:
+        """Return the adaptation of those runs that have one; None if none has."""
+        tables = {run.seed: run.adaptation(tasks, reward) for run in self.runs}
+        found = {seed: table for seed, table in tables.items() if table is not None}
+        return Line(self.name, self.style, (*found,), (*found.values(),)) if found else None
 
 
 def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
@@ -45,15 +47,14 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
     """
     worlds: defaultdict[tuple[str, ...], list[RecordedRun]] = defaultdict(list)
     for run in runs:
-        settings = run.settings
-        worlds[tuple(_text(settings.get(name)) for name in _WORLD)].append(run)
+        worlds[tuple(_text(run.settings.get(name)) for name in _WORLD)].append(run)
     named: dict[str, list[RecordedRun]] = {}
     for world, members in worlds.items():
         others = [other for other in worlds if other[0] == world[0]]
         parts = [world[0]]
-        parts += [world[1]] if any(other[1] != world[1] for other in others) else []
-        parts += [f"radius-{world[2]}"] if any(other[2] != world[2] for other in others) else []
-        parts += [world[3]] if any(other[3] != world[3] for other in others) else []
+        for position, prefix in ((1, ""), (2, "radius-"), (3, "")):
+            if any(other[position] != world[position] for other in others):
+                parts.append(prefix + world[position])
         named[re.sub(r"[^\w.]+", "-", "-".join(parts))] = members
     return named
 

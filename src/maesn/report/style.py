@@ -6,6 +6,7 @@ colour blindness), in lightness, in line style and in marker, so that they survi
 Nothing here changes Matplotlib's global state, and no window is ever opened.
 """
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from maesn.report.reading import writing
+from maesn.storage import explained, write_whole
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
@@ -144,6 +145,8 @@ def new_figure(width: float, height: float) -> Figure:
 def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
     """Write `<name>.png` and `<name>.pdf`; the same figure gives the same bytes every time."""
     files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
+    with explained("make", directory):
+        directory.mkdir(parents=True, exist_ok=True)
     with publication_style():
         for _ in range(_LAYOUT_PASSES):
             figure.draw_without_rendering()
@@ -154,7 +157,7 @@ def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
 
 
 def _write(figure: Figure, file: Path) -> None:
-    dated = {"CreationDate": None} if file.suffix == ".pdf" else None
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(file, metadata=dated)
+    content = io.BytesIO()
+    undated = {"CreationDate": None} if file.suffix == ".pdf" else None
+    figure.savefig(content, format=file.suffix[1:], metadata=undated)
+    write_whole(file, content.getvalue())

@@ -1,6 +1,6 @@
-"""Summaries of adaptation, with intervals, for the terminal and as Markdown."""
+"""Tables of numbers with their intervals, for the terminal and as Markdown."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -8,13 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from maesn.report.adaptation_table import MEASURES, AdaptationTable, read_adaptation, stack_seeds
-from maesn.report.reading import writing
+from maesn.report.adaptation_table import JUDGED, MEASURES, AdaptationTable, stack_seeds
+from maesn.report.reading import read_adaptation
 from maesn.report.statistics import Interval, difference_interval, mean_intervals
+
+_MAX_WIDTH = 120  # columns that a table may take where numbers need them
+_FEW_TASKS = 10  # each has a row of its own
+WITHOUT_SOLVED = "without tasks solved at reset"
 
 
 class Unit(NamedTuple):
@@ -28,10 +31,22 @@ class Unit(NamedTuple):
         """Return the number as text, 0 without a minus; `sign` as in format specifications."""
         return format(self.scale * value, f"{sign}z.{self.digits}f")
 
+    def ends(self, interval: Interval, sign: str = "") -> str:
+        """Return the mean and both ends of its interval."""
+        mean = self.number(interval.mean, sign)
+        if not interval.is_known:
+            return mean
+        return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
+
+    def half_width(self, interval: Interval) -> str:
+        """Return the mean and half the width of its interval, which is shorter."""
+        mean = self.number(interval.mean)
+        if not interval.is_known:
+            return mean
+        return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
+
 
 _PERCENT = 100.0
-MAX_WIDTH = 120  # columns that a table may take where numbers need them
-WITHOUT_SOLVED = "without tasks solved at reset"
 UNITS: dict[str, Unit] = {
     "mean_return": Unit("return"),
     "goal_return": Unit("goal return"),
@@ -42,94 +57,162 @@ UNITS: dict[str, Unit] = {
 
 
 @dataclass(frozen=True)
-class IntervalTable:
-    """Rows of intervals, one column per measure."""
+class TextTable:
+    """A table of texts, with a title above and sentences below."""
 
     title: str
     headings: tuple[str, ...]
-    """Of the leading columns that name a row."""
-    names: tuple[tuple[str, ...], ...]
-    """What each row is."""
-    cells: tuple[tuple[Interval, ...], ...]
-    """One interval per row and measure."""
-    sign: str = ""
-    """`"+"` where a number is a difference."""
-    note: str = ""
-    """Sentences about tasks and methods; empty if there is nothing to be said."""
-
-    @property
-    def labels(self) -> str:
-        """What the intervals are and resample."""
-        return "; or ".join(dict.fromkeys(cell.label for row in self.cells for cell in row))
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    is_named: bool = False
+    """Whether the first column holds names, which stand at the left."""
 
     def to_rich(self) -> Table:
-        """Return a table for the terminal: the mean and half the width of its interval.
-
-        Fits into 80 columns; `to_markdown` has both ends.
-        """
-        caption = "\n".join(filter(None, (self.note, f"± half the {self.labels}")))
-        table = Table(title=self.title, caption=caption, box=None)
-        for heading in self.headings:
-            table.add_column(heading, justify="right")
-        rows = [self._texts(cells, self._short) for cells in self.cells]
-        for measure, column in zip(MEASURES, zip(*rows, strict=True), strict=True):
-            # A heading may be broken into lines, a number may not.
-            width = max(map(len, column))
-            table.add_column(UNITS[measure].heading, justify="right", min_width=width)
-        for names, texts in zip(self.names, rows, strict=True):
-            table.add_row(*(Text(text) for text in (*names, *texts)))
+        """Return the table for a terminal."""
+        table = Table(title=self.title, caption="\n".join(self.notes), box=None)
+        for column, heading in enumerate(self.headings):
+            # A heading may be broken between words, a number may not be broken.
+            widths = [len(row[column]) for row in self.rows] + [*map(len, heading.split())]
+            left = self.is_named and not column
+            table.add_column(heading, justify="left" if left else "right", min_width=max(widths))
+        for row in self.rows:
+            table.add_row(*map(Text, row))
         return table
 
     def to_markdown(self) -> str:
-        """Return a Markdown table with the mean and both ends of its interval."""
-        heads = (*self.headings, *(UNITS[measure].heading for measure in MEASURES))
-        lines = [f"**{self.title}**", "", markdown_row(heads), markdown_row(["---:"] * len(heads))]
-        for names, cells in zip(self.names, self.cells, strict=True):
-            lines.append(markdown_row((*names, *self._texts(cells, self._full))))
-        notes = " ".join(filter(None, (f"In brackets: {self.labels}.", self.note)))
-        return "\n".join([*lines, "", notes, ""])
-
-    def write_markdown(self, path: Path) -> None:
-        """Write the Markdown table to a file; its directory is made if need be."""
-        with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(self.to_markdown(), encoding="utf-8")
-
-    def _texts(self, cells: Sequence[Interval], write: Callable[[Interval, str], str]) -> list[str]:
-        return [write(cell, measure) for cell, measure in zip(cells, MEASURES, strict=True)]
-
-    def _short(self, interval: Interval, measure: str) -> str:
-        mean = UNITS[measure].number(interval.mean, self.sign)
-        if not interval.is_known:
-            return mean
-        return f"{mean} ±{UNITS[measure].number((interval.high - interval.low) / 2)}"
-
-    def _full(self, interval: Interval, measure: str) -> str:
-        mean = UNITS[measure].number(interval.mean, self.sign)
-        if not interval.is_known:
-            return mean
-        ends = (UNITS[measure].number(end, self.sign) for end in (interval.low, interval.high))
-        return f"{mean} [{', '.join(ends)}]"
+        """Return the table as Markdown."""
+        ruler = ["---" if self.is_named else "---:", *["---:"] * (len(self.headings) - 1)]
+        lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
+        return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
 
 
-def summary_tables(tables: Sequence[AdaptationTable], title: str) -> list[IntervalTable]:
+def markdown_row(cells: Sequence[str]) -> str:
+    """Return one row of a Markdown table."""
+    return f"| {' | '.join(cells)} |"
+
+
+def print_tables(tables: Sequence[TextTable], console: Console) -> None:
+    """Show tables in the terminal. A narrow one may break lines, but no number is cut off."""
+    for table in tables:
+        console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
+
+
+def summary_tables(
+    tables: Sequence[AdaptationTable], title: str, *, brief: bool = False
+) -> list[TextTable]:
     """Summarise adaptation to all tasks and, where some are solved at reset, to the others alone.
 
     Args:
         tables: one per seed of the same method, adapted to the same tasks.
         title: of the tables.
+        brief: half the widths of the intervals instead of their ends, to fit into 80 columns.
     """
     unsolved = ~_solved_at_reset(tables)
-    summaries = [summary_table(tables, title)]
+    summaries = [_summary_table(tables, title, brief=brief)]
     if unsolved.any() and not unsolved.all():
         others = [table.select(unsolved) for table in tables]
-        summaries.append(summary_table(others, f"{title}, {WITHOUT_SOLVED}"))
+        summaries.append(_summary_table(others, f"{title}, {WITHOUT_SOLVED}", brief=brief))
     return summaries
 
 
-def _solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " task"]:
-    flags = [table.is_solved_at_reset for table in tables]
-    return np.any(flags, axis=0) if len({len(flag) for flag in flags}) == 1 else flags[0]
+def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool) -> TextTable:
+    """Summarise adaptation, update by update."""
+    columns = {name: mean_intervals(stack_seeds(tables, name)) for name in MEASURES}
+    texts = [
+        [UNITS[name].half_width(one) if brief else UNITS[name].ends(one) for one in intervals]
+        for name, intervals in columns.items()
+    ]
+    labels = labels_of(interval for intervals in columns.values() for interval in intervals)
+    first = tables[0]
+    note = _join(note_on_solved(_solved_at_reset(tables)), _beyond(first))
+    judged = f"{JUDGED[first.purpose].capitalize()}."
+    return TextTable(
+        title,
+        ("update", "episodes", *(UNITS[name].heading for name in MEASURES)),
+        tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
+        tuple(filter(None, (note, f"± half the {labels}", judged)))
+        if brief
+        else (_join(f"In brackets: {labels}.", note, judged),),
+    )
+
+
+def difference_table(
+    reference: Sequence[AdaptationTable],
+    others: Mapping[str, Sequence[AdaptationTable]],
+    title: str,
+) -> TextTable:
+    """Compare methods with a reference on the same tasks: method minus reference, paired.
+
+    Args:
+        reference: one table per seed.
+        others: for each method's name, one table per seed; its last update is compared.
+        title: of the table.
+    """
+    rows, intervals = [], []
+    for name, tables in others.items():
+        differences = [
+            difference_interval(
+                stack_seeds(tables, measure)[..., -1], stack_seeds(reference, measure)[..., -1]
+            )
+            for measure in MEASURES
+        ]
+        intervals += differences
+        pairs = zip(MEASURES, differences, strict=True)
+        rows.append((name, *(UNITS[measure].ends(one, sign="+") for measure, one in pairs)))
+    beyond = [f"{name}: {said}" for name, tables in others.items() if (said := _beyond(tables[0]))]
+    return TextTable(
+        title,
+        ("method", *(UNITS[name].heading for name in MEASURES)),
+        tuple(rows),
+        (
+            _join(
+                f"In brackets: {labels_of(intervals)}.",
+                note_on_solved(_solved_at_reset(reference)),
+                *beyond,
+            ),
+        ),
+        is_named=True,
+    )
+
+
+def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
+    """Show one table of `maesn adapt` in the terminal.
+
+    Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
+    tasks no episode reached the goal.
+
+    Args:
+        path: of the table.
+        console: where it goes; None for standard output.
+
+    Raises:
+        RunError: the file is missing or broken.
+    """
+    console = Console() if console is None else console
+    table, title = read_adaptation(path), f"Adaptation: {path.stem}"
+    few = [_task_table(table)] if table.num_tasks <= _FEW_TASKS else []
+    print_tables([*summary_tables([table], title, brief=True), *few], console)
+    failed = int((table.explored_success_rate == 0).all(axis=1).sum())
+    if failed and table.reward == "sparse" and len(table.updates) > 1:
+        console.print(
+            f"No episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
+            "adaptation had nothing to learn from.",
+            highlight=False,
+        )
+
+
+def _task_table(table: AdaptationTable) -> TextTable:
+    """Return one row per task: before the first update, and after the last."""
+    columns = [
+        [UNITS[name].number(value) for value in table.measure(name)[:, column]]
+        for name in ("mean_return", "success_rate")
+        for column in (0, -1)
+    ]
+    return TextTable(
+        f"Each task, before and after {table.updates[-1]} updates",
+        ("task", "return before", "after", "reaches goal (%) before", "after"),
+        tuple(zip(map(str, range(table.num_tasks)), *columns, strict=True)),
+    )
 
 
 def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
@@ -138,8 +221,14 @@ def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
     return f"{count} of the {len(solved)} tasks {verb} solved at reset." if count else ""
 
 
-def _note(tables: Sequence[AdaptationTable]) -> str:
-    return " ".join(filter(None, (note_on_solved(_solved_at_reset(tables)), _beyond(tables[0]))))
+def labels_of(intervals: Iterable[Interval]) -> str:
+    """Return what intervals are and resample, each text once."""
+    return "; or ".join(dict.fromkeys(interval.label for interval in intervals))
+
+
+def _solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " task"]:
+    flags = [table.is_solved_at_reset for table in tables]
+    return np.any(flags, axis=0) if len({len(flag) for flag in flags}) == 1 else flags[0]
 
 
 def _beyond(table: AdaptationTable) -> str:
@@ -152,75 +241,5 @@ def _beyond(table: AdaptationTable) -> str:
     )
 
 
-def summary_table(tables: Sequence[AdaptationTable], title: str) -> IntervalTable:
-    """Summarise adaptation, update by update.
-
-    Args:
-        tables: one per seed of the same method, adapted to the same tasks.
-        title: of the table.
-    """
-    intervals = [mean_intervals(stack_seeds(tables, measure)) for measure in MEASURES]
-    return IntervalTable(
-        title,
-        ("update", "episodes"),
-        tuple(
-            (str(update), str(count))
-            for update, count in zip(tables[0].updates, tables[0].episodes, strict=True)
-        ),
-        tuple(zip(*intervals, strict=True)),
-        note=_note(tables),
-    )
-
-
-def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
-    """Show one file of `maesn adapt` in the terminal.
-
-    Args:
-        path: of the table.
-        console: where it goes; None for standard output.
-
-    Raises:
-        RunError: if the file is missing or broken.
-    """
-    console = Console() if console is None else console
-    for summary in summary_tables([read_adaptation(path)], f"Adaptation: {path.stem}"):
-        table = summary.to_rich()
-        # A narrow terminal may break lines, but no number is cut off.
-        width = Measurement.get(console, console.options.update(max_width=MAX_WIDTH), table).maximum
-        console.print(table, width=max(console.width, width), crop=False)
-
-
-def difference_table(
-    reference: Sequence[AdaptationTable],
-    others: Mapping[str, Sequence[AdaptationTable]],
-    title: str,
-    update: int = -1,
-) -> IntervalTable:
-    """Compare methods with a reference on the same tasks: method minus reference, paired.
-
-    Args:
-        reference: one table per seed.
-        others: for each method's name, one table per seed.
-        title: of the table.
-        update: after how many updates; -1 for each method's last.
-    """
-    cells = tuple(
-        tuple(
-            difference_interval(
-                stack_seeds(tables, measure)[..., update],
-                stack_seeds(reference, measure)[..., update],
-            )
-            for measure in MEASURES
-        )
-        for tables in others.values()
-    )
-    names = tuple((name,) for name in others)
-    notes = [note_on_solved(_solved_at_reset(reference))]
-    notes += [f"{name}: {_beyond(tables[0])}" for name, tables in others.items()]
-    note = " ".join(text for text in notes if text and not text.endswith(": "))
-    return IntervalTable(title, ("method",), names, cells, sign="+", note=note)
-
-
-def markdown_row(cells: Sequence[str]) -> str:
-    """Return one row of a Markdown table."""
-    return f"| {' | '.join(cells)} |"
+def _join(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))

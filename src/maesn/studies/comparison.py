@@ -10,10 +10,11 @@ from typing import Any
 from maesn.api import changed
 from maesn.envs import Variant
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.adaptation_table import read_adaptation
-from maesn.report.comparison import Comparison, Line, first_part, write_tidy_table
+from maesn.report.comparison import Comparison, write_tidy_table
 from maesn.report.comparison_tables import write_summary
 from maesn.report.figures.comparison import plot_comparison
+from maesn.report.line import Line
+from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
@@ -185,7 +186,7 @@ def compare_lines(
     comparison = Comparison(
         lines=tuple(map(line, specs)),
         horizon=world.env.horizon,
-        floor=tuple(map(line, baseline_lines(world))),
+        baselines=tuple(map(line, baseline_lines(world))),
         oracle=None if ceiling is None else line(ceiling),
     )
     with explained("make", out):
@@ -227,10 +228,8 @@ def _lines_of_runs(
 
 def _line(spec: LineSpec, world: ComparisonWorld, directory: Path, say: Say) -> Line:
     tables = [
-        first_part(
-            read_adaptation(curves_of(one, world, directory, say)),
-            one.num_tasks,
-            one.record["episodes"] // world.evaluation.episodes_per_update,
+        read_adaptation(curves_of(one, world, directory, say)).first_part(
+            one.num_tasks, one.record["episodes"] // world.evaluation.episodes_per_update
         )
         for one in spec.learners
     ]

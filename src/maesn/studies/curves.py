@@ -13,8 +13,9 @@ from maesn.envs import AnyEnv, TaskSet
 from maesn.evaluation.evaluate import adapt, as_rows, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.record import Identity, adaptation_record
-from maesn.evaluation.tables import adaptation_file, read_rows, record_file, write_rows
+from maesn.evaluation.tables import adaptation_file, read_rows, write_rows
 from maesn.learners import AbstractFastLearner
+from maesn.report.table_files import record_file
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import digest_of_document
 from maesn.storage import RunError, explained, read_json, write_json

@@ -8,17 +8,10 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from maesn.report.adaptation_table import AdaptationTable, PriorReach
-from maesn.report.figures.plane import (
-    Limits,
-    draw_goals,
-    draw_paths,
-    plane_axes,
-    shared_limits,
-)
+from maesn.report.adaptation_table import PriorReach
+from maesn.report.figures.plane import Limits, draw_goals, draw_paths, plane_axes, shared_limits
 from maesn.report.runs import RecordedExploration
-from maesn.report.series import Series
-from maesn.report.style import BLACK, TWO_COLUMNS, new_figure, publication_style
+from maesn.report.style import BLACK, TWO_COLUMNS, MethodStyle, new_figure, publication_style
 
 _TITLE = 0.42  # inches of every row
 _TITLE_CHARACTERS = 32  # across the narrowest panel
@@ -27,47 +20,45 @@ _LABELS_BESIDE = 0.5  # inches of a row's width that are not plane
 
 
 @dataclass(frozen=True)
-class ExploringSeries:
-    """A series, and what the first of its runs explores."""
+class ExplorationPanel:
+    """What one method explores before adaptation."""
 
-    series: Series
+    style: MethodStyle
     exploration: RecordedExploration
-    table: AdaptationTable | None
-    """Adaptation to the goals with sparse reward, which counts how many the prior reaches."""
-
-    @property
-    def title(self) -> str:
-        """Title of the panel."""
-        reach = None if self.table is None else self.table.prior_reach
-        name = textwrap.fill(self.series.label, _TITLE_CHARACTERS)
-        return name if reach is None else f"{name}\n{_share(reach)}"
+    reach: PriorReach | None
+    """How many of the goals it reaches; None if that was not counted."""
 
 
 @publication_style()
-def plot_exploration(exploring: Sequence[ExploringSeries]) -> Figure:
+def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
-    The untrained policy is that of the first series.
+    The untrained policy is that of the first run.
 
     Args:
-        exploring: one panel each, in one world.
+        explorers: one panel each, in one world.
     """
-    first = exploring[0].exploration
-    paths = [panel.exploration.prior_paths for panel in exploring]
+    first = explorers[0].exploration
+    paths = [one.exploration.prior_paths for one in explorers]
     limits = shared_limits([first.goals, *paths, first.untrained_paths], first.sparse_radius)
-    figure, panels = _panels(len(exploring) + 1, limits)
-    for axes in panels:
+    figure, panels = _panels(len(explorers) + 1, limits)
+    for axes, one in zip(panels, explorers, strict=False):
         plane_axes(axes, limits)
-    for axes, panel in zip(panels, exploring, strict=False):
-        draw_goals(axes, panel.exploration.goals, panel.exploration.sparse_radius)
-        draw_paths(axes, panel.exploration.prior_paths, panel.series.style.colour)
-        axes.set_title(panel.title)
+        draw_goals(axes, one.exploration.goals, one.exploration.sparse_radius)
+        draw_paths(axes, one.exploration.prior_paths, one.style.colour)
+        axes.set_title(_title(textwrap.fill(one.style.label, _TITLE_CHARACTERS), one.reach))
+    plane_axes(panels[-1], limits)
     draw_goals(panels[-1], first.goals, first.sparse_radius)
     draw_paths(panels[-1], first.untrained_paths, BLACK)
-    untrained = first.untrained_reach
-    panels[-1].set_title("untrained policy" + (f"\n{_share(untrained)}" if untrained else ""))
+    panels[-1].set_title(_title("untrained policy", first.untrained_reach))
     _label_outer(panels, columns=_num_columns(len(panels)))
     return figure
+
+
+def _title(name: str, reach: PriorReach | None) -> str:
+    if reach is None:
+        return name
+    return f"{name}\n{reach.share:.0%} of the goals in {reach.episodes} episodes"
 
 
 def _panels(number: int, limits: Limits) -> tuple[Figure, list[Axes]]:
@@ -95,7 +86,3 @@ def _label_outer(panels: Sequence[Axes], columns: int) -> None:
         if position + columns < len(panels):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-
-
-def _share(reach: PriorReach) -> str:
-    return f"{reach.share:.0%} of the goals in {reach.episodes} episodes"

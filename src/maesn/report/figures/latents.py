@@ -19,7 +19,7 @@ from maesn.report.figures.plane import (
     equal_axes,
     shared_limits,
 )
-from maesn.report.runs import Latents
+from maesn.report.reading import Latents
 from maesn.report.style import BLACK, BLUE, GREY, TWO_COLUMNS, new_figure, publication_style
 
 _PANEL_WIDTH = 2.5  # inches, of the plane alone
@@ -38,31 +38,31 @@ def plot_latents(latents: Latents, goals: Goals | None = None) -> Figure:
     spread most after adaptation are drawn.
 
     Args:
-        latents: of all updates; two components at least.
+        latents: of all updates; at least two components.
         goals: goal of each task; its direction then is the colour of its ellipse.
 
     Raises:
         ValueError: if a latent has fewer than two components.
     """
-    if latents.num_components < 2:
+    num_tasks, _, num_components = latents.mean.shape
+    if num_components < 2:
         raise ValueError(
-            "`latents` must have at least 2 components to draw ellipses, got "
-            f"{latents.num_components}."
+            f"`latents` must have at least 2 components to draw ellipses, got {num_components}."
         )
-    chosen = np.sort(np.argsort(-latents.mean[-1].var(0), kind="stable")[:2])
-    mean, std = latents.mean[..., chosen], np.exp(latents.log_std[..., chosen])
-    ends = [mean[[0, -1]] - std[[0, -1]], mean[[0, -1]] + std[[0, -1]]]
-    limits = shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), *ends])
+    chosen = np.sort(np.argsort(-latents.mean[:, -1].var(0), kind="stable")[:2])
+    mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
+    std = np.exp(log_std)
+    limits = shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
     figure = new_figure(TWO_COLUMNS, _PANEL_WIDTH * limits.aspect + _SURROUNDINGS)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     scale = None if goals is None else direction_scale(goals)
-    colours = _colours(goals, scale, latents.num_tasks)
-    titles = [_title(update) for update in (latents.first_update, latents.last_update)]
-    for axes, update, title in zip(panels, (0, -1), titles, strict=True):
-        _draw_ellipses(axes, mean[update], std[update], colours)
+    colours = _colours(goals, scale, num_tasks)
+    for column, update in enumerate((latents.first_update, latents.last_update)):
+        axes = panels[column]
+        _draw_ellipses(axes, mean[:, column], std[:, column], colours)
         draw_prior(axes)
         equal_axes(axes, limits)
-        axes.set(title=title, xlabel=f"latent component {chosen[0] + 1}")
+        axes.set(title=_title(update), xlabel=f"latent component {chosen[0] + 1}")
     panels[0].set_ylabel(f"latent component {chosen[1] + 1}")
     _add_legend(figure)
     if scale is not None:

@@ -8,9 +8,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from maesn.report.figures.curves import Curve, draw_curve, explain, percent_axis
+from maesn.report.figures.curves import draw_curve, explain, percent_axis
 from maesn.report.runs import LearningCurve
-from maesn.report.series import Series
 from maesn.report.style import TWO_COLUMNS, MethodStyle, new_figure, publication_style
 
 _HEIGHT = 2.05  # inches, without the legend
@@ -23,31 +22,37 @@ _TITLES = ("before the inner update", "after the inner update", "after the inner
 
 
 @dataclass(frozen=True)
-class TrainedSeries:
-    """A series and the learning curves of its seeds."""
+class Trained:
+    """The learning curves of one method's seeds."""
 
-    series: Series
+    style: MethodStyle
     curves: tuple[LearningCurve, ...]
 
-    def seeds(
-        self, metric: str
-    ) -> tuple[Float[np.ndarray, " iteration"], Float[np.ndarray, "seed iteration"]]:
-        """Return the iterations that every seed has finished, and a metric there."""
-        length = min(len(curve.iteration) for curve in self.curves)
-        values = np.stack([getattr(curve, metric)[:length] for curve in self.curves])
-        return self.curves[0].iteration[:length], values
+    @property
+    def iteration(self) -> Float[np.ndarray, " iteration"]:
+        """The iterations that every seed has finished."""
+        return min((curve.iteration for curve in self.curves), key=len)
+
+    def seeds(self, metric: str) -> Float[np.ndarray, "seed iteration"]:
+        """Return a metric in these iterations."""
+        return np.stack([getattr(curve, metric)[: len(self.iteration)] for curve in self.curves])
+
+    @property
+    def window(self) -> int:
+        """Length of the moving average: odd, so that it has a centre."""
+        return 2 * int(len(self.iteration) * _WINDOW_SHARE / 2) + 1
 
 
 @publication_style()
-def plot_learning_curves(trained: Sequence[TrainedSeries], reward: str) -> Figure:
-    """Draw return and success over meta-iterations, one line per series.
+def plot_learning_curves(trained: Sequence[Trained], reward: str) -> Figure:
+    """Draw return and success over meta-iterations, one line per method.
 
     A line is the moving average of the mean over seeds; its band is the range of the seeds' own
     moving averages, because three seeds are too few for an interval. A single seed has no band, but
     its raw values behind the line.
 
     Args:
-        trained: what to draw; seeds are drawn as far as all of a series got.
+        trained: what to draw; seeds are drawn as far as all of a method got.
         reward: that was trained on, "dense" or "sparse", for the axis.
     """
     figure = new_figure(TWO_COLUMNS, _HEIGHT)
@@ -55,13 +60,23 @@ def plot_learning_curves(trained: Sequence[TrainedSeries], reward: str) -> Figur
     panels[1].sharey(panels[0])
     for axes, metric, title in zip(panels, _METRICS, _TITLES, strict=True):
         for line in trained:
-            _draw_seeds(axes, *line.seeds(metric), line.series.style)
+            _draw_seeds(axes, line, metric)
         axes.set_title(title)
         axes.set_xlabel("meta-iteration")
     panels[0].set_ylabel(f"mean {reward} return")
     percent_axis(panels[2], "success rate")
-    explain(figure, panels[1], _note(trained))
+    explain(figure, panels[1], [_note(trained)])
     return figure
+
+
+def _draw_seeds(axes: Axes, line: Trained, metric: str) -> None:
+    x, values, style = line.iteration, line.seeds(metric), line.style
+    if np.isnan(values).all():
+        return
+    smooth = moving_mean(values, line.window)
+    if len(values) == 1:
+        axes.plot(x, values[0], color=style.colour, linewidth=0.5, alpha=0.3)
+    draw_curve(axes, x, smooth.mean(0), (smooth.min(0), smooth.max(0)), style, len(values))
 
 
 def moving_mean(
@@ -73,29 +88,9 @@ def moving_mean(
     return np.stack([np.convolve(row, ones, mode="same") for row in values]) / counts
 
 
-def _window(num_iterations: int) -> int:
-    """Return an odd number of iterations, so that the window has a centre."""
-    return 2 * int(num_iterations * _WINDOW_SHARE / 2) + 1
-
-
-def _draw_seeds(
-    axes: Axes,
-    iteration: Float[np.ndarray, " iteration"],
-    values: Float[np.ndarray, "seed iteration"],
-    style: MethodStyle,
-) -> None:
-    if np.isnan(values).all():
-        return
-    smooth = moving_mean(values, _window(len(iteration)))
-    if len(values) == 1:
-        axes.plot(iteration, values[0], color=style.colour, linewidth=0.5, alpha=0.3)
-    ends = (smooth.min(0), smooth.max(0))
-    draw_curve(axes, Curve(iteration, smooth.mean(0), ends), style, num_seeds=len(values))
-
-
-def _note(trained: Sequence[TrainedSeries]) -> str:
+def _note(trained: Sequence[Trained]) -> str:
     """Say what lines and bands are."""
-    windows = sorted({_window(len(line.seeds("return_after")[0])) for line in trained})
+    windows = sorted({line.window for line in trained})
     averaged = f"lines: moving average over {' or '.join(map(str, windows))} iterations"
     notes = {
         averaged: windows[-1] > 1,
