@@ -15,8 +15,6 @@ from maesn.learners.recurrent.meta_learner import RecurrentInfo
 from maesn.learners.wrappers.bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
     page
