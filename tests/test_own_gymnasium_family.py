@@ -8,8 +8,6 @@ from guides import Guide
 
 from maesn.runs.run import Run
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 GUIDE = Guide("own_environment_gymnasium.md", "hidden_gravity")
 VERBS = ("train", "adapt", "plot", "export")
 

@@ -17,8 +17,6 @@ from maesn.envs import NAMED_SETS, TaskSet
 from maesn.worlds import NativeWorld, make_world
 from maesn.worlds.simulators import native_simulator
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 GUIDE = Guide("own_environment_mujoco.md", "puck")
 VERBS = ("train", "adapt", "plot", "render", "export")
 

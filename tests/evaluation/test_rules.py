@@ -34,8 +34,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 BUDGET = ["--episodes", "9", "--episodes-per-update", "3"]
 FEW = {"episodes": 6, "episodes_per_update": 3}
 

@@ -16,7 +16,6 @@ from maesn.runs.config import CONFIG
 from maesn.storage import RunError
 
 
-@pytest.mark.usefixtures("quick_compiler")
 def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
     learner = tiny_maesn(meta_batch_size=2)
     run = create(

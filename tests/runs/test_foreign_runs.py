@@ -24,8 +24,6 @@ from maesn.runtime import Explorer
 from maesn.storage import RunError
 from maesn.worlds import EpisodeError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 def fragile(health: Path, **settings: Any) -> TaskFamily:
     health.touch()

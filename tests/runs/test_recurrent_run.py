@@ -4,7 +4,6 @@ import csv
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from small_runs import create, finish, metrics, outcome, reopened
@@ -17,7 +16,6 @@ from maesn.runs.serialization import from_json, to_json
 from maesn.storage import RunError, write_arrays
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def tiny() -> RecurrentMetaLearner:
@@ -31,9 +29,7 @@ def tiny() -> RecurrentMetaLearner:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    jax.config.update("jax_disable_most_optimizations", True)
     run = finish(create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3))
-    jax.config.update("jax_disable_most_optimizations", False)
     return run.directory
 
 

@@ -28,8 +28,6 @@ from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
 from maesn.runtime import Explorer
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 POLICIES = policy_names()
 LARGEST = 400_000  # bytes
 
