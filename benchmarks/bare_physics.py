@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Int
 from mujoco.batch import Batch
 
-from maesn.axes import Carry, TaskKeys
+from maesn.axes import TaskKeys
 from maesn.envs import AbstractMujocoEnv
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
@@ -48,13 +48,11 @@ class Recorder:
         return self._collector.num_tasks
 
     def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
         """See `Collector`."""
         begin = time.perf_counter()
-        episodes, readings = jax.block_until_ready(
-            self._collector.play(keys, agents, task_index, carry)
-        )
+        episodes, readings = jax.block_until_ready(self._collector.play(keys, agents, task_index))
         self.seconds += time.perf_counter() - begin
         start = {name: values[0] for name, values in readings.items()}
         self._batches.append((np.asarray(task_index), episodes, start))

@@ -66,7 +66,6 @@ def curves(method: str, settings: Settings) -> list[dict[str, object]]:
             learner,
             Collector(world, settings.episodes_per_task),
             updates=settings.updates,
-            episodes_per_task=settings.episodes_per_task,
             seed=settings.seed,
             tasks=range(settings.num_tasks),
         )

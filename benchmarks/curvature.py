@@ -112,6 +112,7 @@ def gain(
     improved, info = trust_region.step(
         parameters,
         seen.evaluate,
+        seen.loss_and_gradient,
         lambda varied: sampled_distributions(seen, varied, updated, *strides),
         step_weights(seen.post.every(outer, 0)),
     )

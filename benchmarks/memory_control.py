@@ -13,7 +13,7 @@ only that there was an episode before.
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from maesn.envs import RewardKind
-from maesn.experience.episodes import TrialState
+from maesn.experience.trial_state import TrialState
 from maesn.runs.run import Run
 from maesn.worlds.collector import Collector
 
@@ -72,7 +72,8 @@ def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
     with closing(run.world(tasks, settings.reward_kind)) as world:
         collect = Collector(world, settings.episodes_per_task)
         state = learner.update(state, collect(first, learner.agents(state), index))
-        own = learner.memory(state)
+        agents = learner.agents(state)
+        own = agents.trial_state
         if own is None:
             raise ValueError(
                 "`run` must be of a method that remembers earlier episodes, got "
@@ -80,14 +81,16 @@ def played(settings: Settings) -> Iterator[tuple[str, np.ndarray]]:
             )
         print(describe(own))
         for name, memory in exchanged(own).items():
-            episodes = collect(second, learner.agents(state), index, memory)
+            episodes = collect(second, replace(agents, trial_state=memory), index)
             yield name, np.asarray(episodes.undiscounted_return.mean(1))
 
 
 def describe(memory: TrialState) -> str:
     """Return a line on the policy's own memory after the first episode."""
+    leaves = jax.tree.leaves(memory.recurrent_state)
     units = np.concatenate(
-        [np.asarray(x).reshape(-1, x.shape[-1]) for x in jax.tree.leaves(memory.hidden)], axis=-1
+        [np.asarray(x).reshape(-1, x.shape[-1]) for x in leaves],
+        axis=-1,
     )
     return (
         f"after the first episode: mean size of a unit {np.abs(units).mean():.3f}, its standard "

@@ -86,7 +86,6 @@ def main(settings: Settings) -> None:
                 learner(name, settings),
                 collect,
                 updates=settings.updates,
-                episodes_per_task=settings.episodes_per_task,
                 seed=seed,
             )
             rows.append(row(name, seed, outcome.curves))

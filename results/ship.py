@@ -7,25 +7,24 @@ policy comes from as an entry `provenance`. `maesn adapt FAMILY` then adapts it 
 installation.
 """
 
-import json
+import dataclasses
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
 
 from maesn.learners import METHODS
-from maesn.runs.config import CONFIG, RunConfig, RunSettings
+from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.shipped import TRAINED
 from maesn.runs.task_sources import TASKS_FILE
-from maesn.storage import new_directory, write_json
+from maesn.storage import new_directory
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Settings:
     """What is shipped."""
 
@@ -52,7 +51,7 @@ def command(config: RunConfig) -> str:
         raise ValueError(f"no option of `maesn train {method}` changes {', '.join(slots)}.")
     del chosen["method"]
     words = [f"--{name.replace('_', '-')} {value}" for name, value in chosen.items()]
-    return " ".join(["maesn train", method, *words])
+    return " ".join(["maesn train", method, "--settings reference", *words])
 
 
 def _options(document: dict[str, Any]) -> dict[str, str]:
@@ -86,16 +85,20 @@ def ship(run: Run, commit: str, target: Path) -> None:
             f"`{run.directory}` must be finished, but has done {done} of "
             f"{run.settings.iterations} iterations: go on with `maesn resume {run.directory}`."
         )
-    document = json.loads((run.directory / CONFIG).read_text("utf-8"))
     provenance = {"command": command(run.config), "commit": commit}
+    shipped = dataclasses.replace(
+        run, directory=target, config=dataclasses.replace(run.config, provenance=provenance)
+    )
+    checkpoint = run.latest()
     if target.exists():
         shutil.rmtree(target)
     with new_directory(target):
         (target / CHECKPOINTS).mkdir()
-        shutil.copy(last, target / CHECKPOINTS)
+        # Written anew, because a checkpoint states the digest of the configuration beside it.
+        shipped.save_state(checkpoint.state, checkpoint.environment_steps)
         if (run.directory / TASKS_FILE).exists():
             shutil.copy(run.directory / TASKS_FILE, target)
-        write_json(target / CONFIG, document | {"provenance": provenance})
+        write_config(target, shipped.config)
 
 
 def main(settings: Settings) -> None:

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import re
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +19,7 @@ from scripts import ROOT, load_script
 from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
-from maesn.experience.episodes import TrialState
+from maesn.experience.trial_state import TrialState
 from maesn.learners import rl2
 from maesn.physics import load_model
 from maesn.policies import Recurrent
@@ -201,7 +202,7 @@ def test_memories_are_exchanged_among_tasks() -> None:
     expected = {"nothing": [0, 0, 0, 0], "another task's": [5, 7, 1, 3], "the mean of all": [4] * 4}
     for name, values in expected.items():
         found = memories[name]
-        np.testing.assert_array_equal(found.hidden.ravel(), values)
+        np.testing.assert_array_equal(found.recurrent_state.ravel(), values)
         np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
         np.testing.assert_array_equal(found.reward.ravel(), values)
 
@@ -221,7 +222,8 @@ def test_second_episodes_begin_with_the_memory_that_is_named(
     learner = run.learner.fast_learner(run.latest_state())
     agents = learner.agents(learner.init(first))
     alone = collect(second, agents, index)
-    after = collect(second, agents, index, collect(first, agents, index).carry)
+    began = replace(agents, trial_state=collect(first, agents, index).trial_end)
+    after = collect(second, began, index)
     np.testing.assert_array_equal(paid["nothing"], alone.undiscounted_return.mean(1))
     np.testing.assert_array_equal(paid["its own memory"], after.undiscounted_return.mean(1))
     assert len({tuple(returns) for returns in paid.values()}) == 4

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from maesn.learners.gradient.info import GradientInfo, GroupShares
+from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
-from maesn.learners.recurrent.policy_steps import ProximalInfo
 from maesn.learners.wrappers.bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 

@@ -19,7 +19,7 @@ from playing import agents
 
 import maesn.gym
 from maesn.envs import FAMILIES, Point, Reward, TaskFamily, TaskSet, point
-from maesn.experience.episodes import TrialState
+from maesn.experience.trial_state import TrialState
 from maesn.gym import IDS, TaskEnv
 from maesn.numerics import DiagonalGaussian
 from maesn.runs.export import probe_actuators
@@ -75,7 +75,7 @@ def test_states_and_rewards_are_those_of_the_librarys_worlds(family: str) -> Non
     none, row = jnp.zeros((1, 1, 2)), jax.tree.map(lambda x: x[None], task)
     noise = jnp.zeros((inner.horizon, 1, 1, inner.action_size))
     memory = TrialState(None, jnp.zeros((1, 1, inner.action_size)), jnp.zeros((1, 1)))
-    actors = Actors(agents(inner, 1), row, none, none, noise, memory)
+    actors = Actors(agents(inner, 1), row, none, none, none, noise, memory)
     start = Start(jnp.asarray(first["qpos"]), jnp.asarray(first["qvel"]), {})
     readings = make_world(inner, tasks).play(act, actors, start).readings
     for step, (observation, reward, _, _, information) in enumerate(steps):

@@ -70,6 +70,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import maml_bias as maml_bias
     from maesn.learners import maml_bias_only as maml_bias_only
     from maesn.learners import oracle as oracle
+    from maesn.learners import recommended as recommended
     from maesn.learners import rl2 as rl2
     from maesn.learners import rl2_trpo as rl2_trpo
     from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
@@ -166,6 +167,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "maml_bias",
         "maml_bias_only",
         "oracle",
+        "recommended",
         "rl2",
         "rl2_trpo",
     ),

@@ -1,25 +1,33 @@
 """The library's verbs, as functions of Python. The command line calls them, one for one."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from maesn.context import Latent
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
+from maesn.evaluation.record import identity_of_run
 from maesn.evaluation.running import evaluate, open_run
-from maesn.evaluation.tables import Adapted, adaptation_file, write_outcome
+from maesn.evaluation.tables import (
+    Adapted,
+    adaptation_file,
+    adapted_latent,
+    record_of_latents,
+    write_outcome,
+)
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.runs.beginning import begun_state
+from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.runs.shipped import find_run
-from maesn.storage import RunError
+from maesn.storage import RunError, read_json
 
 USUAL = Evaluation()
 
@@ -53,16 +61,27 @@ def train(
 
 
 def resume(
-    directory: str | Path, iterations: int | None = None, family: str | TaskFamily | None = None
+    run: str | Path | Run,
+    iterations: int | None = None,
+    family: str | TaskFamily | None = None,
+    change: Mapping[str, Any] | None = None,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
     Args:
-        directory: of the run.
+        run: the run, or its directory.
         iterations: total number of meta-iterations; None for that of the run's settings.
         family: the run's family, if it is your own: itself, or `module:name`.
+        change: settings that are to differ from here on, name -> value, which is written down in
+            the run; see `maesn.runs.changes.change_run`.
+
+    Raises:
+        RunError: there is no such run, or it cannot be changed so.
+        EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    run = Run.open(directory, family=family)
+    run = Run.open(run, family=family)
+    if change:
+        run = change_run(run, change)
     train_live(run, iterations=iterations)
     return run
 
@@ -117,24 +136,45 @@ def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
         raise RunError(str(error)) from error
 
 
-def export(run: str | Path | Run, path: str | Path, family: str | TaskFamily | None = None) -> Path:
+def export(
+    run: str | Path | Run,
+    path: str | Path,
+    family: str | TaskFamily | None = None,
+    *,
+    latents: str | Path | None = None,
+    task: int | None = None,
+) -> Path:
     """Write a trained policy as one `.npz` file for `maesn.runtime`.
+
+    A robot starts at the prior, or at a latent that `adapt` has found. From there its step sizes go
+    on as those of `adapt(..., start=latents)` would.
 
     Args:
         run: itself, its directory, or the name of a policy that comes with the library; its latest
             checkpoint is exported.
         path: of the file to write.
         family: the run's family, if it is your own: itself, or `module:name`.
+        latents: file that `adapt` wrote for this run, `Adapted.latents`; given together with
+            `task`.
+        task: index of the task, in the set that was adapted to, whose last latent to start from.
+
+    Raises:
+        RunError: the run cannot be exported, the latents are not this run's, or there is no such
+            task.
     """
-    opened = run if isinstance(run, Run) else Run.open(find_run(run), family=family)
+    opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
     description: dict[str, str | int | float] = {
         "method": opened.settings.method,
         "iteration": checkpoint.iteration,
     }
+    start = None
+    if latents is not None or task is not None:
+        start = _adapted_start(opened, latents, task)
+        description["task"] = int(task or 0)
     try:
-        export_policy(learner, opened.env(), path, description)
+        export_policy(learner, opened.env(), path, description, start)
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
@@ -170,3 +210,19 @@ def plot(
     return plot_run_directories(
         [run.directory for run in opened], first if out is None else Path(out)
     )
+
+
+def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:
+    """Return the latent that an adaptation of the run has found, and the updates behind it."""
+    if latents is None or task is None:
+        raise RunError(
+            "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
+            "index of the task whose latent to start from."
+        )
+    record = record_of_latents(Path(latents))
+    if record.exists() and read_json(record).get("weights") != identity_of_run(run).weights:
+        raise RunError(
+            f"`{latents}` was adapted with other weights than the latest checkpoint of "
+            f"`{run.directory}` has: adapt this run, and give the latents that this writes."
+        )
+    return adapted_latent(Path(latents), task)

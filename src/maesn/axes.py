@@ -2,7 +2,7 @@
 
 Arrays are ordered `[task, episode, time, feature]`. The task axis comes first because it is the
 axis that is mapped over and cut into chunks. Functions are written for one task or one episode;
-`Agents.vmap` or, one task after the other, `Agents.one_by_one` adds the axis of the tasks.
+`maesn.numerics.tasks.map_tasks` adds the axis of the tasks.
 
 | axis          | runs over                                                                     |
 |---------------|-------------------------------------------------------------------------------|
@@ -13,8 +13,9 @@ axis that is mapped over and cut into chunks. Functions are written for one task
 | `time_plus_1` | states of one episode, t = 0 ... T                                            |
 | `observation` | components of what the policy sees of the world                               |
 | `action`      | components of one action                                                      |
-| `context`     | components of what the context slot feeds to the policy (the latent z)        |
-| `noise`       | components of the random draw behind one context value                        |
+| `z`           | components of what a context feeds to the policy throughout one episode       |
+| `noise`       | components of the standard normal draw behind one z                           |
+| `description` | components of the description of a task                                       |
 | `simulation`  | simulations of one batch of the engine: task-major, `task * episodes + episode` |
 """
 
@@ -35,13 +36,13 @@ TaskKeys: TypeAlias = KeyArray[Array, " task"]
 Readings: TypeAlias = dict[str, Array]
 HostReadings: TypeAlias = dict[str, np.ndarray]
 
-# What a recurrent policy remembers between steps; `None` for policies without memory.
-Carry: TypeAlias = Any
+# What a recurrent policy keeps from step to step; `None` for one that is not recurrent.
+RecurrentState: TypeAlias = Any
 
 # What actions are: a vector of real numbers, or one of `action_size` choices. A choice is written
 # as a one-hot vector, so that actions are float arrays of `action_size` components either way.
 ActionKind: TypeAlias = Literal["continuous", "discrete"]
 
-# The reward that a policy is shown: the one that is paid, dense or sparse as the world says, or
-# the sparse one wherever it plays.
-ObservedReward: TypeAlias = Literal["paid", "sparse"]
+# The reward that a policy receives as an input: the world's own, dense or sparse, or the sparse
+# one in every world.
+ObservedReward: TypeAlias = Literal["own", "sparse"]

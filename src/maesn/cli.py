@@ -16,7 +16,7 @@ COMMANDS = {
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",
-    "list": "list methods, families of tasks, and policies that come with the library",
+    "list": "list methods, rules, families of tasks, and policies that come with the library",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 

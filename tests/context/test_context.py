@@ -73,10 +73,10 @@ def test_a_bias_starts_at_zero_and_is_shared_by_training_and_new_tasks() -> None
 def test_draws() -> None:
     noise = jnp.asarray([1.0, -2.0])
     latent = Latent(jnp.asarray([0.5, 0.25]), jnp.log(jnp.asarray([2.0, 0.5])))
-    np.testing.assert_allclose(latent.draw(noise), [2.5, -0.75], rtol=1e-6)
+    np.testing.assert_allclose(latent.draw(noise, jnp.zeros(0)), [2.5, -0.75], rtol=1e-6)
     bias = Bias(jnp.asarray([3.0, 4.0, 5.0]))
-    np.testing.assert_array_equal(bias.draw(jnp.zeros(0)), [3.0, 4.0, 5.0])
-    assert Nothing().draw(jnp.zeros(0)).shape == (0,)
+    np.testing.assert_array_equal(bias.draw(jnp.zeros(0), jnp.zeros(0)), [3.0, 4.0, 5.0])
+    assert Nothing().draw(jnp.zeros(0), jnp.zeros(0)).shape == (0,)
     sizes = [(value.size, value.noise_size) for value in (latent, bias, Nothing())]
     assert sizes == [(2, 2), (3, 0), (0, 0)]
 

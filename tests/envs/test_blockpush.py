@@ -106,7 +106,7 @@ def test_sparse_rewards_far_away_are_the_goals_distance_or_one_constant() -> Non
         env = BlockPush(variant=variant, reward_kind="sparse")
         assert env.reward(far, jnp.ones(3), far, task).total == pytest.approx(expected)
         # Who reads rewards is not told how far away the goal is.
-        shown = env.observed_reward("paid", far, jnp.ones(3), far, task)
+        shown = env.observed_reward("own", far, jnp.ones(3), far, task)
         assert shown == {"reference": -5.0, "paper": -1.0}[variant]
 
 

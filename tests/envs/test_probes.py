@@ -139,7 +139,7 @@ def test_with_a_latent_every_side_is_found_in_half_of_the_episodes() -> None:
     episodes = play_many(env, SIDES, coherent_agents([0.0, 0.0], 1.0))
     for task, side in enumerate((-1, 1)):
         returns = np.asarray(episodes.undiscounted_return[task])
-        np.testing.assert_array_equal(returns, np.sign(episodes.context[task, :, 0]) == side)
+        np.testing.assert_array_equal(returns, np.sign(episodes.z[task, :, 0]) == side)
         assert stats.binomtest(int(returns.sum()), EPISODES, 0.5).pvalue > 1e-6
 
 

@@ -49,6 +49,7 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
         solved_at_start=jnp.array([[False, True]]),
         terminated=jnp.array([[False, True]]),
         noise=jnp.zeros((1, 2, 1)),
+        description=jnp.zeros((1, 2, 0)),
         z=jnp.zeros((1, 2, 1)),
         behaviour=DiagonalGaussian(steps, steps),
         trial_end=None,

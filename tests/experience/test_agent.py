@@ -10,6 +10,7 @@ import pytest
 from maesn.context import Latent
 from maesn.experience.agent import Agent, Agents
 from maesn.numerics.normalization import no_observations
+from maesn.numerics.tasks import How
 from maesn.policies import GaussianMLP, PolicyInput
 
 TASKS, OBSERVATION, ACTION, LATENT = 3, 4, 2, 2
@@ -42,11 +43,9 @@ def test_one_after_the_other_is_all_at_once(shares_policy: bool) -> None:
     observation = jax.random.normal(jax.random.key(2), (TASKS, OBSERVATION))
     scale = jnp.arange(1.0, TASKS + 1)
 
-    def loss(agents: Agents, mapping: str) -> jax.Array:
-        return (getattr(agents, mapping)(mean_action)(observation, scale) ** 2).sum()
+    def loss(agents: Agents, mapping: How) -> jax.Array:
+        return (agents.map(mean_action, observation, scale, how=mapping) ** 2).sum()
 
-    at_once, one_by_one = (
-        jax.value_and_grad(loss)(agents, name) for name in ("vmap", "one_by_one")
-    )
-    for expected, actual in zip(*map(jax.tree.leaves, (at_once, one_by_one)), strict=True):
+    at_once, serial = (jax.value_and_grad(loss)(agents, how) for how in ("vmap", "serial"))
+    for expected, actual in zip(*map(jax.tree.leaves, (at_once, serial)), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-12)

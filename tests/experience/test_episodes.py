@@ -28,7 +28,7 @@ def test_every_step_is_all_steps() -> None:
         np.testing.assert_array_equal(
             getattr(thinned.behaviour, name), getattr(whole.behaviour, name)
         )
-    np.testing.assert_array_equal(thinned.context, whole.context)
+    np.testing.assert_array_equal(thinned.z, whole.z)
 
 
 @pytest.mark.parametrize("stride", [2, 3, 4])

@@ -42,7 +42,7 @@ def played(problem: Problem) -> tuple[Episodes, Advantages]:
 
 def agents_of(problem: Problem) -> tuple[Agents, StepSizes]:
     parameters = to_library(problem.parameters)
-    return Agents(parameters.policy, parameters.context, True), parameters.step_sizes
+    return Agents(parameters.policy, parameters.context_table, True), parameters.step_sizes
 
 
 def assert_moved_like_the_reference(problem: Problem, rtol: float, atol: float) -> None:

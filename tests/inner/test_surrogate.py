@@ -37,7 +37,7 @@ def one_step_episodes(agent: Agent, count: int) -> Episodes:
     """Play the problem, one step an episode."""
     noise_key, action_key = jax.random.split(jax.random.key(0))
     noise = jax.random.normal(noise_key, (count, 2))
-    drawn = jax.vmap(agent.context.draw)(noise)
+    drawn = jax.vmap(agent.context.draw)(noise, jnp.zeros((len(noise), 0)))
     mean = drawn @ jnp.asarray(WEIGHT, float) + OFFSET
     action = mean + ACTION_STD * jax.random.normal(action_key, (count,))
     log_std = jnp.full((count, 1, 1), np.log(ACTION_STD), float)
@@ -51,9 +51,10 @@ def one_step_episodes(agent: Agent, count: int) -> Episodes:
         solved_at_start=jnp.zeros(count, bool),
         terminated=jnp.zeros(count, bool),
         noise=noise,
-        context=drawn,
+        description=jnp.zeros((len(noise), 0)),
+        z=drawn,
         behaviour=DiagonalGaussian(mean[:, None, None], log_std),
-        carry=None,
+        trial_end=None,
     )
 
 
@@ -91,9 +92,9 @@ def test_the_likelihood_ratio_keeps_the_latent_that_was_played() -> None:
     moved = Latent(agent.context.mean + 1.0, agent.context.log_std)
     for gradient, kept in (("likelihood_ratio", True), ("reparameterized", False)):
         context = LatentContext(2, gradient=gradient)
-        drawn = context.inner_draw(moved, episodes.noise[0], episodes.context[0])
+        drawn = context.inner_draw(moved, episodes.noise[0], episodes.z[0])
         shift = 0.0 if kept else 1.0
-        np.testing.assert_allclose(drawn, episodes.context[0] + shift, rtol=1e-5)
+        np.testing.assert_allclose(drawn, episodes.z[0] + shift, rtol=1e-5)
 
 
 def test_outer_loss_by_hand() -> None:

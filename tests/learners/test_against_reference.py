@@ -27,7 +27,7 @@ from maesn.experience.agent import Agents
 from maesn.learners import GradientState
 from maesn.learners.gradient.curvature import step_weights
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
-from maesn.numerics.trust_region import Evaluation, TrustRegion
+from maesn.numerics.trust_region import Candidate, TrustRegion
 
 CASES: dict[str, dict[str, Any]] = {
     "maesn": {"lengths": EQUAL},
@@ -70,17 +70,17 @@ def elsewhere(case: str) -> Parameters:
 @eqx.filter_jit
 def differentiate(
     objective: MetaObjective, parameters: MetaParameters, vector: MetaParameters
-) -> tuple[Evaluation, MetaParameters, MetaParameters]:
+) -> tuple[Candidate, MetaParameters, MetaParameters]:
     """Return loss and KL, the gradient of the loss, and the curvature times a vector."""
     flat, unravel = ravel_pytree(parameters)
-    gradient = jax.grad(lambda x: objective.evaluate(unravel(x)).loss)(flat)
+    _, gradient = objective.loss_and_gradient(parameters)
     product = REGION._curvature(
         lambda x: objective.distributions(unravel(x), objective.post),
         flat,
         step_weights(objective.post),
     )
     image = product(ravel_pytree(vector)[0])
-    return objective.evaluate(parameters), unravel(gradient), unravel(image)
+    return objective.evaluate(parameters), gradient, unravel(image)
 
 
 def assert_parameters_close(

@@ -99,7 +99,6 @@ def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
         RecurrentFastLearner(policy, 1),
         benchmark.make_collect(test, env),
         updates=0,
-        episodes_per_task=1,
         chunk_size=10000,
     )
     optimum = benchmark.bayes_optimal_return(2, 5)

@@ -25,6 +25,9 @@ from maesn.learners import (
     BonusMetaLearner,
     FineTuning,
     GradientFastLearner,
+    Purpose,
+    SavedContexts,
+    inside,
     latent_space,
     maesn,
     method_name,
@@ -43,10 +46,10 @@ pytestmark = pytest.mark.usefixtures("quick_compiler")
 class Listener(AbstractFastLearner[list[Episodes]]):
     """Learns nothing, and keeps what it is handed."""
 
-    def init(self, keys: jax.Array) -> list[Episodes]:
+    def init(self, keys: jax.Array, saved: SavedContexts | None = None) -> list[Episodes]:
         return []
 
-    def agents(self, state: list[Episodes]) -> Agents:
+    def agents(self, state: list[Episodes], purpose: Purpose = "explore") -> Agents:
         raise NotImplementedError
 
     def update(self, state: list[Episodes], episodes: Episodes) -> list[Episodes]:
@@ -105,15 +108,18 @@ def test_a_curious_meta_learner_is_one_setting(collect: Collector) -> None:
     accepted = []
     for step in range(4):
         state, info = learner.step(jax.random.key(step), state, collect)
-        accepted.append(bool(info["trust_region"].accepted))
-        # As long as the model has learned nothing, nothing is paid.
-        assert (float(info["curiosity"].bonus) > 8 * 5.0) == (step > 0)
+        accepted.append(bool(info.learner.trust_region.accepted))
+        # As long as the model has learned nothing, there is no bonus.
+        assert (float(info.curiosity.bonus) > 8 * 5.0) == (step > 0)
     assert int(learner.iteration(state)) == 4
     assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(state))
     # Two collections per iteration, 20 of the transitions of each.
     assert int(state.curiosity.pool.count) == 160
-    # Reported is what the tasks pay: at most 0 on this family.
-    assert float(info["return_after"]) < 0
+    # Reported are returns without bonus: at most 0 on this family.
+    assert float(info.learner.return_after) < 0
+    logged = learner.metrics(info)
+    assert logged["return_after"] is info.learner.return_after
+    assert logged["curiosity"] is info.curiosity
     # Of so few episodes, not every step is an improvement.
     assert any(accepted)
 
@@ -138,11 +144,12 @@ def test_without_a_bonus_a_curious_meta_learner_is_the_learner_itself(
     state = curious.init(jax.random.key(0), 2, 2, 5)
     learner_key = jax.random.split(key, 3)[0]
     after, info = alone.step(learner_key, state.learner, collect)
-    together, told = curious.step(key, state, collect)
+    together, said = curious.step(key, state, collect)
     for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert float(told["return_before"]) == pytest.approx(float(info.return_before), rel=1e-5)
-    assert float(told["return_after"]) == pytest.approx(float(info.return_after), rel=1e-5)
+    for name in ("return_before", "return_after"):
+        wanted = float(getattr(info, name))
+        assert float(getattr(said.learner, name)) == pytest.approx(wanted, rel=1e-5)
 
 
 def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
@@ -157,7 +164,7 @@ def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector
         for known, start in zip(*map(jax.tree.leaves, handed_over), strict=True):
             np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
     assert np.all(begun.curiosity.medians.count == 0)
-    outcome = adapt(fast, collect, updates=2, episodes_per_task=4, chunk_size=2)
+    outcome = adapt(fast, collect, updates=2, chunk_size=2)
     assert np.isfinite(outcome.curves.mean_return).all()
     assert np.all(outcome.contexts.mean[:, 1] != 0)
 
@@ -166,38 +173,32 @@ def test_who_does_not_learn_from_reward_is_paid_no_bonus() -> None:
     learner = METHODS["oracle+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
     fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5, 2))
     assert isinstance(fast, GradientFastLearner)
-    assert not fast.learns_from_reward
+    assert not fast.capabilities.learns_from_reward
 
 
-def test_other_step_sizes_are_those_of_the_learner_that_is_paid() -> None:
-    learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
-    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5))
-    schedule = fast.paced(0.5, 4).learner.schedule
-    assert (schedule.scale, schedule.full_steps) == (0.5, 4)
-    with pytest.raises(ValueError, match="`Listener` follows no schedule"):
-        BonusFastLearner(Listener(), SMALL, 2, 1).paced(0.5, None)
-
-
-def test_nobody_is_curious_twice_or_loses_the_bonus_by_fine_tuning() -> None:
+def test_a_bonus_is_not_added_twice_nor_lost_by_fine_tuning() -> None:
     vime = SCRATCH["vime"](2, 2)
-    assert vime.has_bonus
-    assert not vime.learner.has_bonus
-    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+    assert vime.capabilities.has_bonus
+    assert not vime.learner.capabilities.has_bonus
+    with pytest.raises(ValueError, match="`learner` must not have a bonus already"):
         BonusFastLearner(vime, SMALL, 2, 2)
-    with pytest.raises(ValueError, match="`learner` must not be curious already"):
+    with pytest.raises(ValueError, match="`learner` must not have a bonus already"):
         BonusMetaLearner(METHODS["maesn+curiosity"]())
-    with pytest.raises(ValueError, match=r"`learner` must not be curious, .* by `learner.inside`"):
+    with pytest.raises(ValueError, match=r"`learner` must not have a bonus, .* `learners.inside`"):
         FineTuning(vime, IMPROVEMENTS["trpo"])
-    assert vime.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"])).has_bonus
+    tuned = inside(vime, lambda one: FineTuning(one, IMPROVEMENTS["trpo"]))
+    assert isinstance(tuned, BonusFastLearner)
+    assert tuned.capabilities.has_bonus
+    assert tuned.learner == FineTuning(vime.learner, IMPROVEMENTS["trpo"])
 
 
-def test_who_is_fine_tuned_is_still_paid_for_what_it_finds_out(collect: Collector) -> None:
-    """Where the task pays every step the same, weights move by the bonus alone."""
+def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
+    """Where every reward is the same, weights move by the bonus alone."""
     learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
     state = learner.init(jax.random.key(0), 2, 2, 5)
     knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
     fast = learner.fast_learner(replace(state, curiosity=knows))
-    curious = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    curious = inside(fast, lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
     assert curious.learner.learner is fast.learner
 
     def moves(tuned: AbstractFastLearner) -> bool:

@@ -15,7 +15,7 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 KEY = jax.random.key(0)
 SMALL = CuriosityBonus(hidden_sizes=(4,), pool_size=64, pool_additions=16, updates=20, samples=3)
 # Compiled, as the learners call them.
-pay, learn = (eqx.filter_jit(method) for method in (CuriosityBonus.pay, CuriosityBonus.learn))
+judge, learn = (eqx.filter_jit(method) for method in (CuriosityBonus.judge, CuriosityBonus.learn))
 pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
@@ -69,7 +69,7 @@ def exact_posterior(inputs: np.ndarray, targets: np.ndarray, curiosity: Curiosit
 def linear_problem(curiosity: CuriosityBonus) -> tuple:
     """A state with a full pool, and the exact posterior of a linear model given that pool."""
     state = curiosity.init(KEY, 2, 1)
-    state, _ = pay(curiosity, KEY, state, linear_episodes(1, (8,), 25))
+    state, _ = judge(curiosity, KEY, state, linear_episodes(1, (8,), 25))
     pool = np.asarray(state.pool.rows[: int(state.pool.size)], np.float64)
     scaled = (pool - pool.mean(0)) / pool.std(0)
     return state, *exact_posterior(scaled[:, :3], scaled[:, 3:], curiosity)
@@ -130,7 +130,7 @@ def test_the_bonus_is_the_gain_over_the_mean_of_the_last_medians() -> None:
         played = linear_episodes(batch, (3,), 5, scale=1.0 + batch)
         key = jax.random.key(batch)
         network = state.network
-        state, bonus = pay(curiosity, key, state, played)
+        state, bonus = judge(curiosity, key, state, played)
         scale = Scale(*state.pool.moments())
         noise_key = jax.random.split(key)[1]
         gain = curiosity.information_gains(noise_key, network, scale, transitions(played))
@@ -144,13 +144,13 @@ def test_the_bonus_is_the_gain_over_the_mean_of_the_last_medians() -> None:
 def test_who_has_learned_nothing_yet_is_not_asked() -> None:
     state = SMALL.init(KEY, 2, 1)
     for batch in range(2):
-        state, bonus = pay(SMALL, KEY, state, linear_episodes(batch, (3,), 5))
+        state, bonus = judge(SMALL, KEY, state, linear_episodes(batch, (3,), 5))
         np.testing.assert_array_equal(bonus, np.zeros((3, 5)))
     assert int(state.medians.size) == 0
     # What it has seen is there to learn from.
     assert int(state.pool.size) == 2 * 15
     state = SMALL.start(learn(SMALL, KEY, state))
-    state, bonus = pay(SMALL, KEY, state, linear_episodes(2, (3,), 5))
+    state, bonus = judge(SMALL, KEY, state, linear_episodes(2, (3,), 5))
     # Of a single batch, the typical gain is the median one.
     assert float(np.median(bonus)) == pytest.approx(SMALL.weight)
 
@@ -183,7 +183,7 @@ def test_what_is_masked_changes_nothing() -> None:
     )
     found = []
     for episodes in (ended, garbage):
-        state, bonus = pay(SMALL, KEY, knowing(SMALL), episodes)
+        state, bonus = judge(SMALL, KEY, knowing(SMALL), episodes)
         found.append((learn(SMALL, KEY, state), bonus))
     for one, other in zip(*map(jax.tree.leaves, found), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -196,7 +196,7 @@ def test_what_is_masked_changes_nothing() -> None:
 def test_nothing_to_see_is_paid_nothing() -> None:
     state = knowing(SMALL)
     over = replace(linear_episodes(0, (2,), 3), valid=jnp.zeros((2, 3), bool))
-    after, bonus = pay(SMALL, KEY, state, over)
+    after, bonus = judge(SMALL, KEY, state, over)
     np.testing.assert_array_equal(bonus, np.zeros((2, 3)))
     assert int(after.pool.size) == int(after.medians.size) == 0
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(learn(SMALL, KEY, after)))
@@ -204,21 +204,21 @@ def test_nothing_to_see_is_paid_nothing() -> None:
 
 def test_what_is_known_is_worth_less_than_what_is_new() -> None:
     curiosity = CuriosityBonus(updates=1500)
-    state, _ = pay(curiosity, KEY, curiosity.init(KEY, 2, 1), linear_episodes(1, (20,), 25, 0.05))
+    state, _ = judge(curiosity, KEY, curiosity.init(KEY, 2, 1), linear_episodes(1, (20,), 25, 0.05))
     known = linear_episodes(2, (8,), 25, noise=0.05)
     new = replace(known, action=known.action + 4.0)  # pushed harder, without any effect
     both = episodes_of(*(np.concatenate([getattr(e, f) for e in (known, new)]) for f in (
         "observation", "action",
     )))  # fmt: skip
     learned = learn(curiosity, KEY, state)
-    _, bonus = pay(curiosity, KEY, learned, both)
+    _, bonus = judge(curiosity, KEY, learned, both)
     assert np.median(bonus[8:]) > 10 * np.median(bonus[:8])
 
 
 def test_the_pool_holds_a_sample_of_all_batches() -> None:
     state = SMALL.init(KEY, 2, 1)
     for batch in range(3):
-        state, _ = pay(SMALL, jax.random.key(batch), state, linear_episodes(batch, (4,), 10))
+        state, _ = judge(SMALL, jax.random.key(batch), state, linear_episodes(batch, (4,), 10))
     assert int(state.pool.size) == 3 * 16
     rows = np.asarray(state.pool.rows)
     for batch in range(3):

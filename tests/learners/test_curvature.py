@@ -132,7 +132,7 @@ def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(
     post = objective.post.every(*SOME)
 
     def distribution(agents: jax.Array) -> Any:
-        return unravel_agents(agents).vmap(post_distributions)(post)
+        return unravel_agents(agents).map(post_distributions, post, how="vmap")
 
     update = jax.jit(jax.jacfwd(lambda x: ravel_pytree(sample.adapted(unravel(x)))[0]))(flat)
     outer = jax.jit(jax.jacfwd(distribution))(moved)
@@ -148,11 +148,16 @@ def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(
 def test_task_by_task_is_all_at_once(method: str, settings: dict[str, Any]) -> None:
     """Loss, divergence and gradient of the loop, against those of the whole batch."""
     objective, parameters = problem_of(learner_of(method, **settings))
-    evaluations = [
-        jax.jit(lambda p, f=f: (f(objective, p), jax.grad(lambda q, f=f: f(objective, q).loss)(p)))(
-            parameters
-        )
-        for f in (MetaObjective.evaluate, MetaObjective.evaluate_at_once)
-    ]
+
+    @jax.jit
+    def found(p: MetaParameters) -> Any:
+        return objective.evaluate(p), objective.loss_and_gradient(p)
+
+    @jax.jit
+    def at_once(p: MetaParameters) -> Any:
+        loss = jax.value_and_grad(lambda varied: objective.evaluate_at_once(varied).loss)
+        return objective.evaluate_at_once(p), loss(p)
+
+    evaluations = found(parameters), at_once(parameters)
     for actual, expected in zip(*map(jax.tree.leaves, evaluations), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-13)

@@ -13,8 +13,22 @@ from reference.advantage import experience
 from reference.maesn import Agent, inner_update, start
 
 from maesn.context import Latent
-from maesn.learners import GradientFastLearner, GradientState
+from maesn.inner.adaptation import Adaptation, InnerStep
+from maesn.learners import (
+    METHODS,
+    SCRATCH,
+    Capabilities,
+    FineTuning,
+    GradientFastLearner,
+    GradientState,
+    SavedContexts,
+    maesn,
+    maesn_theta,
+    maml,
+    rl2,
+)
 from maesn.learners.presets import latent_space
+from maesn.policies import GaussianMLP
 
 TASKS = 3
 pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
@@ -99,10 +113,82 @@ def test_adaptation_resumes_where_it_stopped() -> None:
     half = learner.init(keys(1))
     for episodes in batches[:2]:
         half = learner.update(half, episodes)
-    contexts = learner.contexts(half)
+    contexts = learner.agents(half).context
     assert isinstance(contexts, Latent)
-    resumed = learner.resume(contexts, update=2)
+    assert learner.capabilities.resumes
+    resumed = learner.init(keys(1), SavedContexts(contexts, 2))
     for episodes in batches[2:]:
         resumed = learner.update(resumed, episodes)
     for old, new in zip(jax.tree.leaves(state), jax.tree.leaves(resumed), strict=True):
         np.testing.assert_array_equal(old, new)
+
+
+CAN = {
+    "maesn": Capabilities(resumes=True, least_episodes=2),
+    "latent_space": Capabilities(resumes=True, least_episodes=2),
+    "maesn_theta": Capabilities(resumes=True, least_episodes=2),  # in its first stage
+    "maml": Capabilities(),
+    "maml_bias": Capabilities(),
+    "maml_bias_only": Capabilities(resumes=True),
+    "rl2": Capabilities(is_recurrent=True, trial_episodes=2, learns_from_reward=False),
+    "oracle": Capabilities(learns_from_reward=False),
+    "maesn+curiosity": Capabilities(has_bonus=True, least_episodes=2),
+}
+
+
+@pytest.mark.parametrize("method", CAN)
+def test_learners_say_what_they_can(method: str) -> None:
+    meta = METHODS[method]()
+    learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 20, 2))
+    assert learner.capabilities == CAN[method]
+    if not learner.capabilities.resumes:
+        saved = SavedContexts(Latent(jnp.zeros((1, 2)), jnp.zeros((1, 2))), 1)
+        with pytest.raises(ValueError, match="`saved` must be None for `"):
+            learner.init(keys(1), saved)
+
+
+def test_a_latent_is_deployed_at_its_mean() -> None:
+    inner = fast_learner("maesn")
+    at = Latent(jnp.array([[1.0, -2.0]]), jnp.array([[0.5, 0.0]]))
+    explored = inner.init(keys(1), SavedContexts(at, 0))
+    tuned = FineTuning(inner, after=0)
+    for learner, state in ((inner, explored), (tuned, tuned.init(keys(1)))):
+        explore, deploy = (learner.agents(state, purpose) for purpose in ("explore", "deploy"))
+        np.testing.assert_array_equal(deploy.context.mean, explore.context.mean)
+        z = jax.vmap(lambda one: one.draw(jnp.full(2, 3.0), jnp.zeros(0)))(deploy.context)
+        np.testing.assert_allclose(z, explore.context.mean, atol=1e-5)
+        assert np.all(explore.context.log_std > np.log(0.5))
+    trpo = SCRATCH["trpo"](2, 2)
+    state = trpo.init(keys(1))
+    for one, other in zip(
+        *(jax.tree.leaves(trpo.agents(state, p)) for p in ("explore", "deploy")), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_latent_that_compares_episodes_needs_two_of_them() -> None:
+    """With one, its standardised advantage is 0 and it would stand still without a word."""
+    problem, rng = make_problem(2, UNEQUAL), np.random.default_rng(0)
+    theta = start(problem.parameters, 0).theta
+    episodes = stack([play(rng, theta, np.zeros(LATENT), np.zeros(LATENT), UNEQUAL)])
+    single = jax.tree.map(lambda x: x[:, :1], episodes)
+    learner = fast_learner("maesn")
+    message = "at least 2 episodes of a task, got 1: .* Play more episodes per update"
+    with pytest.raises(ValueError, match=message):
+        learner.update(learner.init(keys(1)), single)
+    for preset in (maesn, maesn_theta):
+        with pytest.raises(ValueError, match=message):
+            preset().check_batch(1)
+        preset().check_batch(2)
+    with pytest.raises(ValueError, match=message):
+        METHODS["maesn+curiosity"]().check_batch(1)
+    # Without an inner update nothing can stand still; and whatever else moves can learn from one.
+    for method in ("latent_space", "maml", "maml_bias", "maml_bias_only", "oracle"):
+        METHODS[method]().check_batch(1)
+    maesn(adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))).check_batch(1)
+    rl2(meta_batch_size=40).check_batch(1)
+    meta = maml(policy=GaussianMLP((4,)))
+    sizes = (single.observation.shape[-1], single.action.shape[-1])
+    weights = meta.fast_learner(meta.init(jax.random.key(0), *sizes, 20))
+    moved = weights.update(weights.init(keys(1)), replace(single, z=jnp.zeros((1, 1, 0))))
+    assert not np.array_equal(moved.agents.policy.log_std[0], weights.policy.log_std)

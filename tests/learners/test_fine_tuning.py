@@ -45,7 +45,7 @@ def fast(preset: object = maesn) -> GradientFastLearner:
 @pytest.mark.parametrize("rule", IMPROVEMENTS)
 def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Collector) -> None:
     inner = fast()
-    learner = FineTuning(inner, IMPROVEMENTS[rule], after=2)
+    learner = FineTuning(inner, IMPROVEMENTS[rule], after=10)
     state, alone, agents = learner.init(keys(TASKS)), inner.init(keys(TASKS)), []
     for update in range(4):
         agents.append(learner.agents(state))
@@ -58,7 +58,8 @@ def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Co
                 np.testing.assert_array_equal(one, other)
             alone = inner.update(alone, episodes)
         state = learner.update(state, episodes)
-    assert int(state.update) == 4
+    # Two updates of 5 episodes each were the learner's.
+    assert int(state.episodes) == 20
     settled = inner.agents(alone)
     assert not agents[2].shares_policy
     for after in (agents[2], learner.agents(state)):
@@ -79,7 +80,7 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
     state = learner.init(keys(TASKS))
     episodes = collect(keys(TASKS), learner.agents(state), jnp.arange(TASKS))
     # z was drawn for every episode.
-    assert np.ptp(np.asarray(episodes.context), axis=1).min() > 0
+    assert np.ptp(np.asarray(episodes.z), axis=1).min() > 0
     found = learner.agents(learner.update(state, episodes)).policy
     begun = improvement.begin(keys(TASKS), inner.agents(inner.init(keys(TASKS))))
     expected = improvement(begun, episodes).agents.policy
@@ -89,26 +90,26 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
 
 def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
     for preset in (maesn, maml):
-        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=1)
-        returns = adapt(learner, collect, updates=15, episodes_per_task=5).curves.mean_return
+        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5)
+        returns = adapt(learner, collect, updates=15).curves.mean_return
         # Of means over a few episodes each, the first two and the last four.
         assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)
 
 
-def test_memory_is_refused_at_construction() -> None:
+def test_recurrent_policies_are_refused_at_construction() -> None:
     learner = rl2()
     recurrent = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 40))
-    with pytest.raises(ValueError, match="`learner` must be without memory, got RecurrentFastLea"):
+    with pytest.raises(ValueError, match="`learner` must not be recurrent, got RecurrentFastLea"):
         FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3)
     settings = {"policy": Recurrent(hidden_size=4), "curvature_stride": 1, "meta_batch_size": 2}
     remembers = maesn(**settings)
     gradient = remembers.fast_learner(remembers.init(jax.random.key(0), 2, 2, TASKS))
     for learner in (gradient, BonusFastLearner(gradient, CuriosityBonus(), 2, 2)):
-        with pytest.raises(ValueError, match="`learner` must be without memory"):
+        with pytest.raises(ValueError, match="`learner` must not be recurrent"):
             FineTuning(learner, IMPROVEMENTS["trpo"])
-    with pytest.raises(ValueError, match="`policy` must be without memory, got Recurrent:"):
+    with pytest.raises(ValueError, match="`policy` must not be recurrent, got Recurrent:"):
         PolicyGradient(2, 2, Recurrent())
-    with pytest.raises(ValueError, match="`learner` must learn from what it is paid to be curious"):
+    with pytest.raises(ValueError, match="`learner` must learn from rewards"):
         BonusFastLearner(recurrent, CuriosityBonus(), 2, 2)
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0: curiosity"):
         SCRATCH["vime"](0, 2)
@@ -129,6 +130,6 @@ def test_the_normalisation_of_observations_stays(collect: Collector) -> None:
     assert (moved.policy.mlp.layers[0].weight != other).any()
 
 
-def test_a_negative_number_of_updates_is_refused() -> None:
-    with pytest.raises(ValueError, match="`after` must be at least 0, got -1"):
+def test_a_negative_number_of_episodes_is_refused() -> None:
+    with pytest.raises(ValueError, match="`after` must be at least 0 episodes, got -1"):
         FineTuning(fast(), after=-1)

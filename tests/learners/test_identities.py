@@ -67,7 +67,7 @@ def assert_same_step(actual: GradientInfo, expected: GradientInfo) -> None:
 def test_maesn_with_steps_fixed_at_zero_is_latent_space() -> None:
     problem = make_problem(SEED, UNEQUAL)
     learned = to_library(problem.parameters)
-    parameters = MetaParameters(learned.policy, learned.context, StepSizes(None, None))
+    parameters = MetaParameters(learned.policy, learned.context_table, StepSizes(None, None))
     at_rest = maesn(adaptation=Adaptation(context=AT_REST), **settings_of(problem))
     # The presets differ in the weight of the penalty as well, and in how much they collect.
     other = latent_space(context=at_rest.context, outer_batches=1, **settings_of(problem))

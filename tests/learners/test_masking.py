@@ -121,7 +121,7 @@ def test_only_the_latents_of_the_tasks_that_played_move() -> None:
     after, _ = step(collect, before)
     left_out = np.setdiff1d(np.arange(ROWS), collect.index[0])
     assert len(left_out) == ROWS - META_BATCH
-    old, new = before.context, after.parameters.context
+    old, new = before.context_table, after.parameters.context
     assert bits((new.mean[left_out], new.log_std[left_out])) == bits(
         (old.mean[left_out], old.log_std[left_out])
     )

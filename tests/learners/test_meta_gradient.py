@@ -19,7 +19,7 @@ ROWS = (3, 0)
 
 @pytest.mark.usefixtures("x64", "quick_compiler")
 def test_a_bias_and_learned_step_sizes_of_theta() -> None:
-    """Directional derivatives of the outer loss, along directions that move every array."""
+    """Directional derivatives of the outer loss and of the KL; they move every array."""
     policy = GaussianMLP(SIZES[1:-1])
     learner = maml_bias(context=BiasContext(2), policy=policy, meta_batch_size=len(ROWS))
     problem = make_problem(2, UNEQUAL)
@@ -32,11 +32,16 @@ def test_a_bias_and_learned_step_sizes_of_theta() -> None:
     rng = np.random.default_rng(0)
     # Beside the start, where biases are 0 and step sizes equal.
     here = flat + 0.1 * rng.normal(size=flat.shape)
-    loss = eqx.filter_jit(lambda x: objective.evaluate(unravel(x)).loss)
-    slope = jax.jit(jax.grad(loss))(here)
-    for leaf in jax.tree.leaves(unravel(slope)):
-        assert np.abs(leaf).max() > 0
+    evaluate = eqx.filter_jit(lambda x: tuple(objective.evaluate(unravel(x))))
+    slopes = jax.jit(jax.jacrev(lambda x: tuple(objective.evaluate(unravel(x)))))(here)
+    loss, own = jax.jit(lambda x: objective.loss_and_gradient(unravel(x)))(here)
+    np.testing.assert_allclose(loss, evaluate(here)[0], rtol=1e-12)
+    np.testing.assert_allclose(ravel_pytree(own)[0], slopes[0], rtol=1e-9, atol=1e-12)
+    for slope in slopes:
+        for leaf in jax.tree.leaves(unravel(slope)):
+            assert np.abs(leaf).max() > 0
     for direction in rng.normal(size=(5, len(flat))):
-        ahead, behind = (loss(here + side * direction) for side in (1e-6, -1e-6))
-        expected = (ahead - behind) / 2e-6
-        np.testing.assert_allclose(slope @ direction, expected, rtol=1e-6, atol=1e-8)
+        ahead, behind = (evaluate(here + side * direction) for side in (1e-6, -1e-6))
+        for slope, high, low in zip(slopes, ahead, behind, strict=True):
+            expected = (high - low) / 2e-6
+            np.testing.assert_allclose(slope @ direction, expected, rtol=1e-6, atol=1e-8)

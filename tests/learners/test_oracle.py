@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("quick_compiler")
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 
 
-def test_a_told_policy_is_fed_the_description_of_its_own_task() -> None:
+def test_an_oracle_is_fed_the_description_of_its_own_task() -> None:
     env, tasks = FAMILIES["point"].make_env(), FAMILIES["point"].task_set("test", 6)
     learner = oracle(**SMALL)
     fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 6, 2))
@@ -33,19 +33,19 @@ def test_a_told_policy_is_fed_the_description_of_its_own_task() -> None:
     agents = fast.agents(fast.init(keys(2)))
     episodes = Collector(make_world(env, tasks), 3)(keys(2), agents, index)
     wanted = np.repeat(np.asarray(tasks.tasks)[[4, 1], None], 3, axis=1)
-    np.testing.assert_array_equal(episodes.context, wanted)
-    np.testing.assert_array_equal(episodes.noise, wanted)
+    np.testing.assert_array_equal(episodes.z, wanted)
+    np.testing.assert_array_equal(episodes.description, wanted)
+    assert episodes.noise.shape[-1] == 0
     assert episodes.observation.shape[-1] == 2
 
 
-def test_a_told_context_is_neither_random_nor_learned_nor_paid_for() -> None:
+def test_the_context_of_an_oracle_is_neither_random_nor_learned_nor_penalised() -> None:
     context = OracleContext()
     learned = context.init(jax.random.key(0), num_tasks=5, description_size=3)
     assert jax.tree.leaves(learned) == []
-    assert (learned.size, learned.noise_size) == (3, 3)
+    assert (learned.size, learned.noise_size, learned.description_size) == (3, 0, 3)
     told = jnp.asarray([1.0, -2.0, 0.5])
-    for key in keys(2):
-        np.testing.assert_array_equal(learned.draw(learned.noise(key, told)), told)
+    np.testing.assert_array_equal(learned.draw(jnp.zeros(0), told), told)
     assert context.start(learned, jnp.asarray([1])) == context.start_new(learned, 2) == learned
     drawn = jnp.ones((2, 3))
     np.testing.assert_array_equal(context.inner_draw(learned, drawn[0], told), told)

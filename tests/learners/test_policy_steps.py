@@ -1,6 +1,7 @@
 """PPO's loss and TRPO's step on trials whose numbers are known."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from maesn.learners import ProximalStep, TrustRegionStep
-from maesn.learners.recurrent.trials import Trials
+from maesn.learners.trials import Trials
 from maesn.numerics import Categorical, MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import PolicyInput, Recurrent, RecurrentPolicy
@@ -36,6 +37,7 @@ def random_trials(logits: np.ndarray | None = None) -> tuple[Trials, np.ndarray]
         reward=jnp.zeros(shape),
         valid=jnp.asarray(valid),
         behaviour=Categorical(jnp.asarray(behaviour, float)),
+        z=jnp.zeros((TRIALS, 0)),
     )
     return trials, stream.normal(size=shape)
 
@@ -117,8 +119,7 @@ def own_trials(policy: RecurrentPolicy) -> tuple[Trials, jax.Array]:
     """Trials whose recorded distributions are the policy's own."""
     trials, advantages = random_trials()
     played = trials.distributions(policy)
-    trials = Trials(trials.inputs, trials.action, trials.reward, trials.valid, played)
-    return trials, jnp.asarray(advantages, float)
+    return replace(trials, behaviour=played), jnp.asarray(advantages, float)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +167,7 @@ def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
     clean = step(jax.random.key(0), policy, state, trials, advantages)[0]
     invalid = ~trials.valid
     logits = jnp.where(invalid[..., None], jnp.nan, trials.behaviour.logits)  # type: ignore[attr-defined]
-    dirty = Trials(trials.inputs, trials.action, trials.reward, trials.valid, Categorical(logits))
+    dirty = replace(trials, behaviour=Categorical(logits))
     spoiled = step(jax.random.key(0), policy, state, dirty, jnp.where(invalid, jnp.nan, advantages))
     jax.tree.map(np.testing.assert_array_equal, clean, spoiled[0])
 

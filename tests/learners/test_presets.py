@@ -191,7 +191,7 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
     done = run(preset)
     played = done.collect.index[0]
     left_out = np.setdiff1d(np.arange(TASKS), played)
-    before, after = (state.parameters.context for state in done.states[:2])
+    before, after = (state.parameters.context_table for state in done.states[:2])
     for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(old[left_out], new[left_out])
         assert (old[played] != new[played]).any(axis=-1).all()

@@ -7,11 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.axes import Carry, TaskKeys
+from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.envs import HiddenEnd, HiddenSide, TaskSet
 from maesn.evaluation.evaluate import adapt
-from maesn.experience.episodes import Collect, Episodes, TrialState
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.trial_state import TrialState
 from maesn.learners import (
     PRESETS,
     GradientMetaLearner,
@@ -19,12 +21,13 @@ from maesn.learners import (
     RecurrentMetaLearner,
     RecurrentMetaState,
     RecurrentValue,
+    SavedContexts,
     TrustRegionStep,
     maesn,
     method_name,
     rl2,
 )
-from maesn.learners.recurrent.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP, Recurrent
@@ -55,18 +58,22 @@ class Watching:
 
     def __init__(self, collect: Collect) -> None:
         self.collect = collect
-        self.carries: list[TrialState | None] = []
+        self.trial_states: list[TrialState | None] = []
+        self.stages: list[int] = []
         self.played: list[Episodes] = []
 
     @property
     def num_tasks(self) -> int:
         return self.collect.num_tasks
 
-    def __call__(
-        self, keys: TaskKeys, agents: Any, task_index: Any, carry: Carry = None
-    ) -> Episodes:
-        episodes = self.collect(keys, agents, task_index, carry)
-        self.carries.append(carry)
+    @property
+    def episodes_per_task(self) -> int:
+        return self.collect.episodes_per_task
+
+    def __call__(self, keys: TaskKeys, agents: Agents, task_index: Any, stage: int = 0) -> Episodes:
+        episodes = self.collect(keys, agents, task_index, stage)
+        self.trial_states.append(agents.trial_state)
+        self.stages.append(stage)
         self.played.append(episodes)
         return episodes
 
@@ -93,14 +100,15 @@ def test_a_meta_iteration_plays_trials_and_improves(policy_step: Any) -> None:
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
     moved = jax.tree.map(lambda x, y: bool((x != y).any()), state.policy, after.policy)
     assert all(jax.tree.leaves(moved))
-    # Every trial starts without memory, and its episodes hand it on.
-    assert collect.carries[0] is None
-    for carry, before in zip(collect.carries[1:], collect.played[:-1], strict=True):
-        assert carry is before.carry
+    # A trial begins anew, and each of its episodes goes on from the one before.
+    assert collect.stages == [0, 1, 2]
+    assert collect.trial_states[0] is None
+    for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
+        assert began is before.trial_end
     with CompileClock() as compiling:
         learner.step(jax.random.key(2), after, collect)
     assert compiling.seconds == 0
-    assert [carry is None for carry in collect.carries] == [True, False, False] * 2
+    assert [began is None for began in collect.trial_states] == [True, False, False] * 2
     returns = [float(episodes.undiscounted_return.mean()) for episodes in collect.played[:TRIAL]]
     assert float(info.return_before) == pytest.approx(returns[0])
     assert float(info.return_after) == pytest.approx(returns[-1])
@@ -183,7 +191,7 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> Non
     state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
     for iteration in range(80):
         state, _ = learner.step(jax.random.key(iteration), state, collect)
-    outcome = adapt(learner.fast_learner(state), collect, updates=1, episodes_per_task=10)
+    outcome = adapt(learner.fast_learner(state), collect, updates=1)
     first, second = outcome.curves.mean_return.mean(0)
     # 400 trials: the standard error of the first, a coin, is 0.025.
     assert abs(first - 0.5) < 0.1
@@ -192,15 +200,17 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> Non
     assert outcome.trial_episodes == 2
 
 
-def test_in_a_new_task_memory_is_all_that_changes() -> None:
+def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
     learner, collect = small(), Watching(mortal())
     fast = learner.fast_learner(start(learner))
-    adapt(fast, collect, updates=2, episodes_per_task=EPISODES)
-    assert collect.carries[0] is None
-    for carry, before in zip(collect.carries[1:], collect.played[:-1], strict=True):
-        assert carry is before.carry
-    with pytest.raises(ValueError, match="`RecurrentFastLearner` cannot go on from latents"):
-        fast.resume(Latent(jnp.zeros((2, 2)), jnp.zeros((2, 2))))
+    adapt(fast, collect, updates=2)
+    assert collect.stages == [0, 1, 2]
+    assert collect.trial_states[0] is None
+    for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
+        assert began is before.trial_end
+    saved = SavedContexts(Latent(jnp.zeros((2, 2)), jnp.zeros((2, 2))), 1)
+    with pytest.raises(ValueError, match="`saved` must be None for `RecurrentFastLearner`"):
+        fast.init(jax.random.split(jax.random.key(0), 2), saved)
 
 
 def test_method_names() -> None:

@@ -25,7 +25,7 @@ from maesn.learners import (
     GradientStep,
     PolicyGradient,
     PolicyImprovement,
-    TrustRegionWeightStep,
+    TrustRegionStep,
 )
 from maesn.networks import MLP, Linear
 from maesn.numerics import DiagonalGaussian
@@ -46,7 +46,7 @@ def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: flo
     theta = to_policy(problem.parameters)
     rules = {
         "reinforce": GradientStep(0.3),
-        "trpo": TrustRegionWeightStep(TrustRegion(cg_steps=10), 1),
+        "trpo": TrustRegionStep(TrustRegion(cg_steps=10), 1),
     }
     improvement = PolicyImprovement(rules[method])
     state = improvement.begin(keys(2), Agents(stacked(theta, 2), Nothing(), shares_policy=False))
@@ -87,7 +87,7 @@ def quadratic_bandit() -> tuple[Agents, Episodes]:
     return Agents(policy, Nothing(), shares_policy=False), paid
 
 
-def moved_by(rule: GradientStep | TrustRegionWeightStep) -> np.ndarray:
+def moved_by(rule: GradientStep | TrustRegionStep) -> np.ndarray:
     """How far one step moves (mean, log std)."""
     agents, episodes = quadratic_bandit()
     improvement = PolicyImprovement(rule, AdvantageEstimator(ridge=1e-3))
@@ -117,7 +117,7 @@ def test_trpo_follows_the_natural_gradient() -> None:
     # The Fisher information of (m, log s) is diag(1/s², 2). With g the slope and F that, the step
     # is sqrt(2 max_kl / g'F⁻¹g) F⁻¹g, shortened by 0.8 if the divergence exceeds the bound.
     bound = 1e-4
-    found = moved_by(TrustRegionWeightStep(TrustRegion(max_kl=bound), 1))
+    found = moved_by(TrustRegionStep(TrustRegion(max_kl=bound), 1))
     natural = SLOPE * np.array([STD**2, 0.5])
     step = np.sqrt(2 * bound / (SLOPE @ natural)) * natural
     ratio = found / step
@@ -150,11 +150,11 @@ def collect() -> Collector:
 @pytest.mark.parametrize("name", ["reinforce", "trpo"])
 def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     learner = small(name)
-    outcome = adapt(learner, collect, updates=8, episodes_per_task=8)
+    outcome = adapt(learner, collect, updates=8)
     returns = outcome.curves.mean_return
     assert returns.shape == (5, 9)
     assert np.mean(returns[:, -1] > returns[:, 0]) >= 0.8
-    parts = adapt(learner, collect, updates=2, episodes_per_task=8, chunk_size=2)
+    parts = adapt(learner, collect, updates=2, chunk_size=2)
     np.testing.assert_allclose(parts.curves.mean_return, returns[:, :3], rtol=2e-3, atol=2e-3)
 
 
@@ -196,7 +196,7 @@ def test_vpg_is_reinforce() -> None:
         (lambda: GradientStep(step_size=float("inf")), "`step_size` must be positive and finite"),
         (lambda: GradientStep(step_size=0.0), "`step_size` must be positive and finite, got 0.0"),
         (
-            lambda: TrustRegionWeightStep(curvature_stride=0),
+            lambda: TrustRegionStep(curvature_stride=0),
             "`curvature_stride` must be at least 1",
         ),
     ],

@@ -14,7 +14,7 @@ from maesn.envs import Bandit, HiddenEnd, Point, TaskSet, point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.surrogate import action_distributions
-from maesn.learners.recurrent.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import Recurrent, RecurrentPolicy
 from maesn.worlds import make_world
@@ -30,7 +30,7 @@ def mortal() -> Collector:
     return Collector(make_world(HiddenEnd(horizon=HORIZON), TaskSet(LIFETIMES)), EPISODES)
 
 
-def recurrent(collect: Collector, observed: ObservedReward = "paid") -> RecurrentPolicy:
+def recurrent(collect: Collector, observed: ObservedReward = "own") -> RecurrentPolicy:
     env = collect.world.env
     settings = Recurrent(env.action_kind, (), 4, (3,), observed_reward=observed)
     policy = settings.init(jax.random.key(0), env.observation_size, env.action_size, 0)
@@ -39,10 +39,11 @@ def recurrent(collect: Collector, observed: ObservedReward = "paid") -> Recurren
 
 
 def play_trial(collect: Collector, policy: RecurrentPolicy, length: int = 3) -> list[Episodes]:
-    agents, played = Agents(policy, Nothing(), shares_policy=True), list[Episodes]()
+    played = list[Episodes]()
     for number in range(length):
-        memory = played[-1].carry if played else None
-        played.append(collect(keys(SLOTS, number), agents, jnp.arange(SLOTS), memory))
+        trial_state = played[-1].trial_end if played else None
+        agents = Agents(policy, Nothing(), shares_policy=True, trial_state=trial_state)
+        played.append(collect(keys(SLOTS, number), agents, jnp.arange(SLOTS)))
     return played
 
 
@@ -92,7 +93,7 @@ def test_losses_replay_one_episode_from_the_memory_that_it_began_with(
 ) -> None:
     policy, episodes = played
     agents = Agents(policy, Nothing(), shares_policy=True)
-    again = agents.vmap(action_distributions)(episodes[2], episodes[2].context)
+    again = agents.map(action_distributions, episodes[2], episodes[2].z)
     assert isinstance(again, DiagonalGaussian)
     mean = np.where(np.asarray(episodes[2].valid)[..., None], again.mean, 0.0)
     mean = mean.reshape(-1, *mean.shape[2:])
@@ -103,8 +104,8 @@ def test_trials_are_independent_and_start_without_memory() -> None:
     collect = mortal()
     policy = recurrent(collect)
     first, second = play_trial(collect, policy, 1), play_trial(collect, policy, 1)
-    assert first[0].start is not None
-    for leaf in jax.tree.leaves(first[0].start):
+    assert first[0].trial_start is not None
+    for leaf in jax.tree.leaves(first[0].trial_start):
         np.testing.assert_array_equal(leaf, np.zeros_like(leaf))
     jax.tree.map(np.testing.assert_array_equal, first[0].behaviour, second[0].behaviour)
 

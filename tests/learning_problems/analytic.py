@@ -30,7 +30,7 @@ class AnalyticCollect:
     """Tasks that were asked for, call by call."""
 
     def __call__(
-        self, keys: jax.Array, agents: Agents, task_index: jax.Array, carry: None = None
+        self, keys: jax.Array, agents: Agents, task_index: jax.Array, stage: int = 0
     ) -> Episodes:
         """Play every episode to its horizon."""
         self.index.append(np.asarray(task_index))

@@ -127,11 +127,12 @@ def pad(episodes: list[Episode], garbage: float = 0.0) -> Episodes:
         solved_at_start=jnp.zeros(len(lengths), bool),
         terminated=jnp.asarray(lengths < HORIZON),
         noise=jnp.asarray(np.stack([e.noise for e in episodes]), dtype=float),
-        context=jnp.asarray(np.stack([e.latent for e in episodes]), dtype=float),
+        description=jnp.zeros((len(episodes), 0)),
+        z=jnp.asarray(np.stack([e.latent for e in episodes]), dtype=float),
         behaviour=DiagonalGaussian(
             padded([e.mean for e in episodes]), padded([e.log_std for e in episodes])
         ),
-        carry=None,
+        trial_end=None,
     )
 
 
@@ -152,7 +153,7 @@ class PreparedCollect:
     index: list[Array] = field(default_factory=list)
 
     def __call__(
-        self, keys: JaxArray, agents: Agents, task_index: JaxArray, carry: None = None
+        self, keys: JaxArray, agents: Agents, task_index: JaxArray, stage: int = 0
     ) -> Episodes:
         """Return the next batch of the tasks that are asked for."""
         batch = self.problem.batches(len(self.asked))

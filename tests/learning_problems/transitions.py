@@ -29,9 +29,10 @@ def episodes_of(observation: np.ndarray, action: np.ndarray, **changes: Any) -> 
         "solved_at_start": jnp.zeros(batch, bool),
         "terminated": jnp.zeros(batch, bool),
         "noise": jnp.zeros((*batch, 0)),
-        "context": jnp.zeros((*batch, 0)),
+        "description": jnp.zeros((*batch, 0)),
+        "z": jnp.zeros((*batch, 0)),
         "behaviour": DiagonalGaussian(zeros, zeros),
-        "carry": None,
+        "trial_end": None,
     }
     return Episodes(**fields | changes)
 

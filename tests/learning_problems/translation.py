@@ -82,9 +82,14 @@ def policy_to_reference(policy: GaussianMLPPolicy) -> Parameters:
 def to_reference(parameters: MetaParameters) -> Parameters:
     """Undo `to_library`; gradients and steps have the same structure and translate alike."""
     result = policy_to_reference(parameters.policy)
-    if isinstance(parameters.context, Latent):
+    if isinstance(parameters.context_table, Latent):
         sizes = parameters.step_sizes.context
-        latents = parameters.context.mean, parameters.context.log_std, sizes.mean, sizes.log_std
+        latents = (
+            parameters.context_table.mean,
+            parameters.context_table.log_std,
+            sizes.mean,
+            sizes.log_std,
+        )
     else:
         latents = np.zeros((ROWS, 0)), np.zeros((ROWS, 0)), np.zeros(0), np.zeros(0)
     for name, array in zip(LATENT_NAMES, latents, strict=True):

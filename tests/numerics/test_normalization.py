@@ -96,7 +96,7 @@ def test_a_learner_sees_by_the_statistics_of_the_iterations_before(preset: Any) 
         np.asarray(before.observation)[..., :-1, :] - np.asarray(first.statistics.mean)
     ) / scale
     context = np.broadcast_to(
-        np.asarray(before.context)[..., None, :], (*normal.shape[:3], before.context.shape[-1])
+        np.asarray(before.z)[..., None, :], (*normal.shape[:3], before.z.shape[-1])
     )
     inputs = jnp.asarray(np.float32(np.concatenate([normal, context], axis=-1)))
     mean = jax.vmap(jax.vmap(jax.vmap(first.parameters.policy.mlp)))(inputs)

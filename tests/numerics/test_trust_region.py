@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maesn.numerics import DiagonalGaussian
-from maesn.numerics.trust_region import Evaluation, TrustRegion, TrustRegionInfo
+from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 
 Array = Any
 STD = np.array([0.5, 1.0, 2.0])
@@ -35,10 +35,15 @@ def step(
     parameters = start() if parameters is None else parameters
     old = gaussian(parameters)
 
-    def evaluate(candidate: dict[str, Array]) -> Evaluation:
-        return Evaluation(loss(candidate), old.kl(gaussian(candidate))[0])
+    def evaluate(candidate: dict[str, Array]) -> Candidate:
+        return Candidate(loss(candidate), old.kl(gaussian(candidate))[0])
 
-    return jax.jit(lambda x: region.step(x, evaluate, gaussian, ONE))(parameters)
+    return jax.jit(lambda x: region.step(x, evaluate, slopes(evaluate), gaussian, ONE))(parameters)
+
+
+def slopes(evaluate: Callable[[Any], Candidate]) -> Callable[[Any], tuple[Array, Any]]:
+    """The loss and its gradient."""
+    return jax.value_and_grad(lambda x: evaluate(x).loss)
 
 
 def bits(tree: object) -> list[bytes]:
@@ -174,12 +179,12 @@ def test_the_curvature_weighs_the_distributions() -> None:
     at = jnp.zeros(1)
     old = two(at)
 
-    def evaluate(x: Array) -> Evaluation:
-        return Evaluation(jnp.sum(x), old.kl(two(x))[0])
+    def evaluate(x: Array) -> Candidate:
+        return Candidate(jnp.sum(x), old.kl(two(x))[0])
 
     for weight, curvature in (([1.0, 0.0], 1.0), ([0.5, 0.5], 0.5 + 0.5e6)):
         region = TrustRegion(max_kl=0.02, damping=1e-2)
-        after, info = region.step(at, evaluate, two, jnp.asarray(weight))
+        after, info = region.step(at, evaluate, slopes(evaluate), two, jnp.asarray(weight))
         assert info.accepted
         # d = -1/(c + damping); a constant 1e-8 keeps its length finite where curvature vanishes.
         direction = -1 / (curvature + 1e-2)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.axes import Carry
+from maesn.axes import RecurrentState
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import (
     AbstractPolicy,
@@ -40,7 +40,7 @@ def random_inputs() -> PolicyInput:
     )
 
 
-def fresh_memory(policy: AbstractPolicy) -> Carry:
+def fresh_memory(policy: AbstractPolicy) -> RecurrentState:
     return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_recurrent_state())
 
 

@@ -12,8 +12,10 @@ from maesn.runs.checkpoint import Checkpoint, CheckpointError, CheckpointStore, 
 STORE_LIKE = {"x": jnp.zeros(3)}
 
 
-def store(directory: Path, **identity: str) -> CheckpointStore:
-    return CheckpointStore(directory, {"schema": "1", "method": "maesn"} | identity)
+def store(directory: Path, *configs: str, **names: str) -> CheckpointStore:
+    return CheckpointStore(
+        directory, {"family": "point", "method": "maesn"} | names, configs or ("now", "before")
+    )
 
 
 def fill(directory: Path, *iterations: int) -> list[Path]:
@@ -57,8 +59,15 @@ def test_without_a_sound_checkpoint_there_is_nothing_to_go_on_from(tmp_path: Pat
         store(tmp_path).latest(STORE_LIKE)
 
 
-@pytest.mark.parametrize("kind", ["schema", "method"])
+@pytest.mark.parametrize("kind", ["family", "method"])
 def test_a_checkpoint_of_something_else_is_refused_by_name(tmp_path: Path, kind: str) -> None:
     fill(tmp_path, 1, 2)
-    with pytest.raises(MismatchError, match=f"for the {kind} `(1|maesn)`.*{kind} is `other`"):
+    with pytest.raises(MismatchError, match=f"for the {kind} `(point|maesn)`.*{kind} is `other`"):
         store(tmp_path, **{kind: "other"}).latest(STORE_LIKE)
+
+
+def test_a_checkpoint_belongs_to_one_of_the_runs_configurations(tmp_path: Path) -> None:
+    fill(tmp_path, 1)
+    assert store(tmp_path, "later", "now", "before").latest(STORE_LIKE).iteration == 1
+    with pytest.raises(MismatchError, match=r"with another `config.json`.*--change NAME=VALUE"):
+        store(tmp_path, "later", "before").latest(STORE_LIKE)

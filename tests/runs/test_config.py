@@ -14,8 +14,10 @@ from small_runs import create_tiny, tiny_maesn, tiny_settings
 
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
+from maesn.runs.checkpoint import MismatchError
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
+from maesn.runs.serialization import digest_of_document
 from maesn.storage import RunError
 from maesn.worlds import check_env_contract
 
@@ -23,28 +25,69 @@ POINT = FAMILIES["point"]
 
 
 def edit(directory: Path, **changes: Any) -> None:
+    """Change `config.json` and its digest: what a forger does."""
     path = directory / "config.json"
     document = json.loads(path.read_text()) | changes
     kept = {name: value for name, value in document.items() if value != "drop"}
-    path.write_text(json.dumps(kept))
+    del kept["digest"]
+    path.write_text(json.dumps(kept | {"digest": digest_of_document(kept)}))
+
+
+def paths_of(document: Any, *path: str) -> Iterator[tuple[str, ...]]:
+    """The path of every value of a JSON document that is neither an object nor empty."""
+    if isinstance(document, dict) and document:
+        for name, value in document.items():
+            yield from paths_of(value, *path, name)
+    else:
+        yield path
+
+
+def test_any_value_that_was_changed_by_hand_is_noticed(directory: Path) -> None:
+    file = directory / "config.json"
+    original = json.loads(file.read_text())
+    file.write_text(json.dumps(original))  # written otherwise, it says the same
+    Run.open(directory)
+    paths = set(paths_of(original))
+    assert {("settings", "seed"), ("settings", "reward"), ("versions", "jax")} < paths
+    for *parents, last in paths - {("schema",)}:
+        document = json.loads(file.read_text())
+        inner = document
+        for parent in parents:
+            inner = inner[parent]
+        inner[last] = {"another": 1}
+        file.write_text(json.dumps(document))
+        with pytest.raises(RunError, match=r"config.json` was changed since maesn wrote it"):
+            Run.open(directory)
+        file.write_text(json.dumps(original))
+    Run.open(directory)
+
+
+def test_a_forged_configuration_does_not_fit_the_checkpoints(directory: Path) -> None:
+    settings = json.loads((directory / "config.json").read_text())["settings"]
+    edit(directory, settings=settings | {"seed": 7})
+    with pytest.raises(MismatchError, match=r"with another `config.json`"):
+        Run.open(directory).latest()
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"schema": 2}, "has schema 2, but this version of maesn reads schema 1"),
+        ({"schema": 1}, "has schema 1, but this version of maesn reads schema 2"),
         ({"schema": "drop"}, "has schema None"),
-        ({"learner": "drop"}, "`learner` must be of type dict, got None"),
-        ({"task_digest": "drop"}, "`task_digest` must be of type str, got None"),
+        ({"learner": "drop"}, "lacks the field `learner`"),
+        ({"task_digest": "drop"}, "lacks the field `task_digest`"),
         ({"learner": {"type": "Trojan"}}, "got 'Trojan'"),
         (
             {"learner": {"type": "NoContext"}},
-            "cannot be understood: `learner` must be a meta-learner, got NoContext",
+            "cannot be understood: `RunConfig.learner` must be of type .*MetaLearner",
         ),
-        ({"learner": 3}, "`learner` must be of type dict, got 3"),
+        ({"learner": 3}, "`RunConfig.learner` must be of type .*, got 3"),
         ({"settings": {}}, "`RunSettings` lacks the field"),
-        ({"settings": []}, "`settings` must be of type dict"),
-        ({"versions": 1}, "`versions` must be of type dict"),
+        ({"settings": []}, r"`RunConfig.settings` must be of type RunSettings, got \[\]"),
+        ({"versions": 1}, "`RunConfig.versions` must be of type .*, got 1"),
+        ({"versions": {"jax": 1}}, "`RunConfig.versions.jax` must be of type str, got 1"),
+        ({"changes": [{"iteration": 1}]}, "`Change` lacks the field `changed`"),
+        ({"surprise": 1}, "`RunConfig` has no field `surprise`"),
         ({"family": "points"}, "family `points` does not come with the library"),
         (
             {"task_digest": "0123"},

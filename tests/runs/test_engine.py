@@ -1,4 +1,4 @@
-"""The engine of a run: chosen, recorded, kept apart from others, and absent from older files."""
+"""The engine of a run: chosen, recorded, and kept apart from others."""
 
 import json
 import math
@@ -12,8 +12,7 @@ from synthetic_runs import run as synthetic_run
 from maesn import api
 from maesn.physics import EngineError
 from maesn.report.series import group_worlds
-from maesn.runs.config import CONFIG, read_config
-from maesn.runs.run import Run
+from maesn.runs.config import CONFIG
 from maesn.storage import RunError
 
 
@@ -44,14 +43,6 @@ def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
     assert names == {"file-tasks-sparse.csv", "file-tasks-sparse-on-native.csv"}
 
 
-def test_older_files_do_not_say_the_engine_and_nor_do_newer_ones(tmp_path: Path) -> None:
-    run = create(tmp_path / "run")
-    document = json.loads((run.directory / CONFIG).read_text())
-    assert "engine" not in document["settings"]
-    assert read_config(run.directory).settings.engine == "native"
-    assert Run.open(run.directory).settings == run.settings
-
-
 def test_an_engine_that_cannot_move_the_family_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError, match='`engine` must be "native" for `point`, which is moved by'):
         create(tmp_path / "run", family="point", engine="mjx")
@@ -68,7 +59,11 @@ def test_a_missing_engine_leaves_no_directory(
 
 
 def test_runs_of_two_engines_share_no_figure() -> None:
-    runs = [synthetic_run(), synthetic_run(engine="native", seed=1), synthetic_run(engine="mjx")]
+    runs = [
+        synthetic_run(engine="native"),
+        synthetic_run(engine="native", seed=1),
+        synthetic_run(engine="mjx"),
+    ]
     worlds = group_worlds(runs)
     assert {name: len(members) for name, members in worlds.items()} == {
         "wheeled-native": 2,

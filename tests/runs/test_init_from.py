@@ -37,11 +37,11 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
     wanted = [learned.parameters.policy, learned.parameters.step_sizes]
     # Latents belong to their tasks; the bias belongs to all of them.
     is_latent = isinstance(context, LatentContext)
-    kept.append(begun.state.parameters.context)
-    wanted.append(fresh.parameters.context if is_latent else learned.parameters.context)
+    kept.append(begun.state.parameters.context_table)
+    wanted.append(fresh.parameters.context_table if is_latent else learned.parameters.context_table)
     jax.tree.map(np.testing.assert_array_equal, kept, wanted)
     if is_latent:
-        assert begun.state.parameters.context.mean.shape == (7, 2)
+        assert begun.state.parameters.context_table.mean.shape == (7, 2)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import jax
 import pytest
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
-from maesn.runs import log
+from maesn.runs import config, log
 from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.storage import RunError
@@ -178,12 +178,14 @@ def test_two_processes_cannot_train_one_run(tmp_path: Path) -> None:
     assert next(train(reopened(run))).iteration == 2
 
 
-def test_other_versions_are_mentioned(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    run = finish(create(tmp_path / "run"), iterations=2)
-    path = run.directory / "config.json"
-    document = json.loads(path.read_text())
-    document["versions"]["jax"] = "0.1"
-    path.write_text(json.dumps(document))
+def test_other_versions_are_mentioned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    older = config.installed_versions("jax") | {"jax": "0.1"}
+    with monkeypatch.context() as patch:
+        patch.setattr(config, "installed_versions", lambda engine: older)
+        run = create(tmp_path / "run")
+    finish(run, iterations=2)
     with caplog.at_level(logging.WARNING):
         finish(reopened(run))
     assert f"was begun with jax 0.1 and goes on with {jax.__version__}" in caplog.text

@@ -12,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
+from playing import play
 from small_runs import create as create_drift
 from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
 from maesn import cli
 from maesn.context import BiasContext, LatentContext
-from maesn.envs import FAMILIES
+from maesn.envs import FAMILIES, AnyEnv, Point
 from maesn.learners import METHODS, maml
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.checkpoint import MismatchError
@@ -43,7 +45,7 @@ def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:
 
 def test_the_configuration_says_what_took_part(finished: Path) -> None:
     document = json.loads((finished / "config.json").read_text())
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert document["engine"] == "jax"
     assert document["family"] == "point"
     assert document["task_digest"] == POINT.task_set("training").digest()
@@ -60,7 +62,7 @@ def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
     first, same, other = (tensors(run.checkpoints()[0]) for run in runs)
     assert first == same != other
     assert runs[0].latest().iteration == runs[0].latest().environment_steps == 0
-    assert runs[0].latest_state().parameters.context.mean.shape == (100, 2)
+    assert runs[0].latest_state().parameters.context_table.mean.shape == (100, 2)
 
 
 def test_the_untrained_state_has_a_key_that_no_iteration_has(tmp_path: Path) -> None:
@@ -99,6 +101,35 @@ def test_a_run_makes_its_world(finished: Path, tmp_path: Path) -> None:
     wheeled = create_tiny(tmp_path / "wheeled", family="wheeled", num_threads=1)
     assert isinstance(wheeled.world(), NativeWorld)
     assert wheeled.config.engine == "mujoco.batch"
+
+
+class Later(Point):
+    """The family's environment as a later version of the library may have it."""
+
+    sparse_radius: float = 1.5
+    horizon: int = 20
+
+
+def test_a_changed_default_of_the_family_changes_no_run(finished: Path) -> None:
+    def rewards(env: AnyEnv) -> np.ndarray:
+        return np.asarray(play(env, POINT.task_set("test"), [0, 1, 2]).reward)
+
+    run = Run.open(finished)
+    later = POINT._replace(make_env=Later)
+    now = Run.open(finished, later)
+    for kind in ("dense", "sparse"):
+        np.testing.assert_array_equal(rewards(now.env(kind)), rewards(run.env(kind)))
+    # What a new run would play: half as many steps, and sparse rewards from farther away.
+    assert rewards(later.make_env(reward_kind="sparse")).shape[-1] == 20
+    assert now.world(sparse_radius=1.5).env.sparse_radius == 1.5
+    wider = run.env("sparse", sparse_radius=1.5)
+    assert (rewards(wider) != rewards(run.env("sparse"))).any()
+
+
+def test_an_environment_that_has_become_another_is_refused(finished: Path) -> None:
+    costly = type("Point", (Point,), {"control_cost": 0.5})
+    with pytest.raises(RunError, match=r"`control_cost` of `point` is now 0.5, but was 0.05"):
+        Run.open(finished, POINT._replace(make_env=costly)).env()
 
 
 def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
@@ -215,8 +246,9 @@ def test_a_directory_that_cannot_be_filled_is_removed_again(
 
 
 def test_no_run_there(tmp_path: Path) -> None:
+    said = r"no run in `.*`: .*directory that `maesn train` has made"
     for place in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(RunError, match=r"no run in `.*`: `config.json` is missing"):
+        with pytest.raises(RunError, match=said):
             Run.open(place)
 
 
@@ -229,8 +261,12 @@ def test_no_run_there(tmp_path: Path) -> None:
             {"learner": maml(policy=GaussianMLP((8,)), meta_batch_size=4)},
             "for the method `maml`, .*method is `maesn`",
         ),
+        ({"seed": 1}, "with another `config.json`"),
         ({"learner": tiny_maesn(context=BiasContext(2))}, "for the method `maml_bias_only`"),
-        ({"learner": tiny_maesn(context=LatentContext(kl_weight=0.3))}, "for the learner `"),
+        (
+            {"learner": tiny_maesn(context=LatentContext(kl_weight=0.3))},
+            "with another `config.json`",
+        ),
     ],
 )
 def test_a_checkpoint_of_another_run_is_refused_by_name(

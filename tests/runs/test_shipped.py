@@ -1,5 +1,6 @@
 """The policies that come with the library: all that are there, by their names."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -12,8 +13,7 @@ from scripts import load_script
 from small_runs import Drift, create, finish, tiny_settings
 
 from maesn import api, cli
-from maesn.commands.options import parse
-from maesn.commands.train import Options
+from maesn.commands.train import read_options
 from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.evaluation import exploration, film
@@ -168,9 +168,8 @@ def test_the_command_of_a_run_builds_its_learner_and_settings() -> None:
     config = config_of(learner, sparse_radius=0.25, seed=3)
     words = ship.command(config).split()
     assert words[:3] == ["maesn", "train", "maesn"]
-    default = Options(RunSettings(method="maesn"), maesn())
-    options = parse(Options, "train maesn", words[3:], default)
-    assert options.settings == config.settings
+    options = read_options("maesn", words[3:])
+    assert dataclasses.replace(options.run_settings, method="maesn") == config.settings
     assert digest(options.learner) == digest(config.learner)
 
 

@@ -30,7 +30,7 @@ def test_a_run_keeps_the_tasks_of_its_user(tmp_path: Path) -> None:
     opened = Run.open(tmp_path / "run")
     np.testing.assert_array_equal(opened.training_tasks.tasks, goals(5))
     assert opened.training_tasks.digest() == made.training_tasks.digest()
-    assert opened.latest_state().parameters.context.mean.shape == (5, 2)
+    assert opened.latest_state().parameters.context_table.mean.shape == (5, 2)
     np.testing.assert_array_equal(opened.task_set("training").tasks, goals(5))
     np.testing.assert_array_equal(opened.task_set("test").tasks, POINT.task_set("test").tasks)
 
@@ -142,7 +142,7 @@ def test_laid_tables_of_a_user(tmp_path: Path) -> None:
     assert (found.block.tolist(), found.block.dtype) == (block.tolist(), np.int32)
     np.testing.assert_array_equal(found.layout, laid()["layout"])
     run = create(tmp_path / "run", tiny_maesn(), family="blockpush", tasks=str(file))
-    assert run.latest_state().parameters.context.mean.shape == (5, 2)
+    assert run.latest_state().parameters.context_table.mean.shape == (5, 2)
 
 
 @pytest.mark.parametrize(

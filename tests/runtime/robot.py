@@ -20,7 +20,7 @@ from maesn.runtime import Explorer
 LATENT_SIZE = 2
 STEPS = 5
 
-Paid = Callable[[np.ndarray, int], Sequence[float]]
+Rewards = Callable[[np.ndarray, int], Sequence[float]]
 
 
 def fast_learner(env: AnyEnv | None = None, **settings: Any) -> GradientFastLearner:
@@ -47,21 +47,21 @@ def observations(explorer: Explorer, num_steps: int, seed: int = 0) -> np.ndarra
     return np.random.default_rng(seed).standard_normal(shape)
 
 
-def play(explorer: Explorer, num_episodes: int, paid: Paid, steps: int = STEPS) -> None:
-    """Play episodes; `paid(z, number)` returns the rewards of one."""
+def play(explorer: Explorer, num_episodes: int, rewards: Rewards, steps: int = STEPS) -> None:
+    """Play episodes; `rewards(z, number)` returns those of one."""
     for number in range(num_episodes):
         z = explorer.begin_episode()
         for observation in observations(explorer, steps, seed=number):
             explorer.act(observation)
-        explorer.end_episode(paid(z, number))
+        explorer.end_episode(rewards(z, number))
 
 
-def towards(target: Sequence[float], steps: int = STEPS) -> Paid:
+def towards(target: Sequence[float], steps: int = STEPS) -> Rewards:
     """Rewards that are higher the nearer z is to a target."""
     return lambda z, number: [-float(np.linalg.norm(z - np.asarray(target)))] * steps
 
 
-def constant(reward: float, steps: int = STEPS) -> Paid:
+def constant(reward: float, steps: int = STEPS) -> Rewards:
     """Rewards around a constant."""
     return lambda z, number: [reward + 0.01 * (-1.0) ** number] * steps
 

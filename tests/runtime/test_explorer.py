@@ -130,6 +130,14 @@ MISUSE: dict[str, tuple[int | None, Callable[[Explorer], object], str]] = {
     "too few rewards": (2, lambda e: e.end_episode([1.0]), "one for each call of `act`"),
     "too many rewards": (2, lambda e: e.end_episode([1.0] * 3), "one for each call of `act`"),
     "reward NaN": (2, lambda e: e.end_episode([1.0, np.nan]), "component 1 is nan"),
+    "z too long": (None, lambda e: e.begin_episode(z=np.zeros(3)), r"shape \(2,\).*\(3,\)"),
+    "z NaN": (None, lambda e: e.begin_episode(z=[0.0, np.nan]), "`z` must be finite, but comp"),
+    "z of two minds": (
+        None,
+        lambda e: e.begin_episode(explore=False, z=[0.0, 0.0]),
+        "`explore=False` holds z at the latent's mean",
+    ),
+    "begin with z twice": (2, lambda e: e.begin_episode(z=[0.0, 0.0]), "episode of 2 steps is"),
     "action too long": (2, lambda e: e.control([1.0, 2.0, 3.0]), "`action` must have shape"),
 }
 

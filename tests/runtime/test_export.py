@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
-from runtime.robot import fast_learner, policy_file
+from runtime.robot import constant, fast_learner, play, policy_file
 
-from maesn.context import LatentContext
+from maesn.context import Latent, LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
@@ -58,7 +58,27 @@ def test_fixed_step_sizes_and_the_schedule_are_exported() -> None:
     assert [rule.scale(update) for update in range(5)] == [1, 1, 1, 0.5, 0.25]
 
 
-def test_the_floor_of_the_standard_deviation_holds() -> None:
+def test_an_adapted_latent_is_where_the_robot_starts(tmp_path: Path) -> None:
+    start = Latent(jnp.asarray([0.5, -1.0]), jnp.asarray([-0.25, 0.125]))
+    export_policy(fast_learner(), Point(), tmp_path / "policy.npz", start=(start, 3))
+    explorer = Explorer.load(tmp_path / "policy.npz")
+    assert explorer.latent_mean.tolist() == [0.5, -1.0]
+    np.testing.assert_allclose(explorer.latent_std, np.exp([-0.25, 0.125]))
+    assert explorer.update == 3
+    play(explorer, 2, constant(1.0))
+    explorer.adapt()
+    assert explorer.update == 4
+    explorer.save(tmp_path / "saved.npz")
+    assert Explorer.load(tmp_path / "saved.npz").update == 4
+
+
+def test_an_adapted_latent_of_another_size_is_refused() -> None:
+    start = Latent(jnp.zeros(3), jnp.zeros(3))
+    with pytest.raises(ValueError, match="have 3 components, but the policy's z has 2"):
+        exported_policy(fast_learner(), Point(), {}, (start, 1))
+
+
+def test_the_smallest_standard_deviation_holds() -> None:
     learner = fast_learner()
     sharp = eqx.tree_at(lambda fast: fast.policy.log_std, learner, jnp.full(2, -50.0))
     assert exported_policy(sharp, Point(), {}).policy.std.tolist() == [1e-6, 1e-6]

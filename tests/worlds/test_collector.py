@@ -58,9 +58,9 @@ def test_shapes(env: AnyEnv) -> None:
     for name in ("reward", "goal_reward", "valid", "solved"):
         assert getattr(episodes, name).shape == (*batch, time)
     assert episodes.terminated.shape == batch
-    assert episodes.noise.shape == episodes.context.shape == (*batch, LATENT_SIZE)
-    assert episodes.carry is not None
-    assert episodes.carry.hidden is None
+    assert episodes.noise.shape == episodes.z.shape == (*batch, LATENT_SIZE)
+    assert episodes.trial_end is not None
+    assert episodes.trial_end.recurrent_state is None
 
 
 def test_a_batch_of_four_tasks_equals_two_of_two(env: AnyEnv) -> None:
@@ -118,7 +118,7 @@ def test_log_probabilities_can_be_recomputed_from_what_is_recorded(env: AnyEnv) 
     # The context has no time axis: one and the same z explains every step of an episode.
     steps = jax.vmap(log_prob, (0, None, 0))
     recomputed = jax.vmap(jax.vmap(steps))(
-        episodes.observation[:, :, :-1], episodes.context, episodes.action
+        episodes.observation[:, :, :-1], episodes.z, episodes.action
     )
     recorded = episodes.behaviour.log_prob(episodes.action)
     np.testing.assert_allclose(recorded, recomputed, rtol=1e-5, atol=1e-5)
@@ -144,7 +144,7 @@ def test_contexts_are_draws_of_the_slots_latents(many: tuple[Agents, Episodes]) 
     cast, episodes = many
     noise = np.asarray(episodes.noise)
     mean, std = (np.asarray(x)[:, None] for x in (cast.context.mean, jnp.exp(cast.context.log_std)))
-    np.testing.assert_allclose(episodes.context, mean + std * noise, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(episodes.z, mean + std * noise, rtol=1e-5, atol=1e-6)
     # Independent over components, tasks, and neighbouring episodes.
     columns = np.concatenate([noise[0], noise[1]], axis=-1)
     assert_independent_normal(np.concatenate([columns[1:], columns[:-1]], axis=-1))

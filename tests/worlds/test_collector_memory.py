@@ -6,10 +6,11 @@ import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import agents, assert_same, keys
 
-from maesn.axes import Carry
+from maesn.axes import RecurrentState
 from maesn.envs import HiddenEnd, Point, TaskSet, Wheeled, point, wheeled
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
+from maesn.experience.trial_state import TrialState
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import AbstractPolicy, PolicyInput
 from maesn.worlds import make_world
@@ -22,13 +23,13 @@ class Witness(AbstractPolicy):
     """Writes what it is told into the distribution of its actions, and counts its steps."""
 
     def __call__(
-        self, policy_input: PolicyInput, context: jnp.ndarray, carry: Carry
-    ) -> tuple[DiagonalGaussian, Carry]:
+        self, policy_input: PolicyInput, context: jnp.ndarray, carry: RecurrentState
+    ) -> tuple[DiagonalGaussian, RecurrentState]:
         mean = jnp.stack([policy_input.previous_reward, policy_input.previous_action[0]])
         log_std = jnp.stack([0.01 * carry, policy_input.episode_start.astype(float)])
         return DiagonalGaussian(mean, log_std), carry + 1
 
-    def initial_recurrent_state(self) -> Carry:
+    def initial_recurrent_state(self) -> RecurrentState:
         return jnp.zeros(())
 
 
@@ -53,8 +54,9 @@ def first(collect: Collector) -> Episodes:
     return collect(keys(2), witnesses(collect), jnp.array([0, 1]))
 
 
-def witnesses(collect: Collector) -> Agents:
-    return Agents(Witness(), agents(collect.world.env, 2).context, shares_policy=True)
+def witnesses(collect: Collector, trial_state: TrialState | None = None) -> Agents:
+    context = agents(collect.world.env, 2).context
+    return Agents(Witness(), context, shares_policy=True, trial_state=trial_state)
 
 
 def shifted(values: np.ndarray) -> np.ndarray:
@@ -84,7 +86,7 @@ def test_memory_goes_from_step_to_step(first: Episodes) -> None:
 def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
     collect: Collector, first: Episodes
 ) -> None:
-    second = collect(keys(2, 1), witnesses(collect), jnp.array([0, 1]), first.carry)
+    second = collect(keys(2, 1), witnesses(collect, first.trial_end), jnp.array([0, 1]))
     counts = np.broadcast_to(np.arange(HORIZON, 2 * HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(second.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
     np.testing.assert_array_equal(hidden(second), np.full((2, EPISODES), 2 * HORIZON))
@@ -97,12 +99,12 @@ def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
 
 def test_memory_starts_afresh_otherwise(collect: Collector, first: Episodes) -> None:
     again = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
-    assert_same(again.carry, first.carry)
+    assert_same(again.trial_end, first.trial_end)
 
 
 def test_what_is_recorded_is_what_the_policy_was_told(collect: Collector, first: Episodes) -> None:
     """Replaying the inputs gives the distributions that were played, also in the next episode."""
-    second = collect(keys(2, 1), witnesses(collect), jnp.array([0, 1]), first.carry)
+    second = collect(keys(2, 1), witnesses(collect, first.trial_end), jnp.array([0, 1]))
     for episodes in (first, second):
         inputs = episodes.policy_inputs()
         told = np.stack([inputs.previous_reward, inputs.previous_action[..., 0]], axis=-1)
@@ -117,15 +119,15 @@ def test_a_dead_episode_is_not_remembered() -> None:
     collect = Collector(world, EPISODES)
     episodes = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
     assert np.isnan(np.asarray(episodes.reward)).any()
-    memory = episodes.carry
+    memory = episodes.trial_end
     assert memory is not None
     steps = lifetimes.astype(int)
-    np.testing.assert_array_equal(memory.hidden, np.tile(steps[:, None], (1, EPISODES)))
+    np.testing.assert_array_equal(memory.recurrent_state, np.tile(steps[:, None], (1, EPISODES)))
     np.testing.assert_array_equal(memory.reward, np.ones((2, EPISODES)))
     for slot, last in enumerate(steps - 1):
         np.testing.assert_array_equal(memory.action[slot], episodes.action[slot, :, last])
 
 
 def hidden(episodes: Episodes) -> np.ndarray:
-    assert episodes.carry is not None
-    return np.asarray(episodes.carry.hidden)
+    assert episodes.trial_end is not None
+    return np.asarray(episodes.trial_end.recurrent_state)

@@ -10,7 +10,7 @@ import pytest
 from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on
 from playing import agents, keys, play
 
-from maesn.axes import Carry
+from maesn.axes import RecurrentState
 from maesn.envs import HiddenEnd, TaskSet
 from maesn.experience.agent import Agents
 from maesn.numerics import DiagonalGaussian
@@ -83,12 +83,12 @@ class Adder(AbstractPolicy):
     """Remembers the sum of all that it has seen."""
 
     def __call__(
-        self, policy_input: PolicyInput, context: jax.Array, carry: Carry
-    ) -> tuple[DiagonalGaussian, Carry]:
+        self, policy_input: PolicyInput, context: jax.Array, carry: RecurrentState
+    ) -> tuple[DiagonalGaussian, RecurrentState]:
         carry = carry + policy_input.observation
         return DiagonalGaussian(carry, jnp.zeros(1)), carry
 
-    def initial_recurrent_state(self) -> Carry:
+    def initial_recurrent_state(self) -> RecurrentState:
         return jnp.zeros(1)
 
 
@@ -99,7 +99,7 @@ def test_memory_ends_with_the_episode() -> None:
     cast = Agents(Adder(), agents(env, 2).context, shares_policy=True)
     episodes = collect(keys(2), cast, jnp.array([0, 1]))
     assert np.isnan(episodes.observation[0, :, -1]).all()
-    remembered = np.asarray(episodes.carry.hidden)[..., 0]
+    remembered = np.asarray(episodes.trial_end.recurrent_state)[..., 0]
     for slot, lived in enumerate((2, 6)):
         np.testing.assert_allclose(remembered[slot], lived * (lived - 1) / 12, rtol=1e-6)
 

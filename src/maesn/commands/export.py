@@ -18,6 +18,11 @@ class Options:
     directory of that name in the current folder wins."""
     path: tyro.conf.Positional[Path]
     """File to write, `.npz`."""
+    latents: Path | None = None
+    """Latents that `maesn adapt` wrote (`.latents.npz`): the robot starts at the adapted latent of
+    a task instead of the prior, with the step sizes that `maesn adapt --start` would go on with."""
+    task: int | None = None
+    """Index of that task, in the set that was adapted to."""
     family: str | None = None
     """The run's family as `module:name`, if it is your own."""
 
@@ -25,4 +30,12 @@ class Options:
 def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "export", arguments)
-    print(api.export(options.run, options.path, family=options.family))
+    print(
+        api.export(
+            options.run,
+            options.path,
+            options.family,
+            latents=options.latents,
+            task=options.task,
+        )
+    )

@@ -1,17 +1,22 @@
-"""`maesn list`: methods, families of tasks, and policies that come with the library."""
+"""`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
 
 import dataclasses
+import json
+from collections.abc import Iterator
+from typing import Any
 
 from maesn.commands.options import parse
 from maesn.envs import FAMILIES, PROBES
+from maesn.evaluation.rules import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
+from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.shipped import TRAINED, policy_names
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """List methods, families of tasks, and policies that come with the library."""
+    """List methods, rules, families of tasks, and policies that come with the library."""
 
 
 def main(arguments: list[str]) -> None:
@@ -24,6 +29,10 @@ def main(arguments: list[str]) -> None:
     print("from scratch, for `maesn compare --scratch`:")
     for name, make in SCRATCH.items():
         print(f"  {name:16s}{_first_line(make.__doc__)}")
+    for option, rules in (("rule", RULES), ("then", THEN), ("bonus", BONUSES)):
+        print(f"for `--{option}`:")
+        for name, rule in rules.items():
+            print(f"  {name:16s}{_first_line(rule.__doc__)}{_settings(rule())}")
     print("families:")
     for name, family in FAMILIES.items():
         print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
@@ -34,6 +43,20 @@ def main(arguments: list[str]) -> None:
     print("probes, with known optimum:")
     for name, family in PROBES.items():
         print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
+
+
+def _settings(rule: Any) -> str:
+    """Return the settings of a rule with their defaults, as they are written behind its name."""
+    leaves = _leaves(fields_to_json(rule))
+    return "".join(f"\n{'':18s}{name}={value}" for name, value in leaves)
+
+
+def _leaves(document: dict[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in document.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{path}{name}.")
+        elif name != TAG:
+            yield path + name, json.dumps(value)
 
 
 def _first_line(text: str | None) -> str:

@@ -7,6 +7,7 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
+from maesn.runs.changes import parse_changes
 from maesn.runs.compilation import enable_compilation_cache
 
 
@@ -20,13 +21,17 @@ class Options:
     """Total number of meta-iterations; None: what the run was started with."""
     family: str | None = None
     """The run's family as `module:name`, if it is your own."""
+    change: tuple[str, ...] = ()
+    """Settings that are to differ from here on, as NAME=VALUE: `num_threads=2 reward=sparse
+    trust_region.damping=0.1`. `config.json` keeps a record of it."""
 
 
 def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "resume", arguments)
     enable_compilation_cache()
-    run = api.resume(options.run, options.iterations, family=options.family)
+    change = parse_changes(options.change)
+    run = api.resume(options.run, options.iterations, family=options.family, change=change)
     # Of a run that was begun in Python, the command alone knows where the family is.
     own = f" --family {options.family}" if options.family else run.settings.family_option
     next_command = f"maesn adapt {run.directory}{own}"

@@ -1,28 +1,43 @@
 """`maesn train METHOD --run DIR`: meta-train in a new run directory."""
 
+import argparse
 import dataclasses
 import difflib
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.learners import BONUS_SUFFIX, METHODS, PRESETS, SCRATCH, AbstractMetaLearner
+from maesn.learners import (
+    BONUS_SUFFIX,
+    METHODS,
+    PRESETS,
+    SCRATCH,
+    AbstractMetaLearner,
+    recommended,
+    recommended_run,
+)
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
+from maesn.runs.serialization import differing
 from maesn.runs.task_sources import resolve_family
 from maesn.storage import RunError
+
+Source: TypeAlias = Literal["recommended", "reference"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Meta-train a method on a family of tasks."""
 
-    settings: Annotated[RunSettings, tyro.conf.arg(name="")]
+    run_settings: Annotated[RunSettings, tyro.conf.arg(name="")]
     learner: Annotated[AbstractMetaLearner[Any, Any], tyro.conf.arg(name="")]
+    settings: Source = "recommended"
+    """recommended: the defaults are what was found to work on the family, where that is known;
+    reference: they are the published ones."""
     run: Path | None = None
     """Directory of the new run; must be empty or not exist. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
@@ -33,17 +48,64 @@ class Options:
 def main(arguments: list[str]) -> None:
     """Run the command."""
     method, rest = _method(arguments)
-    default = Options(RunSettings(), METHODS[method]())
-    options = parse(Options, f"train {method}", rest, default)
+    options = read_options(method, rest)
     enable_compilation_cache()
-    settings = options.settings
+    settings = options.run_settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
     env = make_env(resolve_family(settings.family), settings)
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
+    _say_what_suits(method, options)
     run = api.train(learner, settings, directory, init_from=options.init_from)
     next_command = f"maesn adapt {run.directory}{settings.family_option}"
     print(f"trained: {run.directory}\nnext:    {next_command}")
+
+
+def read_options(method: str, arguments: list[str]) -> Options:
+    """Return the options behind a method, whose defaults depend on the family.
+
+    Raises:
+        RunError: a setting cannot be.
+    """
+    family, source = _family_and_source(arguments)
+    return parse(Options, f"train {method}", arguments, _defaults(method, family, source))
+
+
+def _defaults(method: str, family: str, source: Source) -> Options:
+    if source == "reference":
+        return Options(RunSettings(family=family), METHODS[method](), source)
+    settings = RunSettings(family=family, **recommended_run(method, family))
+    return Options(settings, recommended(method, family), source)
+
+
+def _family_and_source(arguments: list[str]) -> tuple[str, Source]:
+    """Return what the defaults of all other options depend on."""
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--family", nargs="?")
+    first.add_argument("--settings", nargs="?")
+    found, _ = first.parse_known_args(arguments)
+    source: Source = "reference" if found.settings == "reference" else "recommended"
+    return found.family or RunSettings().family, source
+
+
+def _say_what_suits(method: str, options: Options) -> None:
+    """Print the defaults that are the family's own and were not overridden."""
+    family = options.run_settings.family
+    suited, published = (_defaults(method, family, s) for s in ("recommended", "reference"))
+    own = {
+        **differing(suited.run_settings, published.run_settings),
+        **differing(suited.learner, published.learner),
+    }
+    chosen = {
+        **differing(options.run_settings, published.run_settings),
+        **differing(options.learner, published.learner),
+    }
+    kept = [f"{name} {value}" for name, value in own.items() if chosen.get(name) == value]
+    if kept:
+        print(
+            f"settings that suit `{family}`: {', '.join(kept)} (--settings reference for the "
+            "published ones)"
+        )
 
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:
@@ -55,8 +117,9 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
-            f"METHOD{BONUS_SUFFIX} is paid for what it finds out about the world as well.\n"
-            "`maesn train METHOD --help` lists all settings with the method's defaults."
+            f"METHOD{BONUS_SUFFIX} gets a bonus for what it finds out about the world as well.\n"
+            "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
+            "the method on that family."
         )
         sys.exit(0)
     method = arguments[0]

@@ -2,8 +2,15 @@
 
 A context is a small set of parameters that belongs to one task and enters the policy as an
 additional input. (The word is used as in CAVIA, for adapted parameters; in PEARL it means observed
-transitions.) Three fillings span the methods of the paper, and a fourth
-one gives their ceiling:
+transitions.) Four names, each with one meaning:
+
+* *context settings* (`AbstractContextSettings`): how contexts start, what their penalty is, how z
+  is differentiated;
+* *context table*: what training learned, one row per training task or one for all;
+* *context* (`AbstractContext`): the arrays of one task, or of many, stacked;
+* *z*: what a context feeds to the policy throughout one episode.
+
+Three settings span the methods of the paper, and a fourth one gives their ceiling:
 
 * `NoContext`: nothing. With adapted policy weights this is MAML.
 * `BiasContext`: a deterministic vector shared by all tasks. This is MAML with a bias
@@ -12,9 +19,6 @@ one gives their ceiling:
   MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
   LatentSpace.
 * `OracleContext`: the task itself. This is the oracle, which has nothing to find out.
-
-Each filling comes as two types. The *settings* (`AbstractContextSettings`) know how contexts start
-and what they cost. The *values* (`AbstractContext`) hold the arrays of one task.
 """
 
 from maesn.context.settings import AbstractContextSettings as AbstractContextSettings

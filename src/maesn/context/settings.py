@@ -1,4 +1,4 @@
-"""The settings of contexts: how they start, what they cost, how their draw is differentiated."""
+"""Settings of contexts: where they start, their penalty, and how z is differentiated."""
 
 from abc import abstractmethod
 from typing import Generic, Literal, TypeAlias, TypeVar
@@ -17,11 +17,11 @@ Value = TypeVar("Value", bound=AbstractContext)
 
 
 class AbstractContextSettings(eqx.Module, Generic[Value]):
-    """Settings of a context: how it starts, what it costs, how its draw is differentiated."""
+    """Settings of a context: where it starts, its penalty, and how its z is differentiated."""
 
     @abstractmethod
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Value:
-        """Return the meta-learned context: one row per training task, or shared by all.
+        """Return the context table, which training learns: a row per training task, or one for all.
 
         Args:
             key: random key.
@@ -30,23 +30,23 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         """
 
     @abstractmethod
-    def start(self, learned: Value, task_index: Int[Array, " task"]) -> Value:
+    def start(self, table: Value, task_index: Int[Array, " task"]) -> Value:
         """Return the pre-update contexts of the given training tasks, stacked over `task`."""
 
     @abstractmethod
-    def start_new(self, learned: Value, num_tasks: int) -> Value:
+    def start_new(self, table: Value, num_tasks: int) -> Value:
         """Return the contexts that unseen tasks start from, stacked over `task`."""
 
     @abstractmethod
     def inner_draw(
-        self, value: Value, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
-    ) -> Float[Array, " context"]:
-        """Return what the policy is conditioned on inside the inner loss of one episode.
+        self, value: Value, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
+    ) -> Float[Array, " z"]:
+        """Return the z of one episode inside the inner loss, where its gradient matters.
 
         Args:
             value: the context that is being adapted.
             noise: the episode's recorded random draw.
-            drawn: what the policy was fed while the episode was played.
+            drawn: the z that the policy was fed while the episode was played.
         """
 
     @property
@@ -56,21 +56,21 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
 
     @property
     def is_adaptable(self) -> bool:
-        """Whether there is anything in a context that an inner step could move."""
+        """Whether a context has parameters that an inner step can move."""
         return True
 
     @abstractmethod
     def draw_loss(
         self,
         value: Value,
-        drawn: Float[Array, "episode context"],
+        drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
-        """Return the part of the inner loss that treats the draw as the zeroth action."""
+        """Return the part of the inner loss that treats z as the zeroth action."""
 
     @abstractmethod
     def penalty(self, value: Value) -> Float[Array, ""]:
-        """Return what the outer loss charges for one task's pre-update context."""
+        """Return the penalty of one task's pre-update context in the outer loss."""
 
 
 class NoContext(AbstractContextSettings[Nothing]):
@@ -83,21 +83,21 @@ class NoContext(AbstractContextSettings[Nothing]):
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Nothing:
         return Nothing()
 
-    def start(self, learned: Nothing, task_index: Int[Array, " task"]) -> Nothing:
-        return learned
+    def start(self, table: Nothing, task_index: Int[Array, " task"]) -> Nothing:
+        return table
 
-    def start_new(self, learned: Nothing, num_tasks: int) -> Nothing:
-        return learned
+    def start_new(self, table: Nothing, num_tasks: int) -> Nothing:
+        return table
 
     def inner_draw(
-        self, value: Nothing, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
-    ) -> Float[Array, " context"]:
+        self, value: Nothing, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
+    ) -> Float[Array, " z"]:
         return drawn
 
     def draw_loss(
         self,
         value: Nothing,
-        drawn: Float[Array, "episode context"],
+        drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -107,9 +107,9 @@ class NoContext(AbstractContextSettings[Nothing]):
 
 
 class OracleContext(AbstractContextSettings[TaskDescription]):
-    """The task itself: the policy sees what tells the task from all others.
+    """The task itself: the policy sees the description of its task.
 
-    Nothing in it is learned or adapted, and nothing is charged for it.
+    Nothing in it is learned or adapted, and it has no penalty.
     """
 
     @property
@@ -119,21 +119,21 @@ class OracleContext(AbstractContextSettings[TaskDescription]):
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> TaskDescription:
         return TaskDescription(description_size)
 
-    def start(self, learned: TaskDescription, task_index: Int[Array, " task"]) -> TaskDescription:
-        return learned
+    def start(self, table: TaskDescription, task_index: Int[Array, " task"]) -> TaskDescription:
+        return table
 
-    def start_new(self, learned: TaskDescription, num_tasks: int) -> TaskDescription:
-        return learned
+    def start_new(self, table: TaskDescription, num_tasks: int) -> TaskDescription:
+        return table
 
     def inner_draw(
-        self, value: TaskDescription, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
-    ) -> Float[Array, " context"]:
+        self, value: TaskDescription, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
+    ) -> Float[Array, " z"]:
         return drawn
 
     def draw_loss(
         self,
         value: TaskDescription,
-        drawn: Float[Array, "episode context"],
+        drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -145,7 +145,7 @@ class OracleContext(AbstractContextSettings[TaskDescription]):
 class BiasContext(AbstractContextSettings[Bias]):
     """A deterministic vector, shared by all tasks before adaptation.
 
-    Its inner gradient runs through the policy (pathwise), and nothing is charged for it.
+    Its inner gradient runs through the policy (pathwise), and it has no penalty.
     """
 
     size: int = 8
@@ -162,21 +162,21 @@ class BiasContext(AbstractContextSettings[Bias]):
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Bias:
         return Bias(jnp.zeros(self.size))
 
-    def start(self, learned: Bias, task_index: Int[Array, " task"]) -> Bias:
-        return self.start_new(learned, task_index.shape[0])
+    def start(self, table: Bias, task_index: Int[Array, " task"]) -> Bias:
+        return self.start_new(table, task_index.shape[0])
 
-    def start_new(self, learned: Bias, num_tasks: int) -> Bias:
-        return Bias(jnp.broadcast_to(learned.value, (num_tasks, self.size)))
+    def start_new(self, table: Bias, num_tasks: int) -> Bias:
+        return Bias(jnp.broadcast_to(table.value, (num_tasks, self.size)))
 
     def inner_draw(
-        self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
-    ) -> Float[Array, " context"]:
-        return value.draw(noise)
+        self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
+    ) -> Float[Array, " z"]:
+        return value.value
 
     def draw_loss(
         self,
         value: Bias,
-        drawn: Float[Array, "episode context"],
+        drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -193,8 +193,8 @@ class LatentContext(AbstractContextSettings[Latent]):
 
     The latent is the zeroth action of an episode (z, a_0, ..., a_{T-1}). Its inner gradient is the
     likelihood ratio of section "Using the Latent Spaces for Exploration", or the reparameterised
-    gradient that the same section names as the alternative. The outer loss charges
-    `kl_weight * KL(N(mean, std^2) || N(0, I))` on the pre-update latent.
+    gradient that the same section names as the alternative. The outer loss contains the penalty
+    `kl_weight * KL(N(mean, std^2) || N(0, I))` of the pre-update latent.
     """
 
     size: int = 2
@@ -223,25 +223,27 @@ class LatentContext(AbstractContextSettings[Latent]):
         shape = (num_tasks, self.size)
         return Latent(self.initial_spread * jax.random.normal(key, shape), jnp.zeros(shape))
 
-    def start(self, learned: Latent, task_index: Int[Array, " task"]) -> Latent:
-        return Latent(learned.mean[task_index], learned.log_std[task_index])
+    def start(self, table: Latent, task_index: Int[Array, " task"]) -> Latent:
+        return Latent(table.mean[task_index], table.log_std[task_index])
 
-    def start_new(self, learned: Latent, num_tasks: int) -> Latent:
+    def start_new(self, table: Latent, num_tasks: int) -> Latent:
         """Return the prior N(0, I) for every task (section "Using the Latent Spaces ...")."""
         zeros = jnp.zeros((num_tasks, self.size))
         return Latent(zeros, zeros)
 
     def inner_draw(
-        self, value: Latent, noise: Float[Array, " noise"], drawn: Float[Array, " context"]
-    ) -> Float[Array, " context"]:
+        self, value: Latent, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
+    ) -> Float[Array, " z"]:
         # The likelihood ratio needs the z that was played. Recomputing it from the noise would
         # agree at the current parameters, but not along the line search of the outer step.
-        return drawn if self.gradient == "likelihood_ratio" else value.draw(noise)
+        if self.gradient == "likelihood_ratio":
+            return drawn
+        return value.distribution.sample_from_noise(noise)
 
     def draw_loss(
         self,
         value: Latent,
-        drawn: Float[Array, "episode context"],
+        drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
         """Return -mean_e[log q(z_e) A_e], the likelihood-ratio surrogate of the latent."""

@@ -1,21 +1,33 @@
-"""The values of contexts: arrays of one task, and how a policy's input is drawn from them."""
+"""Contexts: arrays of one task, and how z, the policy's input, is drawn from them."""
 
+import math
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key
 from maesn.numerics import DiagonalGaussian
+
+# Standard deviation of a latent that is held at its mean: small enough not to matter, and its
+# logarithm is finite.
+FIXED_STD = 1e-6
 
 
 class AbstractContext(eqx.Module):
-    """The context of one task: arrays only."""
+    """The context of one task, or of many, stacked: arrays only."""
 
     @abstractmethod
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        """Return what the policy is fed during one episode, given the episode's random draw."""
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
+        """Return z, what the policy is fed during one episode.
+
+        Args:
+            noise: the episode's standard normal draw, `noise_size` components.
+            description: what tells the episode's task from all others, `description_size`
+                components.
+        """
 
     @property
     @abstractmethod
@@ -25,20 +37,20 @@ class AbstractContext(eqx.Module):
     @property
     @abstractmethod
     def noise_size(self) -> int:
-        """Number of components behind one draw."""
+        """Number of standard normal components behind one z."""
 
-    def noise(self, key: Key, description: Float[Array, " description"]) -> Float[Array, " noise"]:
-        """Return what one draw is made from: standard normal components, unless it is told.
+    @property
+    def description_size(self) -> int:
+        """Number of components of the task's description behind one z: 0 but for an oracle."""
+        return 0
 
-        Args:
-            key: random key.
-            description: what tells the episode's task from all others.
-        """
-        return jax.random.normal(key, (self.noise_size,))
+    def at_mean(self) -> "AbstractContext":
+        """Return a context whose z is always the mean of this one's: itself if z is not random."""
+        return self
 
 
 class Nothing(AbstractContext):
-    """The value of `NoContext`."""
+    """The context of `NoContext`."""
 
     @property
     def size(self) -> int:
@@ -48,14 +60,16 @@ class Nothing(AbstractContext):
     def noise_size(self) -> int:
         return 0
 
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
         return noise
 
 
 class Bias(AbstractContext):
-    """The value of `BiasContext`: fed to the policy as it is."""
+    """The context of `BiasContext`: fed to the policy as it is."""
 
-    value: Float[Array, "*batch context"]
+    value: Float[Array, "*batch z"]
 
     @property
     def size(self) -> int:
@@ -65,15 +79,17 @@ class Bias(AbstractContext):
     def noise_size(self) -> int:
         return 0
 
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
         return self.value
 
 
 class Latent(AbstractContext):
-    """The value of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
+    """The context of `LatentContext`: the distribution N(mean, exp(log_std)^2) of one task."""
 
-    mean: Float[Array, "*batch context"]
-    log_std: Float[Array, "*batch context"]
+    mean: Float[Array, "*batch z"]
+    log_std: Float[Array, "*batch z"]
 
     @property
     def size(self) -> int:
@@ -88,30 +104,35 @@ class Latent(AbstractContext):
         """q(z), the distribution that z is drawn from."""
         return DiagonalGaussian(self.mean, self.log_std)
 
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
         """Return z = mean + exp(log_std) * noise."""
         return self.distribution.sample_from_noise(noise)
 
+    def at_mean(self) -> "Latent":
+        """Return N(mean, 1e-12 I), from which z is the mean up to rounding."""
+        return Latent(self.mean, jnp.full_like(self.mean, math.log(FIXED_STD)))
+
 
 class TaskDescription(AbstractContext):
-    """The value of `OracleContext`: the description of the task takes the place of the noise.
+    """The context of `OracleContext`: the policy is fed the description of its task."""
 
-    So whoever plays an episode hands the description over, and it is recorded with the episode.
-    """
-
-    description_size: int = eqx.field(static=True)
+    size_of_description: int = eqx.field(static=True)
 
     @property
     def size(self) -> int:
-        return self.description_size
+        return self.size_of_description
 
     @property
     def noise_size(self) -> int:
-        return self.description_size
+        return 0
 
-    def noise(self, key: Key, description: Float[Array, " description"]) -> Float[Array, " noise"]:
-        """Return the description; nothing about it is random."""
+    @property
+    def description_size(self) -> int:
+        return self.size_of_description
+
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
         return description
-
-    def draw(self, noise: Float[Array, " noise"]) -> Float[Array, " context"]:
-        return noise

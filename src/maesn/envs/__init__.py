@@ -25,6 +25,9 @@ from maesn.envs.probes import HiddenEnd as HiddenEnd
 from maesn.envs.probes import HiddenSide as HiddenSide
 from maesn.envs.probes import hidden_end as hidden_end
 from maesn.envs.probes import hidden_side as hidden_side
+from maesn.envs.recorded import EnvRecord as EnvRecord
+from maesn.envs.recorded import describe_env as describe_env
+from maesn.envs.recorded import rebuild_env as rebuild_env
 from maesn.envs.target_probes import DelayedTarget as DelayedTarget
 from maesn.envs.target_probes import HiddenTarget as HiddenTarget
 from maesn.envs.target_probes import delayed_target as delayed_target

@@ -141,7 +141,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         dense reward pays at the start, which tells how far away the goal is. What is shown there
         is the same in all tasks.
         """
-        env = self if kind == "paid" else dataclasses.replace(self, reward_kind="sparse")
+        env = self if kind == "own" else dataclasses.replace(self, reward_kind="sparse")
         reward = env.reward(readings, action, next_readings, task)
         if env.reward_kind == "dense":
             return reward.total

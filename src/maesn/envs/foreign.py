@@ -119,7 +119,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         Raises:
             ValueError: it is not.
         """
-        if kind not in ("paid", self.reward_kind):
+        if kind not in ("own", self.reward_kind):
             raise ValueError(
                 f"`{self.name}` pays the {self.reward_kind} reward alone, but the policy reads the "
                 f"{kind} one: give --reward {kind}, or a policy that reads what is paid."

@@ -136,9 +136,9 @@ def _adapt_chunk(
     seed: int,
     saved: SavedContexts | None,
 ) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
-    own = None if saved is None else jax.tree.map(lambda x: x[slots], saved.context)
-    start = None if saved is None else SavedContexts(own, saved.updates)
-    state = learner.init(_task_keys(seed, _START, slots), start)
+    if saved is not None:
+        saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
+    state = learner.init(_task_keys(seed, _START, slots), saved)
 
     def play(plays: Collect, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
         try:

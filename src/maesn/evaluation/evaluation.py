@@ -131,12 +131,8 @@ class Evaluation:
     def _check_fit(self, learner: Any) -> None:
         """Refuse budgets that the learner can do nothing with."""
         capabilities = learner.capabilities
-        if self.updates and self.episodes_per_update < capabilities.least_episodes:
-            raise ValueError(
-                f"`episodes_per_update` must be at least {capabilities.least_episodes}, got "
-                f"{self.episodes_per_update}: with one episode there is no other to compare it "
-                "with, and the latent would stand still."
-            )
+        if self.updates:
+            capabilities.check_episodes(self.episodes_per_update)
         trials = capabilities.trial_episodes is not None
         if trials and self.deploy_episodes not in (0, self.episodes_per_update):
             raise ValueError(

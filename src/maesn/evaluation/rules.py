@@ -21,16 +21,16 @@ from maesn.learners import (
     AbstractMetaLearner,
     BonusFastLearner,
     Capabilities,
-    CuriosityBonus,
     FineTuning,
     GradientFastLearner,
     GradientStep,
     PolicyImprovement,
     Purpose,
     SavedContexts,
-    TrustRegionWeightStep,
     inside,
 )
+from maesn.learners.scratch.policy_gradient import TRPO
+from maesn.learners.wrappers.curiosity import CuriosityBonus
 
 
 class Trained(NamedTuple):
@@ -231,13 +231,13 @@ class AbstractThen(AbstractWrapper):
 class ThenTrpo(AbstractThen):
     """Fine-tuning by TRPO."""
 
-    max_kl: float = TrustRegionWeightStep().trust_region.max_kl
+    max_kl: float = TRPO.trust_region.max_kl
     """Bound on the mean KL divergence of an update."""
     after: int = 500
 
     @property
     def improvement(self) -> PolicyImprovement:
-        return PolicyImprovement(TrustRegionWeightStep().sized(self.max_kl))
+        return PolicyImprovement(TRPO.sized(self.max_kl))
 
     @property
     def label(self) -> str:

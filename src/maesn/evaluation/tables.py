@@ -45,6 +45,11 @@ def latents_file(table: Path) -> Path:
     return table.with_suffix(".latents.npz")
 
 
+def record_of_latents(latents: Path) -> Path:
+    """Return the path of the file that says how latents were made."""
+    return latents.with_name(f"{latents.name.removesuffix('.latents.npz')}.settings.json")
+
+
 def record_file(table: Path) -> Path:
     """Return the path of the file that says how a table of adaptation curves was made."""
     return table.with_suffix(".settings.json")
@@ -121,6 +126,42 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
         raise RunError(
             f"`{path}` cannot be a start: this run's method has no latents that are adapted."
         )
+    mean, log_std, first = _latents(path)
+    if mean[:, -1].shape != like.mean.shape:
+        raise RunError(
+            f"`{path}` holds latents of the shape [task, z] = {list(mean[:, -1].shape)}, but "
+            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
+        )
+    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
+    return last, first + mean.shape[1] - 1
+
+
+def adapted_latent(path: Path, task: int) -> tuple[Latent, int]:
+    """Read the last latent that an adaptation has saved of one task, and the updates behind it.
+
+    Args:
+        path: of the file.
+        task: index of the task in the set that was adapted to.
+
+    Raises:
+        RunError: the file cannot be read or lacks the task.
+    """
+    mean, log_std, first = _latents(path)
+    num_tasks, columns, _ = mean.shape
+    if not 0 <= task < num_tasks:
+        raise RunError(
+            f"`task` must be an index from 0 to {num_tasks - 1}, the tasks of `{path}`, got {task}."
+        )
+    last = Latent(jnp.asarray(mean[task, -1]), jnp.asarray(log_std[task, -1]))
+    return last, first + columns - 1
+
+
+def _latents(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return mean and log standard deviation, `[task, update, z]`, and the first update's number.
+
+    Raises:
+        RunError: the file cannot be read or is something else.
+    """
     try:
         arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
         mean, log_std = arrays["mean"], arrays["log_std"]
@@ -129,13 +170,7 @@ def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
     if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    if mean[:, -1].shape != like.mean.shape:
-        raise RunError(
-            f"`{path}` holds latents of the shape [task, z] = {list(mean[:, -1].shape)}, but "
-            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
-        )
-    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
-    return last, first + mean.shape[1] - 1
+    return mean, log_std, first
 
 
 def _write(path: Path, content: bytes) -> None:

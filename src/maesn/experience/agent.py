@@ -1,13 +1,15 @@
 """An agent: a policy and one task's context. All that an inner step may change."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax
 
 from maesn.context import AbstractContext
+from maesn.experience.trial_state import TrialState
 from maesn.numerics.normalization import ObservationStatistics
+from maesn.numerics.tasks import How, map_tasks
 from maesn.policies import AbstractPolicy, PolicyInput
 
 
@@ -19,11 +21,11 @@ class Agent(eqx.Module):
     statistics: ObservationStatistics | None = None
     """By which observations are normalised before the policy sees them; None for not at all."""
 
-    def perceive(self, told: PolicyInput) -> PolicyInput:
-        """Return what the policy is given when this is what it is told."""
+    def perceive(self, received: PolicyInput) -> PolicyInput:
+        """Return what the policy sees of what the world tells: observations are normalised."""
         if self.statistics is None:
-            return told
-        return told._replace(observation=self.statistics.normalized(told.observation))
+            return received
+        return received._replace(observation=self.statistics.normalized(received.observation))
 
 
 class Agents(eqx.Module):
@@ -41,50 +43,29 @@ class Agents(eqx.Module):
     shares_policy: bool = eqx.field(static=True)
     statistics: ObservationStatistics | None = None
     """Shared by all tasks, and changed by no inner step."""
+    trial_state: TrialState | None = None
+    """Where the trials go on, `[task, episode, ...]`: `Episodes.trial_end` of the episodes before.
+    None to begin new trials."""
 
-    def vmap(self, function: Callable[..., Any], in_axes: Any = 0) -> Callable[..., Any]:
-        """Map `function(agent, *rest)` over the tasks.
+    def at_mean(self) -> "Agents":
+        """Return the same agents, with every context held at its mean."""
+        return replace(self, context=self.context.at_mean())
 
-        Args:
-            function: written for one task; its first argument is an `Agent`.
-            in_axes: axes of the remaining arguments, as one value for all or a tuple.
-
-        Returns:
-            A function of the remaining arguments, each with a leading `task` axis.
-        """
-
-        def mapped(*rest: Any) -> Any:
-            axes = in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(rest)
-            policy_axis = None if self.shares_policy else 0
-            return jax.vmap(
-                lambda policy, context, *args: function(
-                    Agent(policy, context, self.statistics), *args
-                ),
-                in_axes=(policy_axis, 0, *axes),
-            )(self.policy, self.context, *rest)
-
-        return mapped
-
-    def one_by_one(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Do the same as `vmap`, one task after the other.
-
-        On a CPU an inner step through the policy takes half of the time that way, because the
-        activations of one task fit in its cache, and those of all do not.
+    def map(self, function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
+        """Map `function(agent, *row)` over the tasks.
 
         Args:
             function: written for one task; its first argument is an `Agent`.
+            *rows: its other arguments, each with a leading `task` axis.
+            how: see `map_tasks`.
 
         Returns:
-            A function of the remaining arguments, each with a leading `task` axis.
+            What the function returns, with a leading `task` axis.
         """
 
-        def mapped(*rest: Any) -> Any:
-            def one(row: tuple[Any, ...]) -> Any:
-                policy, context, *args = row
-                own = self.policy if self.shares_policy else policy
-                return function(Agent(own, context, self.statistics), *args)
+        def one(policy: AbstractPolicy | None, context: AbstractContext, *row: Any) -> Any:
+            own = self.policy if policy is None else policy
+            return function(Agent(own, context, self.statistics), *row)
 
-            policies = None if self.shares_policy else self.policy
-            return jax.lax.map(one, (policies, self.context, *rest))
-
-        return mapped
+        policies = None if self.shares_policy else self.policy
+        return map_tasks(one, policies, self.context, *rows, how=how)

@@ -7,43 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Carry, Key, TaskKeys
+from maesn.axes import Key, TaskKeys
 from maesn.experience.agent import Agents
+from maesn.experience.trial_state import TrialState
 from maesn.numerics import AbstractDistribution
 from maesn.policies import PolicyInput
-
-
-class TrialState(eqx.Module):
-    """What one episode hands to the next one of the same trial."""
-
-    hidden: Carry
-    """The policy's own memory, `[*batch ...]`; None for a policy without one."""
-    action: Float[Array, "*batch action"]
-    """The last action; 0 at the start of a trial."""
-    reward: Float[Array, "*batch"]
-    """The last reward, as it was shown; 0 at the start of a trial."""
-
-    def after(
-        self,
-        hidden: Carry,
-        action: Float[Array, "time action"],
-        observed_reward: Float[Array, " time"],
-        valid: Bool[Array, " time"],
-    ) -> "TrialState":
-        """Return the memory after one more episode; what is invalid is not remembered.
-
-        Args:
-            hidden: the policy's own memory after the episode.
-            action: actions of the episode.
-            observed_reward: rewards of the episode, as they were shown.
-            valid: which of its steps were played.
-        """
-        last = jnp.maximum(valid.sum() - 1, 0)
-        return TrialState(
-            hidden,
-            jnp.where(valid.any(), action[last], self.action),
-            jnp.where(valid.any(), observed_reward[last], self.reward),
-        )
 
 
 class Thinning(NamedTuple):
@@ -86,15 +54,17 @@ class Episodes(eqx.Module):
     terminated: Bool[Array, "*batch"]
     """Whether the episode ended by nature rather than by the clock."""
     noise: Float[Array, "*batch noise"]
-    """The standard normal draw behind the context of the episode; its description if it is told."""
-    context: Float[Array, "*batch context"]
-    """What the policy was fed throughout the episode: the recorded latent z."""
+    """The standard normal draw behind z; no components for a z that is not random."""
+    description: Float[Array, "*batch description"]
+    """What tells the task from all others, if z is made of it; else no components."""
+    z: Float[Array, "*batch z"]
+    """What the context fed to the policy throughout the episode."""
     behaviour: AbstractDistribution
     """The distribution that each action was drawn from, `[*batch time action]`."""
-    carry: TrialState | None
-    """Memory after the last step, to go on from in the next episode of the trial."""
-    start: TrialState | None = None
-    """Memory before the first step; None at the start of a trial of a policy without memory."""
+    trial_end: TrialState | None
+    """After the last step: where the next episode of the trial goes on."""
+    trial_start: TrialState | None = None
+    """Before the first step; None where a trial of a policy that is not recurrent begins."""
     observed_reward: Float[Array, "*batch time"] | None = None
     """r_t as it was shown to the policy; None if that is `reward`."""
 
@@ -106,8 +76,8 @@ class Episodes(eqx.Module):
             jnp.zeros_like(self.action[..., 0, :]),
             jnp.zeros_like(rewards[..., 0]),
         )
-        if self.start is not None:
-            first_action, first_reward = self.start.action, self.start.reward
+        if self.trial_start is not None:
+            first_action, first_reward = self.trial_start.action, self.trial_start.reward
         previous_action = jnp.concatenate(
             [first_action[..., None, :], self.action[..., :-1, :]], axis=-2
         )
@@ -130,16 +100,16 @@ class Episodes(eqx.Module):
 
         Neighbouring steps of an episode resemble each other, so an average over the thinned steps
         is nearly as good as one over all. What needs whole episodes (returns) must be computed
-        before, and a policy with memory needs all steps, a stride of 1. `observation` keeps no
+        before, and a recurrent policy needs all steps, a stride of 1. `observation` keeps no
         final state: it has as many entries as `action`.
         """
         time = self.action.shape[-2]
         stride = min(stride, time)
         steps = time // stride
-        start = jnp.asarray(offset)
+        first = jnp.asarray(offset)
 
         def thin(x: Array, axis: int) -> Array:
-            indices = start + stride * jnp.arange(steps)
+            indices = first + stride * jnp.arange(steps)
             return jnp.take(x, indices, axis=axis)
 
         batch_rank = self.terminated.ndim
@@ -153,10 +123,11 @@ class Episodes(eqx.Module):
             solved_at_start=self.solved_at_start,
             terminated=self.terminated,
             noise=self.noise,
-            context=self.context,
+            description=self.description,
+            z=self.z,
             behaviour=jax.tree.map(lambda x: thin(x, batch_rank), self.behaviour),
-            carry=None,
-            start=self.start if stride == 1 else None,
+            trial_end=None,
+            trial_start=self.trial_start if stride == 1 else None,
             observed_reward=jax.tree.map(lambda x: thin(x, batch_rank), self.observed_reward),
         )
 
@@ -172,20 +143,24 @@ class Collect(Protocol):
 
     @property
     def num_tasks(self) -> int:
-        """Number of tasks that can be asked for."""
+        """Number of tasks that can be played."""
+
+    @property
+    def episodes_per_task(self) -> int:
+        """Number of episodes of each task that one call plays."""
 
     def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
-        """Play a fixed number of episodes of each task.
+        """Play `episodes_per_task` episodes of each task.
 
         Args:
             keys: one key per task slot. All randomness of slot i comes from `keys[i]`, so what is
                 played in it depends neither on the other slots nor on how many there are.
-            agents: one agent per task slot.
+            agents: one agent per task slot. Their trials go on from `agents.trial_state`.
             task_index: which task each slot plays.
-            carry: memory of the trials that go on, `[task, episode, ...]`, as `Episodes.carry` of
-                the episodes before; None to start trials afresh.
+            stage: number of inner updates, or of episodes of the trial, that lie before these
+                episodes. It changes nothing about them; wrappers tell batches apart by it.
 
         Returns:
             Episodes with the leading axes `task episode`.

@@ -1,6 +1,7 @@
 """The inner step: which parts of an agent change in a new task, and how far."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +14,6 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import inner_loss
-from maesn.settings import added_later
 
 
 class InnerStep(eqx.Module):
@@ -65,6 +65,18 @@ class Adaptation(eqx.Module):
             context=_initial_sizes(self.context, agent.context, learned=True),
         )
 
+    def least_episodes(self, context: AbstractContextSettings[Any]) -> int:
+        """Return how many episodes of a task a step needs, to move anything.
+
+        A latent that moves by its likelihood ratio compares the returns of episodes. Of a single
+        one the standardised advantage is 0, and nothing moves unless the policy does.
+
+        Args:
+            context: settings of the context.
+        """
+        compares = self.context is not None and not context.is_pathwise
+        return 2 if compares and self.policy is None else 1
+
     def at(self, iteration: int) -> "Adaptation":
         """Return the adaptation of one meta-iteration: without the parts whose stage is to come."""
         return Adaptation(
@@ -85,21 +97,23 @@ class Adaptation(eqx.Module):
         Args:
             agents: who played `episodes`.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agents played, `[task, episode, ...]`.
             advantages: of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
-        moved_policy, moved_context = agents.one_by_one(
+        moved_policy, moved_context = agents.map(
             lambda agent, played, advantage: self.moved_parts(
                 agent, sizes, context, played, advantage, scale
-            )
-        )(episodes, advantages)
-        return Agents(
+            ),
+            episodes,
+            advantages,
+        )
+        return replace(
+            agents,
             policy=agents.policy if self.policy is None else moved_policy,
             context=agents.context if self.context is None else moved_context,
             shares_policy=agents.shares_policy and self.policy is None,
-            statistics=agents.statistics,
         )
 
     def moved_parts(
@@ -116,7 +130,7 @@ class Adaptation(eqx.Module):
         Args:
             agent: of one task.
             sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: rule of the context.
+            context: settings of the context.
             episodes: what the agent played, `[episode, ...]`.
             advantages: of those episodes.
             scale: multiplies every step size.
@@ -165,7 +179,7 @@ def _if_begun(step: InnerStep | None, iteration: int) -> InnerStep | None:
 
 
 class StepSchedule(eqx.Module):
-    """The test-time rule: full steps first, then each half of the one before.
+    """Step sizes in a new task: full steps first, then each half of the one before.
 
     With two full steps the sizes are a, a, a/2, a/4, ...; the latents stand still after about
     eight updates. Source: the reference's test script, which halves the step after every update
@@ -176,7 +190,7 @@ class StepSchedule(eqx.Module):
     """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
     factor: float = 0.5
     """What the step size is multiplied by in every later update; 1 keeps it."""
-    scale: float = added_later(1.0)
+    scale: float = 1.0
     """What every step size is multiplied by."""
 
     def __check_init__(self) -> None:

@@ -13,7 +13,7 @@ from maesn.numerics import (
     ridge_regression,
     standardize,
 )
-from maesn.settings import added_later
+from maesn.numerics.tasks import map_tasks
 
 # Range that observations are clipped to and time that t is divided by, from the reference's
 # linear feature baseline.
@@ -50,11 +50,12 @@ class AdvantageEstimator(eqx.Module):
     """lambda of generalised advantage estimation; 1 is return minus baseline."""
     ridge: float = 1e-5
     """Weight of the squared coefficients in the fit of the baseline."""
-    drifts: bool = added_later(False)
-    """Whether episodes that are all paid the same count as if they were not, as in the reference:
-    what the baseline misses of them is scaled like any other advantage, and a step of bounded KL
-    divergence goes as far as ever, in a direction at random. Of no reward at all it misses nothing,
-    and nothing moves."""
+    drifts: bool = False
+    """Whether to learn from episodes that all have the same rewards, as the reference does.
+
+    There is nothing to learn from them. But the baseline does not fit them exactly, and what it
+    misses is standardised like any other advantage: a step of bounded KL divergence then goes as
+    far as ever, in a random direction. If all rewards are 0 the fit is exact, and nothing moves."""
 
     def __check_init__(self) -> None:
         for name, value in (("discount", self.discount), ("gae_lambda", self.gae_lambda)):
@@ -68,9 +69,8 @@ class AdvantageEstimator(eqx.Module):
 
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
-        Where several episodes are all paid the same, as without control costs on sparse reward
-        before the goal is found, there is nothing to learn and all advantages are 0, unless it
-        `drifts`.
+        All advantages are 0 where several episodes have the same rewards (a sparse reward without
+        control costs, before the goal is found), unless the estimator `drifts`.
 
         Args:
             episodes: episodes of one task, `[episode, time, ...]`.
@@ -80,7 +80,7 @@ class AdvantageEstimator(eqx.Module):
             reward, episodes.valid, self.discount
         )
         value = self._baseline(episodes, returns)
-        # Every episode counts as complete: nothing is paid after the clock runs out either.
+        # Every episode counts as complete: also after the clock runs out, no reward follows.
         raw = jax.vmap(generalized_advantages, in_axes=(0, 0, None, 0, None, None))(
             reward, value, jnp.zeros(()), episodes.valid, self.discount, self.gae_lambda
         )
@@ -92,12 +92,10 @@ class AdvantageEstimator(eqx.Module):
         )
 
     def of_tasks(self, episodes: Episodes) -> Advantages:
-        """Return the advantages of every task, `[task, ...]`, one task after another.
-
-        Not by `jax.vmap`: on the CPU, XLA never comes back from the batched products of some
-        sizes (25 tasks, 5000 steps and 56 features, with jaxlib 0.10.2).
-        """
-        advantages: Advantages = jax.lax.map(self, episodes)
+        """Return the advantages of every task, `[task, ...]`."""
+        # Not by `vmap`: on the CPU, XLA never comes back from the batched products of some sizes
+        # (25 tasks, 5000 steps and 56 features, with jaxlib 0.10.2).
+        advantages: Advantages = map_tasks(self, episodes, how="serial")
         return advantages
 
     def _baseline(
@@ -111,9 +109,9 @@ class AdvantageEstimator(eqx.Module):
 
 
 def _rewards_differ(reward: Float[Array, "episode time"]) -> Bool[Array, ""]:
-    """Whether some episode is paid differently from the first one. Invalid steps hold 0.
+    """Whether some episode has other rewards than the first one. Invalid steps hold 0.
 
-    A single episode has no other to compare with, but its steps have each other.
+    A single episode counts as different: its steps can be compared with each other.
     """
     return jnp.any(reward != reward[:1]) | (reward.shape[0] == 1)
 

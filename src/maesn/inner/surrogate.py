@@ -30,11 +30,11 @@ def inner_loss(
         advantages: of those episodes.
     """
     drawn = jax.vmap(context.inner_draw, in_axes=(None, 0, 0))(
-        agent.context, episodes.noise, episodes.context
+        agent.context, episodes.noise, episodes.z
     )
     log_prob = action_distributions(agent, episodes, drawn).log_prob(_actions(episodes))
     action_loss = -masked_mean(log_prob * advantages.step, episodes.valid)
-    return action_loss + context.draw_loss(agent.context, episodes.context, advantages.episode)
+    return action_loss + context.draw_loss(agent.context, episodes.z, advantages.episode)
 
 
 def outer_loss(
@@ -62,12 +62,12 @@ def post_distributions(agent: Agent, episodes: Episodes) -> AbstractDistribution
 
     The path through z is differentiable: z' = draw(adapted context, recorded noise).
     """
-    drawn = jax.vmap(agent.context.draw)(episodes.noise)
+    drawn = jax.vmap(agent.context.draw)(episodes.noise, episodes.description)
     return action_distributions(agent, episodes, drawn)
 
 
 def action_distributions(
-    agent: Agent, episodes: Episodes, drawn: Float[Array, "episode context"]
+    agent: Agent, episodes: Episodes, drawn: Float[Array, "episode z"]
 ) -> AbstractDistribution:
     """Return the policy's distribution at every step, `[episode, time, action]`.
 
@@ -76,9 +76,10 @@ def action_distributions(
         episodes: one task's episodes.
         drawn: what the policy is fed in each episode.
     """
-    told = agent.perceive(episodes.policy_inputs())
-    memory = None if episodes.start is None else episodes.start.hidden
-    return agent.policy.unroll(told, episodes.valid, drawn, memory)[0]
+    inputs = agent.perceive(episodes.policy_inputs())
+    trial = episodes.trial_start
+    state = None if trial is None else trial.recurrent_state
+    return agent.policy.unroll(inputs, episodes.valid, drawn, state)[0]
 
 
 def _actions(episodes: Episodes) -> Float[Array, "episode time action"]:

@@ -6,8 +6,7 @@ take and return.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,107 +15,109 @@ from jaxtyping import Array, Int
 from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes, TrialState
+from maesn.experience.episodes import Collect, Episodes
 from maesn.policies import AbstractPolicy
 
 FastState = TypeVar("FastState")
 MetaState = TypeVar("MetaState")
 Info = TypeVar("Info")
 
+# What episodes are for: `explore`, to learn from; `deploy`, to be judged, and not learned from.
+Purpose: TypeAlias = Literal["explore", "deploy"]
+
+
+class Capabilities(NamedTuple):
+    """What a fast learner can do, and what it needs. The defaults are those of most learners."""
+
+    is_recurrent: bool = False
+    """Whether an action depends on earlier steps: a step cannot then be judged by itself."""
+    trial_episodes: int | None = None
+    """Episodes of a trial in meta-training; None for a learner that was not trained on trials.
+
+    A learner of trials learns one episode per update: the episodes that are played side by side
+    belong to trials of their own. Beyond `trial_episodes` it does what it was not trained for."""
+    learns_from_reward: bool = True
+    """Whether updates depend on the rewards of the episodes. Those of a recurrent policy and of an
+    oracle do not."""
+    has_bonus: bool = False
+    """Whether a bonus is added to the rewards before updates see them."""
+    resumes: bool = False
+    """Whether `init` can go on from saved contexts: they are all that the learner changes."""
+    least_episodes: int = 1
+    """Episodes of a task that an update needs at least."""
+
+    def check_episodes(self, episodes_per_update: int) -> None:
+        """Refuse updates that could not change anything.
+
+        Raises:
+            ValueError: there are fewer episodes than `least_episodes`.
+        """
+        if episodes_per_update < self.least_episodes:
+            raise ValueError(
+                f"an update needs at least {self.least_episodes} episodes of a task, got "
+                f"{episodes_per_update}: the latent moves by the differences between the returns "
+                "of episodes. Play more episodes per update."
+            )
+
+
+class SavedContexts(NamedTuple):
+    """Where an earlier adaptation stopped."""
+
+    context: AbstractContext
+    """One context per task, stacked."""
+    updates: int
+    """Number of updates that led to it."""
+
 
 class AbstractFastLearner(eqx.Module, Generic[FastState]):
     """Acts and improves in new tasks, all of them at once."""
 
     @abstractmethod
-    def init(self, keys: TaskKeys) -> FastState:
-        """Return the state before any experience.
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> FastState:
+        """Return the state before any experience, or that of an earlier adaptation.
 
         Args:
             keys: one key per task slot. All that is random in slot i, now and in later updates,
                 comes from `keys[i]`, so it does not depend on how many slots there are.
+            saved: where to go on, one context per key; None to begin anew.
+
+        Raises:
+            ValueError: this learner cannot go on from contexts (`capabilities.resumes`).
         """
 
     @abstractmethod
-    def agents(self, state: FastState) -> Agents:
-        """Return who plays the next episodes, one agent per task."""
+    def agents(self, state: FastState, purpose: Purpose = "explore") -> Agents:
+        """Return who plays the next episodes, one agent per task.
+
+        Args:
+            state: of the learner.
+            purpose: what the episodes are for. `update` takes those of `explore` alone.
+        """
 
     @abstractmethod
     def update(self, state: FastState, episodes: Episodes) -> FastState:
-        """Learn from the episodes that `agents(state)` has played, `[task, episode, ...]`."""
-
-    def memory(self, state: FastState) -> TrialState | None:
-        """Return what the policies remember when the next episodes begin; None for nothing."""
-        return None
-
-    def episodes_per_update(self, episodes_per_task: int) -> int:
-        """Return how many episodes of a task an update learns from.
-
-        Args:
-            episodes_per_task: number of episodes that are played of each task at a time.
-        """
-        return episodes_per_task
-
-    @property
-    def trial_episodes(self) -> int | None:
-        """Number of episodes that meta-training has prepared for; None if there is no such limit.
-
-        What a policy with memory does later than that in a new task, it has never been trained for.
-        """
-        return None
-
-    @property
-    def is_recurrent(self) -> bool:
-        """Whether the policies remember earlier steps: a step then cannot be judged by itself."""
-        return False
-
-    @property
-    def learns_from_reward(self) -> bool:
-        """Whether updates depend on the rewards of the episodes that they are given.
-
-        Not those of a policy that remembers what it was shown, or that was told its task.
-        """
-        return True
-
-    @property
-    def has_bonus(self) -> bool:
-        """Whether a bonus is added to the rewards before updates see them."""
-        return False
-
-    def paced(self, step_scale: float, full_steps: int | None) -> "AbstractFastLearner[FastState]":
-        """Return the same learner with other sizes of its steps.
-
-        Args:
-            step_scale: multiplies all of them.
-            full_steps: updates with the whole step size, before the sizes begin to shrink; None for
-                as many as now.
+        """Learn from episodes `[task, episode, ...]` that `agents(state)` has played.
 
         Raises:
-            ValueError: this learner takes no steps of that kind, or a number is out of range.
+            ValueError: there are fewer than `capabilities.least_episodes` of each task.
         """
-        raise ValueError(f"`{type(self).__name__}` follows no schedule of step sizes.")
 
-    def inside(
-        self, change: Callable[["AbstractFastLearner[Any]"], "AbstractFastLearner[Any]"]
-    ) -> "AbstractFastLearner[Any]":
-        """Return what `change` makes of this learner.
+    @property
+    def capabilities(self) -> Capabilities:
+        """What this learner can do."""
+        return Capabilities()
 
-        Where a bonus is added to the episodes, that stays, and whoever is handed them is changed.
-        """
-        return change(self)
 
-    def resume(self, context: AbstractContext, update: int = 0) -> FastState:
-        """Return the state of an earlier adaptation of which the contexts were kept.
+def refuse_saved(learner: AbstractFastLearner[Any], saved: SavedContexts | None) -> None:
+    """Refuse saved contexts for a learner that changes more than contexts, or nothing at all.
 
-        Args:
-            context: one context per task, stacked.
-            update: number of updates that led to it.
-
-        Raises:
-            ValueError: contexts are not what this learner changes in a task, or not all of it.
-        """
+    Raises:
+        ValueError: there are some, and the learner cannot go on from them.
+    """
+    if saved is not None and not learner.capabilities.resumes:
         raise ValueError(
-            f"`{type(self).__name__}` cannot go on from latents: they are not all that it learns "
-            "in a task."
+            f"`saved` must be None for `{type(learner).__name__}`, which cannot go on from "
+            "contexts: they are not all that it learns in a task. Begin anew."
         )
 
 
@@ -139,7 +140,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
             observation_size: components of an observation.
             action_size: components of an action, or number of choices.
             num_tasks: number of training tasks.
-            description_size: components of the description of a task, for a policy that is told.
+            description_size: components of the description of a task, for an oracle.
         """
 
     @abstractmethod
@@ -173,6 +174,10 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:
         """Return the number of meta-iterations that lie behind a state."""
+
+    def metrics(self, info: Info) -> Any:
+        """Return what is logged of a meta-iteration: scalars, named by their path in the tree."""
+        return info
 
     def slots(self) -> tuple[Any, ...]:
         """Return what tells this method from others; all other settings are free."""

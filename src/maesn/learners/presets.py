@@ -11,8 +11,8 @@ from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
+from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
-from maesn.learners.recurrent.policy_steps import TrustRegionStep
 from maesn.learners.wrappers.bonus import BonusMetaLearner
 from maesn.numerics.trust_region import TrustRegion
 
@@ -121,7 +121,7 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
 
 
 def oracle(**settings: Any) -> GradientMetaLearner:
-    """The oracle: a policy that is told the task, the ceiling of all others.
+    """The oracle: a policy that is given the task, the ceiling of all others.
 
     Updates change nothing: its curve in a new task is flat. In training it plays as
     many episodes per meta-iteration as MAESN and learns from all of them, by the same outer step,
@@ -142,7 +142,7 @@ def _fill(settings: dict[str, Any], **defaults: Any) -> GradientMetaLearner:
 
 
 def rl2(**settings: Any) -> RecurrentMetaLearner:
-    """RL2: a policy with memory, trained by PPO on trials of two episodes (Duan et al. 2016).
+    """RL2: a recurrent policy, trained by PPO on trials of two episodes (Duan et al. 2016).
 
     The paper gives no settings for it. Clip 0.2, lambda 0.95, discount 0.99 and 64 units are those
     of garage's RL2; docs/methods/rl2.md says where the others are from.
@@ -171,15 +171,15 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
 }
 
 
-def _curious(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
+def _with_bonus(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
     return lambda **settings: BonusMetaLearner(preset(**settings))
 
 
 BONUS_SUFFIX = "+curiosity"
-"""What is appended to the name of a method that is paid for what it finds out."""
+"""What is appended to the name of a method with a curiosity bonus."""
 
-METHODS = PRESETS | {name + BONUS_SUFFIX: _curious(preset) for name, preset in PRESETS.items()}
-"""Every preset, and every preset with curiosity."""
+METHODS = PRESETS | {name + BONUS_SUFFIX: _with_bonus(preset) for name, preset in PRESETS.items()}
+"""Every preset, without and with a curiosity bonus."""
 
 
 def method_name(learner: AbstractMetaLearner[Any, Any]) -> str:

@@ -1,4 +1,4 @@
-"""A network with memory: encoder, gated recurrent units, readout."""
+"""A recurrent network: encoder, gated recurrent units, readout."""
 
 import equinox as eqx
 import jax
@@ -17,7 +17,7 @@ OUTPUT_SCALE = 0.01
 class RecurrentNetwork(eqx.Module):
     """y = readout([e, h']), h' = gru(e, h), e = encoder(x).
 
-    The readout sees the present input beside the memory, so that reacting need not go through it.
+    The readout sees the present input beside h': a reaction to it need not go through h'.
     """
 
     encoder: tuple[Linear, ...]
@@ -45,8 +45,8 @@ class RecurrentNetwork(eqx.Module):
     ) -> tuple[Float[Array, "time outputs"], Float[Array, " hidden"]]:
         """Return y of every step, and the last h'; where `valid` is false, h is kept."""
         encoded = jax.vmap(self._encode)(x)
-        remembered, last = self.gru.unroll(encoded, valid, hidden)
-        return jax.vmap(self.readout)(jnp.concatenate([encoded, remembered], axis=-1)), last
+        states, last = self.gru.unroll(encoded, valid, hidden)
+        return jax.vmap(self.readout)(jnp.concatenate([encoded, states], axis=-1)), last
 
     def _encode(self, x: Float[Array, " inputs"]) -> Float[Array, " encoded"]:
         for layer in self.encoder:

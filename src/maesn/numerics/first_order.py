@@ -1,4 +1,4 @@
-"""One step of an optimiser from Optax, and what to do with steps that end beyond all numbers."""
+"""One step of an optimiser from Optax, and what to do with steps that are not finite."""
 
 from typing import TypeVar
 
@@ -15,21 +15,21 @@ def first_order_step(
     optimizer: optax.GradientTransformation,
     parameters: Parameters,
     gradient: Parameters,
-    memory: optax.OptState,
+    opt_state: optax.OptState,
 ) -> tuple[Parameters, optax.OptState]:
-    """Return moved parameters, and what the optimiser remembers of the step.
+    """Return moved parameters, and the optimiser's next state.
 
     Args:
         optimizer: from Optax.
         parameters: where to start.
         gradient: of what is minimised.
-        memory: of the steps before; `optimizer.init(parameters)` at first.
+        opt_state: of the optimiser; `optimizer.init(parameters)` at first.
     """
     # Optax raises floats to integer powers, which strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"):
-        change, memory = optimizer.update(gradient, memory, parameters)
+        change, opt_state = optimizer.update(gradient, opt_state, parameters)
         moved = optax.apply_updates(parameters, change)
-    return moved, memory
+    return moved, opt_state
 
 
 def if_finite(new: Improved, old: Improved) -> tuple[Improved, Bool[Array, ""]]:

@@ -47,7 +47,7 @@ class MinibatchDescent(eqx.Module):
         self,
         key: PRNGKeyArray,
         parameters: Parameters,
-        state: optax.OptState,
+        opt_state: optax.OptState,
         loss: Callable[[Parameters, Any], tuple[Float[Array, ""], Auxiliary]],
         data: Any,
     ) -> tuple[Parameters, optax.OptState, Auxiliary]:
@@ -56,7 +56,7 @@ class MinibatchDescent(eqx.Module):
         Args:
             key: draws the minibatches.
             parameters: where to start.
-            state: of `init` or of an earlier run.
+            opt_state: of `init` or of an earlier run.
             loss: of parameters and a minibatch; returns with it what else is to be known.
             data: a pytree whose arrays have a common leading axis of samples.
 
@@ -76,20 +76,20 @@ class MinibatchDescent(eqx.Module):
         def step(
             now: tuple[Parameters, optax.OptState], rows: Array
         ) -> tuple[tuple[Parameters, optax.OptState], Auxiliary]:
-            varied, memory = now
+            varied, opt_state = now
             slopes, extras = gradient(varied, jax.tree.map(lambda x: x[rows], data))
-            return first_order_step(transformation, varied, slopes, memory), extras
+            return first_order_step(transformation, varied, slopes, opt_state), extras
 
         def shuffled(epoch_key: PRNGKeyArray) -> Array:
             order = jax.random.permutation(epoch_key, samples)[: size * self.minibatches]
             return order.reshape(self.minibatches, size)
 
         rows = jax.vmap(shuffled)(jax.random.split(key, self.epochs))
-        (parameters, state), extras = jax.lax.scan(
-            step, (parameters, state), rows.reshape(-1, size)
+        (parameters, opt_state), extras = jax.lax.scan(
+            step, (parameters, opt_state), rows.reshape(-1, size)
         )
         last = jax.tree.map(lambda x: jnp.mean(x[-self.minibatches :], axis=0), extras)
-        return parameters, state, last
+        return parameters, opt_state, last
 
     def _transformation(self) -> optax.GradientTransformation:
         return optax.chain(

@@ -18,8 +18,8 @@ Vector = Float[Array, " parameter"]
 CURVATURE_EPSILON = 1e-8
 
 
-class Evaluation(NamedTuple):
-    """Outcome of one candidate."""
+class Candidate(NamedTuple):
+    """What is known of candidate parameters."""
 
     loss: Float[Array, ""]
     kl: Float[Array, ""]
@@ -77,7 +77,8 @@ class TrustRegion(eqx.Module):
     def step(
         self,
         parameters: Parameters,
-        evaluate: Callable[[Parameters], Evaluation],
+        evaluate: Callable[[Parameters], Candidate],
+        loss_and_gradient: Callable[[Parameters], tuple[Float[Array, ""], Parameters]],
         distribution: Callable[[Parameters], AbstractDistribution],
         weight: Float[Array, "*batch"],
     ) -> tuple[Parameters, TrustRegionInfo]:
@@ -85,12 +86,14 @@ class TrustRegion(eqx.Module):
 
         Args:
             parameters: where to start.
-            evaluate: loss and KL to the distributions at `parameters`.
+            evaluate: loss and KL to the distributions at `parameters`; it is not differentiated.
+            loss_and_gradient: the same loss, and its gradient.
             distribution: action distributions `[*batch, action]` that the curvature is taken of.
             weight: weight of each of them in the mean KL; sums to 1.
         """
         flat, unravel = ravel_pytree(parameters)
-        before, gradient = jax.value_and_grad(lambda x: evaluate(unravel(x)).loss)(flat)
+        before, slopes = loss_and_gradient(parameters)
+        gradient = ravel_pytree(slopes)[0]
         product = self._curvature(lambda x: distribution(unravel(x)), flat, weight)
         solution = conjugate_gradient(product, -gradient, self.cg_steps)
         direction = solution.solution
@@ -101,8 +104,8 @@ class TrustRegion(eqx.Module):
             accepted=search.accepted,
             backtracks=search.candidate - 1,
             loss_before=before,
-            loss_after=jnp.where(search.accepted, search.evaluation.loss, before),
-            kl=jnp.where(search.accepted, search.evaluation.kl, 0.0),
+            loss_after=jnp.where(search.accepted, search.found.loss, before),
+            kl=jnp.where(search.accepted, search.found.kl, 0.0),
             gradient_norm=jnp.linalg.norm(gradient),
             residual_norm=solution.residual_norm,
         )
@@ -133,7 +136,7 @@ class TrustRegion(eqx.Module):
 
     def _search(
         self,
-        evaluate: Callable[[Vector], Evaluation],
+        evaluate: Callable[[Vector], Candidate],
         flat: Vector,
         longest: Vector,
         loss_before: Float[Array, ""],
@@ -144,13 +147,13 @@ class TrustRegion(eqx.Module):
             return ~search.accepted & (search.candidate < self.max_backtracks)
 
         def try_next(search: _Search) -> _Search:
-            candidate = evaluate(flat + self._length(search.candidate) * longest)
+            found = evaluate(flat + self._length(search.candidate) * longest)
             # False for NaN, so a broken candidate is never accepted.
-            accepted = (candidate.loss < loss_before) & (candidate.kl < self.max_kl)
-            accepted &= jnp.isfinite(candidate.loss)
-            return _Search(search.candidate + 1, accepted, candidate)
+            accepted = (found.loss < loss_before) & (found.kl < self.max_kl)
+            accepted &= jnp.isfinite(found.loss)
+            return _Search(search.candidate + 1, accepted, found)
 
-        nothing = Evaluation(loss_before, jnp.zeros_like(loss_before))
+        nothing = Candidate(loss_before, jnp.zeros_like(loss_before))
         start = _Search(jnp.zeros((), int), jnp.zeros((), bool), nothing)
         return jax.lax.while_loop(is_open, try_next, start)
 
@@ -161,5 +164,5 @@ class _Search(NamedTuple):
     candidate: Int[Array, ""]
     """Number of candidates that were tried."""
     accepted: Bool[Array, ""]
-    evaluation: Evaluation
-    """Of the last candidate."""
+    found: Candidate
+    """The last of them."""

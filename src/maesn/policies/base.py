@@ -8,17 +8,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import ActionKind, Carry, Key, ObservedReward
+from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.numerics import AbstractDistribution
 
 
 class PolicyInput(NamedTuple):
     """What a policy may base its action on, at one step or at many.
 
-    Feed-forward policies read the observation alone. The rest is what a policy with memory needs
-    to learn from its own experience (RL2), and it costs nothing where it is not read. At the start
-    of an episode, action and reward are those of the episode before in the same trial; 0 in the
-    first one.
+    Feed-forward policies read the observation alone. A recurrent policy needs the rest to learn
+    from its own experience (RL2). At the start of an episode, action and reward are the last ones
+    of the episode before in the same trial, and 0 in the first episode of a trial.
     """
 
     observation: Float[Array, "*steps observation"]
@@ -28,17 +27,17 @@ class PolicyInput(NamedTuple):
 
 
 class AbstractPolicy(eqx.Module):
-    """A policy pi(a | input, context): arrays only."""
+    """A policy pi(a | input, z): arrays only."""
 
     @abstractmethod
     def __call__(
-        self, policy_input: PolicyInput, context: Float[Array, " context"], carry: Carry
-    ) -> tuple[AbstractDistribution, Carry]:
-        """Return the distribution of the action at one step, and the new memory."""
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[AbstractDistribution, RecurrentState]:
+        """Return the distribution of the action at one step, and the next recurrent state."""
 
     @abstractmethod
-    def initial_recurrent_state(self) -> Carry:
-        """Return the memory at the start of a trial; `None` for a policy without one."""
+    def initial_recurrent_state(self) -> RecurrentState:
+        """Return the state at the start of a trial; `None` for a policy that is not recurrent."""
 
     @property
     def action_kind(self) -> ActionKind:
@@ -50,34 +49,34 @@ class AbstractPolicy(eqx.Module):
 
     @property
     def observed_reward(self) -> ObservedReward:
-        """Which reward the policy is shown as the previous one."""
-        return "paid"
+        """Which reward the policy receives as the previous one."""
+        return "own"
 
     def unroll(
         self,
         inputs: PolicyInput,
         valid: Bool[Array, "episode time"],
-        context: Float[Array, "episode context"],
-        carry: Carry,
-    ) -> tuple[AbstractDistribution, Carry]:
-        """Return the distributions along episodes, `[episode time]`, and the memory after each.
+        z: Float[Array, "episode z"],
+        recurrent_state: RecurrentState,
+    ) -> tuple[AbstractDistribution, RecurrentState]:
+        """Return the distributions along episodes, `[episode time]`, and the states after them.
 
-        The same as calling the policy step by step. A policy without memory needs no more than
-        this; one with memory overrides it.
+        The same as calling the policy step by step. Recurrent policies override it.
 
         Args:
             inputs: of every step, with leading axes `episode time`. Must be finite where invalid,
                 too.
-            valid: where it is false, the memory is kept as it is.
-            context: what the policy is fed throughout each episode.
-            carry: memory before the first step of each episode.
+            valid: where it is false, the recurrent state stays as it is.
+            z: what the policy is fed throughout each episode.
+            recurrent_state: before the first step of each episode.
         """
         # All steps along one axis: XLA would copy activations before it sums a weight's gradient
         # over two, and take half as long again for that product.
         steps = jax.tree.map(lambda x: x.reshape(valid.size, *x.shape[2:]), inputs)
-        fed = jnp.repeat(context, valid.shape[1], axis=0)
-        asked = jax.vmap(lambda policy_input, z: self(policy_input, z, None)[0])(steps, fed)
-        return jax.tree.map(lambda x: x.reshape(*valid.shape, *x.shape[1:]), asked), carry
+        fed = jnp.repeat(z, valid.shape[1], axis=0)
+        flat = jax.vmap(lambda step, z: self(step, z, None)[0])(steps, fed)
+        along = jax.tree.map(lambda x: x.reshape(*valid.shape, *x.shape[1:]), flat)
+        return along, recurrent_state
 
 
 class AbstractPolicySettings(eqx.Module):
@@ -85,15 +84,14 @@ class AbstractPolicySettings(eqx.Module):
 
     @property
     def is_recurrent(self) -> bool:
-        """Whether the policy remembers earlier steps."""
+        """Whether an action depends on earlier steps as well, through a recurrent state."""
         return False
 
     def for_actions(self, kind: ActionKind) -> "AbstractPolicySettings":
         """Return the settings of such a policy for actions of a kind.
 
-        Only what was not said otherwise is changed. A policy of choices stays one, and so does one
-        with a standard deviation of its own, which choices do not have: whoever plays them where
-        that does not fit refuses them by name.
+        Explicit settings stay: a policy of choices, or an `initial_std` of the caller's own, which
+        choices do not have. The collector refuses a policy that does not fit its environment.
 
         Args:
             kind: of the actions that are needed.
@@ -102,6 +100,6 @@ class AbstractPolicySettings(eqx.Module):
 
     @abstractmethod
     def init(
-        self, key: Key, observation_size: int, action_size: int, context_size: int
+        self, key: Key, observation_size: int, action_size: int, z_size: int
     ) -> AbstractPolicy:
         """Return freshly initialised weights."""

@@ -3,10 +3,11 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Carry, Key
+from maesn.axes import ActionKind, Key, RecurrentState
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import Categorical
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
+from maesn.policies.heads import CategoricalHead
 
 
 class CategoricalMLPPolicy(AbstractPolicy):
@@ -15,11 +16,12 @@ class CategoricalMLPPolicy(AbstractPolicy):
     mlp: MLP
 
     def __call__(
-        self, policy_input: PolicyInput, context: Float[Array, " context"], carry: Carry
-    ) -> tuple[Categorical, Carry]:
-        return Categorical(self.mlp(jnp.concatenate([policy_input.observation, context]))), carry
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[Categorical, RecurrentState]:
+        logits = self.mlp(jnp.concatenate([policy_input.observation, z]))
+        return CategoricalHead()(logits), recurrent_state
 
-    def initial_recurrent_state(self) -> Carry:
+    def initial_recurrent_state(self) -> RecurrentState:
         return None
 
     @property
@@ -38,7 +40,7 @@ class CategoricalMLP(AbstractPolicySettings):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, context_size: int
+        self, key: Key, observation_size: int, action_size: int, z_size: int
     ) -> CategoricalMLPPolicy:
-        sizes = (observation_size + context_size, *self.hidden_sizes, action_size)
+        sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
         return CategoricalMLPPolicy(init_mlp(key, sizes))

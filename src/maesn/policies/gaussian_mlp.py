@@ -1,18 +1,14 @@
 """The feed-forward Gaussian policy of the paper's appendix."""
 
-import math
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Carry, Key
+from maesn.axes import ActionKind, Key, RecurrentState
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
 from maesn.policies.categorical_mlp import CategoricalMLP
-
-# Floor of the action's standard deviation, from the reference's policy.
-MINIMUM_STD = 1e-6
+from maesn.policies.heads import GaussianHead, initial_log_std
 
 
 class GaussianMLPPolicy(AbstractPolicy):
@@ -22,12 +18,12 @@ class GaussianMLPPolicy(AbstractPolicy):
     log_std: Float[Array, "*batch action"]
 
     def __call__(
-        self, policy_input: PolicyInput, context: Float[Array, " context"], carry: Carry
-    ) -> tuple[DiagonalGaussian, Carry]:
-        mean = self.mlp(jnp.concatenate([policy_input.observation, context]))
-        return DiagonalGaussian(mean, jnp.maximum(self.log_std, math.log(MINIMUM_STD))), carry
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[DiagonalGaussian, RecurrentState]:
+        mean = self.mlp(jnp.concatenate([policy_input.observation, z]))
+        return GaussianHead(self.log_std)(mean), recurrent_state
 
-    def initial_recurrent_state(self) -> Carry:
+    def initial_recurrent_state(self) -> RecurrentState:
         return None
 
 
@@ -51,8 +47,8 @@ class GaussianMLP(AbstractPolicySettings):
         return CategoricalMLP(self.hidden_sizes)
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, context_size: int
+        self, key: Key, observation_size: int, action_size: int, z_size: int
     ) -> GaussianMLPPolicy:
-        sizes = (observation_size + context_size, *self.hidden_sizes, action_size)
-        log_std = jnp.full(action_size, math.log(self.initial_std), dtype=float)
+        sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
+        log_std = initial_log_std(action_size, self.initial_std)
         return GaussianMLPPolicy(init_mlp(key, sizes), log_std)

@@ -9,7 +9,9 @@ from jaxtyping import Array, Float
 
 from maesn.axes import ActionKind
 from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
-from maesn.policies.gaussian_mlp import MINIMUM_STD
+
+# Least standard deviation of an action, from the reference's policy.
+MINIMUM_STD = 1e-6
 
 
 class AbstractHead(eqx.Module):
@@ -59,4 +61,9 @@ def make_head(action_kind: ActionKind, action_size: int, initial_std: float) -> 
     """
     if action_kind == "discrete":
         return CategoricalHead()
-    return GaussianHead(jnp.full(action_size, math.log(initial_std), dtype=float))
+    return GaussianHead(initial_log_std(action_size, initial_std))
+
+
+def initial_log_std(action_size: int, initial_std: float) -> Float[Array, " action"]:
+    """Return the `log_std` of a Gaussian policy that has learned nothing yet."""
+    return jnp.full(action_size, math.log(initial_std), dtype=float)

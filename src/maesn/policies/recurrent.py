@@ -1,4 +1,4 @@
-"""Policies that learn by remembering: RL2 (Duan et al. 2016, section 2.2)."""
+"""Recurrent policies: RL2 (Duan et al. 2016, section 2.2)."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import ActionKind, Carry, Key, ObservedReward
+from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import AbstractDistribution
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
@@ -18,8 +18,8 @@ from maesn.settings import check_choice
 class RecurrentPolicy(AbstractPolicy):
     """pi(a_t | x_0 ... x_t, z) with x_t = (o_t, a_{t-1}, r_{t-1}, start_t).
 
-    The memory h summarises all that was seen, done and paid since the trial began. The network is
-    that of `RecurrentNetwork`, its outputs are the means of a Gaussian or the logits of a choice.
+    The recurrent state summarises observations, actions and rewards since the trial began. The
+    outputs of the network are the means of a Gaussian or the logits of a choice.
     """
 
     network: RecurrentNetwork
@@ -27,10 +27,10 @@ class RecurrentPolicy(AbstractPolicy):
     observed: ObservedReward = eqx.field(static=True)
 
     def __call__(
-        self, policy_input: PolicyInput, context: Float[Array, " context"], carry: Carry
-    ) -> tuple[AbstractDistribution, Carry]:
-        outputs, carry = self.network(input_features(policy_input, context), carry)
-        return self.head(outputs), carry
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[AbstractDistribution, RecurrentState]:
+        outputs, after = self.network(input_features(policy_input, z), recurrent_state)
+        return self.head(outputs), after
 
     def initial_recurrent_state(self) -> Float[Array, " hidden"]:
         return self.network.initial_recurrent_state()
@@ -47,13 +47,13 @@ class RecurrentPolicy(AbstractPolicy):
         self,
         inputs: PolicyInput,
         valid: Bool[Array, "episode time"],
-        context: Float[Array, "episode context"],
-        carry: Carry,
-    ) -> tuple[AbstractDistribution, Carry]:
+        z: Float[Array, "episode z"],
+        recurrent_state: RecurrentState,
+    ) -> tuple[AbstractDistribution, RecurrentState]:
         along_time = jax.vmap(input_features, in_axes=(0, None))
-        features = jax.vmap(along_time)(inputs, context)
-        outputs, carry = jax.vmap(self.network.unroll)(features, valid, carry)
-        return jax.vmap(jax.vmap(self.head))(outputs), carry
+        features = jax.vmap(along_time)(inputs, z)
+        outputs, after = jax.vmap(self.network.unroll)(features, valid, recurrent_state)
+        return jax.vmap(jax.vmap(self.head))(outputs), after
 
 
 class Recurrent(AbstractPolicySettings):
@@ -62,16 +62,16 @@ class Recurrent(AbstractPolicySettings):
     action_kind: ActionKind = "continuous"
     """Real numbers, or choices."""
     encoder_sizes: tuple[int, ...] = ()
-    """Widths of rectified linear layers before the memory."""
+    """Widths of rectified linear layers before the recurrent layer."""
     hidden_size: int = 64
-    """Components of the memory. garage's RL2: 64."""
+    """Components of the recurrent state. garage's RL2: 64."""
     readout_sizes: tuple[int, ...] = ()
-    """Widths of the hidden layers behind the memory. RL2 paper: none."""
+    """Widths of the hidden layers behind the recurrent layer. RL2 paper: none."""
     initial_std: float = 1.0
     """Standard deviation of continuous actions at the start."""
-    observed_reward: ObservedReward = "paid"
-    """Which reward the policy is shown: `paid` for the one that it is paid, which is that of the
-    paper (dense in training, sparse in new tasks), or `sparse` for the sparse one in both."""
+    observed_reward: ObservedReward = "own"
+    """Which reward the policy receives: `own` for the reward of the world that it plays in, as in
+    the paper (dense in training, sparse in new tasks), or `sparse` for the sparse one in both."""
 
     def __check_init__(self) -> None:
         for name in ("encoder_sizes", "readout_sizes"):
@@ -94,11 +94,11 @@ class Recurrent(AbstractPolicySettings):
         return replace(self, action_kind=kind)
 
     def init(
-        self, key: Key, observation_size: int, action_size: int, context_size: int
+        self, key: Key, observation_size: int, action_size: int, z_size: int
     ) -> RecurrentPolicy:
         network = init_recurrent_network(
             key,
-            input_size(observation_size, action_size, context_size),
+            input_size(observation_size, action_size, z_size),
             action_size,
             encoder_sizes=self.encoder_sizes,
             hidden_size=self.hidden_size,
@@ -108,16 +108,14 @@ class Recurrent(AbstractPolicySettings):
         return RecurrentPolicy(network, head, self.observed_reward)
 
 
-def input_size(observation_size: int, action_size: int, context_size: int = 0) -> int:
+def input_size(observation_size: int, action_size: int, z_size: int = 0) -> int:
     """Return the number of components of `input_features`."""
-    return observation_size + action_size + 2 + context_size
+    return observation_size + action_size + 2 + z_size
 
 
-def input_features(
-    policy_input: PolicyInput, context: Float[Array, " context"]
-) -> Float[Array, " inputs"]:
+def input_features(policy_input: PolicyInput, z: Float[Array, " z"]) -> Float[Array, " inputs"]:
     """Return [o_t, a_{t-1}, r_{t-1}, start_t, z] of one step."""
-    scalars = [policy_input.previous_reward, policy_input.episode_start.astype(context.dtype)]
+    scalars = [policy_input.previous_reward, policy_input.episode_start.astype(z.dtype)]
     return jnp.concatenate(
-        [policy_input.observation, policy_input.previous_action, jnp.stack(scalars), context]
+        [policy_input.observation, policy_input.previous_action, jnp.stack(scalars), z]
     )

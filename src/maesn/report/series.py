@@ -13,8 +13,6 @@ from maesn.storage import RunError
 
 # What decides whether returns can be compared at all.
 _WORLD = ("family", "variant", "sparse_radius", "engine")
-# Settings that are written only where they are not what they always were before they existed.
-_UNWRITTEN = {"engine": "native"}
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -47,7 +45,7 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
     """
     worlds: defaultdict[tuple[str, ...], list[RecordedRun]] = defaultdict(list)
     for run in runs:
-        settings = {**_UNWRITTEN, **run.settings}
+        settings = run.settings
         worlds[tuple(_text(settings.get(name)) for name in _WORLD)].append(run)
     named: dict[str, list[RecordedRun]] = {}
     for world, members in worlds.items():

@@ -14,7 +14,7 @@ import hashlib
 import json
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -139,8 +139,10 @@ class CheckpointStore:
     """The checkpoints of one run."""
 
     directory: Path
-    identity: Mapping[str, str]
+    names: Mapping[str, str]
     """What all of them must agree with: kind of thing -> its name or digest."""
+    configs: Sequence[str]
+    """Digests of the run's configuration, today's first; each checkpoint states one of them."""
 
     def paths(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
@@ -159,7 +161,8 @@ class CheckpointStore:
             "iteration": str(checkpoint.iteration),
             "environment_steps": str(checkpoint.environment_steps),
         }
-        save_checkpoint(path, checkpoint.state, {**self.identity, **counts})
+        stated = {**self.names, "config": self.configs[0], **counts}
+        save_checkpoint(path, checkpoint.state, stated)
         return path
 
     def load(self, path: Path, like: Any) -> Checkpoint:
@@ -174,12 +177,18 @@ class CheckpointStore:
             MismatchError: it belongs to something else.
         """
         values, metadata = read_checkpoint(path)
-        for kind, wanted in self.identity.items():
+        for kind, wanted in self.names.items():
             if metadata.get(kind) != wanted:
                 raise MismatchError(
                     f"`{path}` is a checkpoint for the {kind} `{metadata.get(kind)}`, but this "
                     f"run's {kind} is `{wanted}`: use it with the run that made it."
                 )
+        if metadata.get("config") not in self.configs:
+            raise MismatchError(
+                f"`{path}` was written with another `config.json` than the one of this run: use it "
+                "with the run that made it, or restore that file. (`maesn resume RUN --change "
+                "NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
+            )
         state = restore(like, values, path)
         return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 

@@ -1,4 +1,8 @@
-"""`config.json`: everything that is needed to rebuild a run, as numbers and names."""
+"""`config.json`: everything that is needed to rebuild a run, as numbers and names.
+
+The file holds a digest of all that it says, and so does every checkpoint. A file that was changed
+by hand is noticed; `maesn.runs.changes` changes one on purpose.
+"""
 
 import dataclasses
 import importlib.metadata
@@ -8,26 +12,22 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.envs import AnyEnv, RewardKind, TaskFamily, TaskSet, Variant
+from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
 from maesn.learners import AbstractMetaLearner
-from maesn.runs.serialization import fields_from_json, fields_to_json, from_json, to_json
-from maesn.settings import added_later
-from maesn.storage import RunError, read_json, write_json
+from maesn.runs.serialization import (
+    digest_of_document,
+    fields_from_json,
+    fields_to_json,
+    from_json,
+    to_json,
+)
+from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
-SCHEMA = 1
+SCHEMA = 2
 
 CONFIG = "config.json"
-
-_ENTRIES = {
-    "settings": dict,
-    "learner": dict,
-    "family": str,
-    "task_digest": str,
-    "engine": str,
-    "versions": dict,
-}
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
 # Engine -> the packages that it needs beside those.
@@ -48,7 +48,8 @@ class RunSettings:
     reward: RewardKind = "dense"
     """Reward in training. The paper trains on dense reward and adapts to sparse."""
     sparse_radius: float | None = None
-    """Metres around the goal in which sparse reward tells the distance; None: the family's own."""
+    """Metres around the goal in which sparse reward depends on the distance; None: the family's
+    own."""
     tasks: str = "training"
     """Tasks to train on: training, validation, test, ood, or the path of an `.npz` file."""
     seed: int = 0
@@ -61,7 +62,7 @@ class RunSettings:
     """Iterations between two checkpoints; one more is written at the end and on Ctrl-C."""
     num_threads: int = 0
     """Threads of the physics engine; 0: one for each CPU."""
-    engine: EngineName = added_later("native")
+    engine: EngineName = "native"
     """native: MuJoCo on the CPU, and whatever moves other families. mjx: MuJoCo on the accelerator,
     for families on a MuJoCo model."""
 
@@ -89,8 +90,20 @@ class RunSettings:
 
     @property
     def family_option(self) -> str:
-        """What commands that go on with the run need to be told of its family."""
+        """The option that commands need which go on with a run of the user's own family."""
         return f" --family {self.own_family}" if self.own_family else ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """A deliberate change of a run that had begun."""
+
+    iteration: int
+    """Iterations that were done before it."""
+    changed: dict[str, Any]
+    """Name of a setting -> its new value."""
+    digest: str
+    """Of the configuration before it: earlier checkpoints state this one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,12 +114,30 @@ class RunConfig:
     learner: AbstractMetaLearner[Any, Any]
     family: str
     """The family's own name, by which it is found again."""
+    world: EnvRecord
+    """The environment of training; see `maesn.envs.recorded.describe_env`."""
     task_digest: str
     """Digest of the training tasks."""
     engine: str
     """What moves the world."""
     versions: dict[str, str]
     """Of Python and of the packages that took part."""
+    changes: tuple[Change, ...] = ()
+    """What was changed since the run began, the earliest first."""
+    provenance: dict[str, str] = dataclasses.field(default_factory=dict)
+    """Where a policy comes from that comes with the library: command and commit."""
+
+    def document(self) -> dict[str, Any]:
+        """Return all of it but its digest, as JSON values."""
+        return {"schema": SCHEMA, **fields_to_json(self)}
+
+    def digest(self) -> str:
+        """Return a hexadecimal hash of all of it: equal if and only if it is."""
+        return digest_of_document(self.document())
+
+    def digests(self) -> tuple[str, ...]:
+        """Return the hashes that a checkpoint of the run may state: today's and earlier ones."""
+        return (self.digest(), *(change.digest for change in self.changes))
 
 
 def new_config(
@@ -120,20 +151,17 @@ def new_config(
     Raises:
         RunError: the learner cannot be stored, or the engine cannot move the family.
     """
-    try:
+    env = make_env(family, settings)
+    with refusals():
         # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
         stored = from_json(to_json(learner))
-    except ValueError as error:
-        raise RunError(str(error)) from error
+        engine = engine_of(env, settings.engine)
     assert isinstance(stored, AbstractMetaLearner)
-    try:
-        engine = engine_of(make_env(family, settings), settings.engine)
-    except ValueError as error:
-        raise RunError(str(error)) from error
     return RunConfig(
         settings=settings,
         learner=stored,
         family=family.name,
+        world=describe_env(env),
         task_digest=tasks.digest(),
         engine=engine,
         versions=installed_versions(engine),
@@ -143,12 +171,12 @@ def new_config(
 def make_env(
     family: TaskFamily, settings: RunSettings, reward_kind: RewardKind | None = None
 ) -> AnyEnv:
-    """Return the environment that the settings ask for.
+    """Return the environment that settings ask for; an existing run has its own, `Run.env`.
 
     Args:
         family: whose environment.
-        settings: of the run.
-        reward_kind: dense or sparse; None for that of training.
+        settings: of a run that is yet to begin.
+        reward_kind: dense or sparse; None for what the settings say.
 
     Raises:
         RunError: the environment cannot have these settings, or cannot be learned in.
@@ -159,10 +187,8 @@ def make_env(
     }
     if settings.sparse_radius is not None:
         options["sparse_radius"] = settings.sparse_radius
-    try:
+    with refusals():
         return family.make_env(**options)
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def installed_versions(engine: str) -> dict[str, str]:
@@ -180,25 +206,16 @@ def write_config(directory: Path, config: RunConfig) -> None:
     """Write `config.json`.
 
     Raises:
-        RunError: the file cannot be written.
+        RunError: the file cannot be written, or a number is not finite.
     """
-    document = {
-        "schema": SCHEMA,
-        "settings": fields_to_json(config.settings),
-        "learner": to_json(config.learner),
-        "family": config.family,
-        "task_digest": config.task_digest,
-        "engine": config.engine,
-        "versions": config.versions,
-    }
-    write_json(directory / CONFIG, document)
+    write_json(directory / CONFIG, config.document() | {"digest": config.digest()})
 
 
 def read_config(directory: Path) -> RunConfig:
     """Read `config.json`.
 
     Raises:
-        RunError: the file is missing or not what `write_config` writes.
+        RunError: the file is missing, was changed by hand, or is not what `write_config` writes.
     """
     path = directory / CONFIG
     if not path.is_file():
@@ -212,25 +229,12 @@ def read_config(directory: Path) -> RunConfig:
             f"`{path}` has schema {document.get('schema')!r}, but this version of maesn reads "
             f"schema {SCHEMA}: install the version that made the run."
         )
-    try:
-        return _parse(document)
-    except ValueError as error:
-        raise RunError(f"`{path}` cannot be understood: {error}") from error
-
-
-def _parse(document: dict[str, Any]) -> RunConfig:
-    for name, kind in _ENTRIES.items():
-        found = document.get(name)
-        if not isinstance(found, kind):
-            raise ValueError(f"`{name}` must be of type {kind.__name__}, got {found!r}.")
-    learner = from_json(document["learner"])
-    if not isinstance(learner, AbstractMetaLearner):
-        raise ValueError(f"`learner` must be a meta-learner, got {type(learner).__name__}.")
-    return RunConfig(
-        settings=fields_from_json(RunSettings, document["settings"]),
-        learner=learner,
-        family=document["family"],
-        task_digest=document["task_digest"],
-        engine=document["engine"],
-        versions={name: str(version) for name, version in document["versions"].items()},
-    )
+    if document.pop("digest", None) != digest_of_document(document):
+        raise RunError(
+            f"`{path}` was changed since maesn wrote it: its content does not have the `digest` "
+            f"that it states. Restore it; to change a setting on purpose, use `maesn resume "
+            f"{directory} --change NAME=VALUE`."
+        )
+    del document["schema"]
+    with refusals(f"`{path}` cannot be understood: "):
+        return fields_from_json(RunConfig, document)

@@ -13,7 +13,7 @@ from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
-from maesn.policies.gaussian_mlp import MINIMUM_STD
+from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.storage import Snapshot, write_snapshot
@@ -31,6 +31,7 @@ def export_policy(
     env: AnyEnv,
     path: str | os.PathLike[str],
     description: Mapping[str, str | int | float] | None = None,
+    start: tuple[Latent, int] | None = None,
 ) -> None:
     """Write a fast learner as an `.npz` file of plain arrays.
 
@@ -40,23 +41,29 @@ def export_policy(
         path: of the file; one that exists is replaced.
         description: whatever should be known of the policy on the robot, such as the run and its
             iteration. Family, horizon and control period are added.
+        start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
+            it, which the step sizes go on from; None for the prior.
 
     Raises:
         ValueError: the runtime cannot learn as this learner does, or a number is not finite.
         OSError: the file cannot be written.
     """
-    exported = exported_policy(learner, env, description or {})
+    exported = exported_policy(learner, env, description or {}, start)
     write_snapshot(path, Snapshot(exported, None, Safeguards(), None))
 
 
 def exported_policy(
-    learner: AbstractFastLearner[Any], env: AnyEnv, description: Mapping[str, str | int | float]
+    learner: AbstractFastLearner[Any],
+    env: AnyEnv,
+    description: Mapping[str, str | int | float],
+    start: tuple[Latent, int] | None = None,
 ) -> ExportedPolicy:
     """Return what `export_policy` writes; see there."""
     supported = _supported(learner)
-    policy = _policy(supported)
-    start = _latent(supported.context.start_new(supported.learned_context, 1))
-    size = policy.input_size - start.mean.shape[1]
+    policy, begun = _policy(supported), _start(supported)
+    if start is not None:
+        begun = _adapted(start[0], begun)
+    size = policy.input_size - begun.mean.shape[0]
     if (size, policy.action_size) != (env.observation_size, env.action_size):
         raise ValueError(
             f"`env` must have {size} observations and {policy.action_size} actions as the policy "
@@ -66,7 +73,8 @@ def exported_policy(
     exported = ExportedPolicy(
         policy=policy,
         actuators=probe_actuators(env),
-        start=RuntimeLatent(start.mean[0], start.log_std[0]),
+        start=begun,
+        start_update=0 if start is None else start[1],
         rule=_rule(supported),
         description={
             "family": env.name,
@@ -118,15 +126,15 @@ def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         "the methods `maesn` and `latent_space`"
     )
     if isinstance(learner, BonusFastLearner):
-        raise ValueError(f"`learner` is paid for what it finds out, which needs a model; {advice}.")
+        raise ValueError(f"`learner` has a curiosity bonus, which needs a model; {advice}.")
     if not isinstance(learner, GradientFastLearner):
         raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
-    if not learner.learns_from_reward:
+    if not learner.capabilities.learns_from_reward:
         raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
     if learner.advantage.drifts:
         raise ValueError(
-            "`learner` drifts where all episodes are paid the same, which the runtime does not: "
-            "train it without `advantage.drifts`."
+            "`learner` drifts where all episodes have the same rewards, which the runtime does "
+            "not: train it without `advantage.drifts`."
         )
     if not isinstance(learner.context, LatentContext):
         raise ValueError(
@@ -177,6 +185,22 @@ def _with_normalization(
     return scaled.astype(np.float32), shifted.astype(np.float32)
 
 
+def _adapted(start: Latent, prior: RuntimeLatent) -> RuntimeLatent:
+    found = _latent(start)
+    if found.mean.shape != prior.mean.shape:
+        raise ValueError(
+            f"the latents have {found.mean.size} components, but the policy's z has "
+            f"{prior.mean.size}; give latents to which this run was adapted."
+        )
+    return found
+
+
+def _start(learner: GradientFastLearner) -> RuntimeLatent:
+    """Return the latent that the learner starts a new task from."""
+    start = _latent(learner.context.start_new(learner.context_table, 1))
+    return RuntimeLatent(start.mean[0], start.log_std[0])
+
+
 def _latent(value: object) -> RuntimeLatent:
     assert isinstance(value, Latent)
     return RuntimeLatent(np.asarray(value.mean, np.float64), np.asarray(value.log_std, np.float64))
@@ -188,7 +212,7 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     if step.learned:
         sizes = _latent(learner.step_sizes.context)
     else:
-        fixed = np.full(learner.learned_context.size, float(step.initial_size))
+        fixed = np.full(learner.context_table.size, float(step.initial_size))
         sizes = RuntimeLatent(fixed, fixed)
     scale = float(learner.schedule.scale)
     return LearningRule(

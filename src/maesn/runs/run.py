@@ -1,7 +1,7 @@
 """Run directories: everything about one training run, and nothing that could be executed.
 
 ```
-DIR/config.json      settings, learner, versions, digest of the training tasks
+DIR/config.json      settings, learner, world, versions, digests of the tasks and of all of it
 DIR/tasks.npz        the training tasks, if they are a user's own
 DIR/checkpoints/     iteration-000000.safetensors (untrained), iteration-000010.safetensors, ...
 DIR/metrics.jsonl    one line per iteration, the same whenever the run is repeated
@@ -19,19 +19,18 @@ import equinox as eqx
 import jax
 
 from maesn.axes import Key
-from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet
+from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs.checkpoint import Checkpoint, CheckpointStore
 from maesn.runs.config import (
-    SCHEMA,
     RunConfig,
     RunSettings,
-    make_env,
     new_config,
     read_config,
     write_config,
 )
-from maesn.runs.serialization import digest
+from maesn.runs.log import METRICS
+from maesn.runs.shipped import find_run
 from maesn.runs.starting import (
     check_batch,
     check_env,
@@ -48,7 +47,7 @@ from maesn.runs.task_sources import (
     resolve_family,
     save_tasks,
 )
-from maesn.storage import RunError, new_directory
+from maesn.storage import new_directory, read_json_lines, refusals
 from maesn.worlds import AbstractWorld, EngineName, make_world
 
 CHECKPOINTS = "checkpoints"
@@ -124,29 +123,42 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, directory: str | Path, family: str | TaskFamily | None = None) -> "Run":
-        """Open a run directory. Nothing that stands in it is executed.
+    def open(cls, source: "str | Path | Run", family: str | TaskFamily | None = None) -> "Run":
+        """Open a run. Nothing that stands in its directory is executed.
 
         Args:
-            directory: of an earlier run.
+            source: directory of an earlier run, name of a policy that comes with the library, or a
+                run, which is read again. A directory wins over a policy of the same name.
             family: the run's family, if it is your own: itself, or `module:name`.
 
         Raises:
             RunError: there is no run, or not one that can be understood.
         """
-        directory = Path(directory)
+        if isinstance(source, Run):
+            family = source.family if family is None else family
+            source = source.directory
+        directory = find_run(source)
         config = read_config(directory)
         found = recorded_family(config.family, family)
         tasks = recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         return cls(directory, config, found, tasks)
 
-    def env(self, reward_kind: RewardKind | None = None) -> AnyEnv:
-        """Return the run's environment.
+    def env(
+        self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None
+    ) -> AnyEnv:
+        """Return the run's environment as it was recorded, whatever the family's defaults are now.
 
         Args:
             reward_kind: dense or sparse; None for that of training.
+            sparse_radius: radius of the goal region in metres; None for that of training.
+
+        Raises:
+            RunError: the environment has become another, or cannot have that radius.
         """
-        return make_env(self.family, self.settings, reward_kind)
+        wanted = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
+        overrides = {name: value for name, value in wanted.items() if value is not None}
+        with refusals():
+            return rebuild_env(self.family, self.config.world, **overrides)
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
         """Return tasks of the run's family.
@@ -165,6 +177,8 @@ class Run:
         tasks: TaskSet | None = None,
         reward_kind: RewardKind | None = None,
         engine: EngineName | None = None,
+        sparse_radius: float | None = None,
+        num_threads: int | None = None,
     ) -> AbstractWorld:
         """Return a world to play in.
 
@@ -172,6 +186,8 @@ class Run:
             tasks: None for what this run trains on.
             reward_kind: dense or sparse; None for that of training.
             engine: what moves it; None for the run's own.
+            sparse_radius: radius of the goal region in metres; None for that of training.
+            num_threads: threads of the engine; None for what the run's settings say.
 
         Raises:
             EngineError: the engine is not installed.
@@ -179,10 +195,10 @@ class Run:
         """
         tasks = self.training_tasks if tasks is None else tasks
         engine = self.settings.engine if engine is None else engine
-        try:
-            return make_world(self.env(reward_kind), tasks, self.settings.num_threads, engine)
-        except ValueError as error:
-            raise RunError(str(error)) from error
+        threads = self.settings.num_threads if num_threads is None else num_threads
+        env = self.env(reward_kind, sparse_radius)
+        with refusals():
+            return make_world(env, tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
@@ -194,10 +210,18 @@ class Run:
         Raises:
             RunError: the learner does not fit the tasks.
         """
-        try:
+        with refusals():
             return untrained_state(*self._made_of())
-        except ValueError as error:
-            raise RunError(str(error)) from error
+
+    def metrics(self) -> list[dict[str, Any]]:
+        """Return what training has logged: one dictionary per iteration, name -> number.
+
+        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table.
+
+        Raises:
+            RunError: the file is missing or damaged.
+        """
+        return read_json_lines(self.directory / METRICS)
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
@@ -225,7 +249,7 @@ class Run:
 
         Raises:
             RunError: no checkpoint is sound.
-            MismatchError: the latest sound one belongs to something else than this run.
+            MismatchError: the latest sound one belongs to another run, or to other settings.
         """
         return self._store().latest(self.structure())
 
@@ -234,19 +258,17 @@ class Run:
 
         Raises:
             CheckpointError: it is damaged.
-            MismatchError: it belongs to another schema, family, method, task set or learner.
+            MismatchError: it belongs to another run, or to other settings.
         """
         return self._store().load(Path(path), self.structure())
 
     def _store(self) -> CheckpointStore:
-        identity = {
-            "schema": str(SCHEMA),
+        names = {
             "family": self.config.family,
             "method": self.settings.method,
             "task set": self.config.task_digest,
-            "learner": digest(self.learner),
         }
-        return CheckpointStore(self.directory / CHECKPOINTS, identity)
+        return CheckpointStore(self.directory / CHECKPOINTS, names, self.config.digests())
 
     def structure(self, num_tasks: int | None = None) -> Any:
         """Return the shapes and types of a state, for that many tasks if not for the run's own."""

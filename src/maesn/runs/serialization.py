@@ -28,7 +28,6 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
-from maesn.settings import is_left_out, may_be_missing
 
 Settings = TypeVar("Settings")
 
@@ -99,13 +98,30 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
+    """Return those settings that are not the usual ones: path, as `trust_region.damping`, -> value.
+
+    Args:
+        settings: a dataclass of settings.
+        usual: another one of the same class.
+        prefix: what the paths begin with.
+    """
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(settings):
+        value, other = getattr(settings, field.name), getattr(usual, field.name)
+        if dataclasses.is_dataclass(value) and type(value) is type(other):
+            found |= differing(value, other, f"{prefix}{field.name}.")
+        elif value != other:
+            found[prefix + field.name] = value
+    return found
+
+
 def fields_to_json(settings: Any) -> dict[str, Any]:
     """Return the fields of any dataclass of settings as JSON values."""
     hints = get_type_hints(type(settings))
     return {
         field.name: _encode(getattr(settings, field.name), hints[field.name])
         for field in dataclasses.fields(settings)
-        if not is_left_out(field, getattr(settings, field.name))
     }
 
 
@@ -114,27 +130,21 @@ def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Setti
 
     Args:
         kind: class of the settings.
-        document: exactly the fields of that class; those of `added_later` may be missing.
+        document: exactly the fields of that class.
 
     Raises:
         ValueError: a field is unknown, missing, or of the wrong type.
     """
     hints = get_type_hints(kind)
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    names = [field.name for field in fields]
-    required = {field.name for field in fields if not may_be_missing(field)}
+    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     for complaint, wrong in (
         ("has no field", sorted(document.keys() - set(names))),
-        ("lacks the field", sorted(required - document.keys())),
+        ("lacks the field", sorted(set(names) - document.keys())),
     ):
         if wrong:
             raise ValueError(f"`{kind.__name__}` {complaint} `{wrong[0]}`; it has {names}.")
     return kind(
-        **{
-            name: _decode(document[name], hints[name], f"{kind.__name__}.{name}")
-            for name in names
-            if name in document
-        }
+        **{name: _decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
     )
 
 
@@ -143,6 +153,8 @@ def _encode(value: Any, hint: Any) -> Any:
         return to_json(value)
     if isinstance(value, tuple):
         return [_encode(item, get_args(hint)[0]) for item in value]
+    if dataclasses.is_dataclass(value):
+        return fields_to_json(value)
     # So that 1 and 1.0, which are equal, are the same document.
     return float(value) if _required(hint) is float and value is not None else value
 
@@ -152,15 +164,23 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
 
     Args:
         value: from the document.
-        hint: a number, string, `Literal`, homogeneous tuple, settings, or one of these or None.
+        hint: a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
+            settings, or one of these or None.
         where: `Class.field`, for error messages.
     """
     if value is None and type(None) in get_args(hint):
         return None
     wanted = _required(hint)
+    if wanted is Any:
+        return value
     if get_origin(wanted) is tuple and isinstance(value, list):
         item_hint = get_args(wanted)[0]
         return tuple(_decode(item, item_hint, f"{where}[{i}]") for i, item in enumerate(value))
+    if get_origin(wanted) is dict and isinstance(value, dict):
+        item_hint = get_args(wanted)[1]
+        return {name: _decode(item, item_hint, f"{where}.{name}") for name, item in value.items()}
+    if _is_untagged(wanted) and isinstance(value, dict):
+        return fields_from_json(wanted, value)
     decoded = from_json(value) if isinstance(value, dict) else value
     decoded = float(decoded) if wanted is float and type(decoded) is int else decoded
     if not _fits(decoded, wanted):
@@ -175,6 +195,12 @@ def _required(hint: Any) -> Any:
         return hint
     (inner,) = (argument for argument in get_args(hint) if argument is not type(None))
     return inner
+
+
+def _is_untagged(hint: Any) -> bool:
+    """Whether a field is a dataclass that is written without a tag: its class is known."""
+    is_class = isinstance(hint, type) and dataclasses.is_dataclass(hint)
+    return is_class and not issubclass(hint, eqx.Module)
 
 
 def _fits(value: Any, hint: Any) -> bool:

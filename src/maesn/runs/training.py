@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Int
 
-from maesn.axes import Carry, TaskKeys
+from maesn.axes import TaskKeys
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
@@ -94,9 +94,10 @@ class _Training:
         after = Checkpoint(
             state, before.iteration + 1, before.environment_steps + self._collect.steps
         )
+        metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
-            info={name: float(value) for name, value in named_leaves(jax.device_get(info)).items()},
+            info={name: float(value) for name, value in named_leaves(metrics).items()},
             seconds=seconds,
             compile_seconds=compiling.seconds,
             steps_per_second=self._collect.steps / max(seconds - compiling.seconds, 1e-9),
@@ -177,10 +178,15 @@ class _Counter:
         """See `Collect.num_tasks`."""
         return self._collect.num_tasks
 
+    @property
+    def episodes_per_task(self) -> int:
+        """See `Collect.episodes_per_task`."""
+        return self._collect.episodes_per_task
+
     def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
         """See `Collect`."""
-        episodes = self._collect(keys, agents, task_index, carry)
+        episodes = self._collect(keys, agents, task_index, stage)
         self.steps += int(np.asarray(episodes.valid).sum())
         return episodes

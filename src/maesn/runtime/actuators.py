@@ -30,6 +30,31 @@ class Actuators:
         """Return what is sent for an action, `[action]`."""
         return clipped(self.offset + self.scale * action, self.lower, self.upper)
 
+    def normalized(self, control: FloatArray) -> FloatArray:
+        """Return a control on the scale on which the lower limit is -1 and the upper one 1.
+
+        Raises:
+            ValueError: an actuator lacks a limit.
+        """
+        self.refuse_unlimited()
+        return (control - (self.lower + self.upper) / 2) / ((self.upper - self.lower) / 2)
+
+    def refuse_unlimited(self) -> None:
+        """Refuse actuators without two limits between which a control can be normalised.
+
+        Raises:
+            ValueError: an actuator lacks a limit.
+        """
+        width = self.upper - self.lower
+        lacking = ~((width > 0) & np.isfinite(width))
+        if lacking.any():
+            index = int(np.argmax(lacking))
+            raise ValueError(
+                "`normalized` needs a lower and an upper limit of every actuator, but actuator "
+                f"{index} has the range {self.lower[index]} to {self.upper[index]}: take the "
+                "control in the actuators' units."
+            )
+
     def narrowed(self, lower: FloatArray, upper: FloatArray) -> "Actuators":
         """Return the same map with a range that lies within [lower, upper] as well.
 

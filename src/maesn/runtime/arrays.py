@@ -37,7 +37,7 @@ def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> Float
         index = int(np.argmin(finite))
         raise ValueError(
             f"`{name}` must be finite, but component {index} is {vector[index]}. Nothing was "
-            "recorded: give finite values, or throw the episode away with `discard()`."
+            "recorded: give finite values."
         )
     return vector
 

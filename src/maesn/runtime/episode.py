@@ -2,11 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
+
+Purpose: TypeAlias = Literal["explore", "deploy"]
+"""`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
+only."""
 
 
 @dataclass(frozen=True)
@@ -14,7 +19,7 @@ class Episode:
     """A finished episode of T steps.
 
     Attributes:
-        latent: z, drawn once at the start, `[latent]`.
+        latent: z, the same at all steps, `[latent]`.
         observations: o_t before each action, t in [0, T-1], `[time, observation]`.
         actions: the policy's own, unbounded actions, `[time, action]`.
         controls: what was executed, in the actuators' unit, `[time, action]`.
@@ -38,6 +43,7 @@ class RunningEpisode:
     """The episode that is being played."""
 
     latent: FloatArray
+    purpose: Purpose = "explore"
     observations: list[FloatArray] = field(default_factory=list)
     actions: list[FloatArray] = field(default_factory=list)
     controls: list[FloatArray] = field(default_factory=list)
@@ -81,12 +87,14 @@ class RunningEpisode:
         observation_size: int,
         action_size: int,
         latent_size: int,
+        purpose: Purpose,
     ) -> "RunningEpisode":
         """Return the running episode of a file; raises ValueError if its arrays do not fit."""
         observations = take(arrays, "running.observations", -1, observation_size)
         shape = (observations.shape[0], action_size)
         return RunningEpisode(
             take(arrays, "running.latent", latent_size),
+            purpose,
             list(observations),
             list(take(arrays, "running.actions", *shape)),
             list(take(arrays, "running.controls", *shape)),

@@ -20,9 +20,9 @@ from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
 class Explorer:
     """A fast learner for one task, one episode and one step at a time.
 
-    A new task starts from the prior. At the start of every episode z is drawn from the present
-    latent and kept until its end; `adapt` moves the latent along its policy gradient
-    (section "Using the Latent Spaces for Exploration").
+    A new task starts from the exported latent, usually the prior. At the start of every episode z
+    is drawn from the present latent and kept until the end. `adapt` moves the latent along its
+    policy gradient (section "Using the Latent Spaces for Exploration").
 
     A method that raises has changed nothing: the call can be repeated with better arguments. Not
     to be shared between threads.
@@ -45,7 +45,8 @@ class Explorer:
         self.safeguards = Safeguards() if safeguards is None else safeguards
         self._limiter = Limiter(exported.actuators, self.safeguards)
         self._generator = np.random.default_rng(seed)
-        self._state = ExplorerState(exported.start) if state is None else state
+        new_task = ExplorerState(exported.start, exported.start_update)
+        self._state = new_task if state is None else state
         self._policy = self._conditioned()
 
     @staticmethod
@@ -102,12 +103,12 @@ class Explorer:
 
     @property
     def update(self) -> int:
-        """Number of calls of `adapt` so far."""
+        """Number of updates behind the latent: calls of `adapt`, and those before the export."""
         return self._state.update
 
     @property
     def episodes(self) -> tuple[Episode, ...]:
-        """The episodes finished since the last `adapt`."""
+        """The episodes that the next `adapt` learns from."""
         return self._state.episodes
 
     @property
@@ -115,36 +116,58 @@ class Explorer:
         """Whether an episode has begun and not yet ended."""
         return self._state.running is not None
 
-    def begin_episode(self) -> FloatArray:
-        """Draw the z of a new episode from the present latent.
+    def begin_episode(self, explore: bool = True, z: ArrayLike | None = None) -> FloatArray:
+        """Begin an episode, and fix its z.
+
+        By default z is drawn from the present latent, and `adapt` learns from the episode. An
+        episode with a chosen z is learned from in the same way, by the likelihood of that z under
+        the latent. This is the gradient of the return only where choices follow the latent's
+        distribution, as pairs mean + d and mean - d do. A z far from the mean makes a large step.
+
+        Args:
+            explore: False holds z at the latent's mean, for a robot at work or to judge what it
+                has learned. `adapt` ignores such an episode. Actions are still drawn;
+                `act(observation, explore=False)` takes their mean.
+            z: of the caller's choice, `[latent]`; None for a draw.
 
         Returns:
             z, `[latent]`.
 
         Raises:
             RuntimeError: an episode is running.
+            ValueError: z has the wrong size or is not finite, or comes with `explore=False`.
         """
         self._refuse_if_running("begin_episode")
-        noise = self._generator.standard_normal(self.exported.latent_size)
-        running = RunningEpisode(self._state.latent.draw(noise))
-        self._state = replace(self._state, running=running)
+        if not explore and z is not None:
+            raise ValueError(
+                "`explore=False` holds z at the latent's mean, so that `z` cannot be chosen as "
+                "well: leave out one of them."
+            )
+        self._state = replace(self._state, running=self._begun(explore, z))
         self._policy = self._conditioned()
-        return running.latent.copy()
+        return self._running("begin_episode").latent.copy()
 
-    def act(self, observation: ArrayLike, explore: bool = True) -> FloatArray:
+    def act(
+        self, observation: ArrayLike, explore: bool = True, normalized: bool = False
+    ) -> FloatArray:
         """Return what to send to the actuators now.
+
+        Controls are in the actuators' units (N m on `wheeled`). The environments of `maesn.gym`
+        take [-1, 1] instead: give them `normalized=True`.
 
         Args:
             observation: o_t, `[observation]`.
             explore: whether to draw the action from the policy, rather than to take its mean.
+            normalized: whether to return the control on the scale on which the limits of training
+                are -1 and 1.
 
         Returns:
-            The control in the actuators' unit, within all limits, `[action]`.
+            The control, within all limits, `[action]`.
 
         Raises:
             RuntimeError: no episode is running.
-            ValueError: the observation has the wrong size or is not finite, or the policy's
-                answer to it is not finite.
+            ValueError: the observation has the wrong size or is not finite, the policy's answer to
+                it is not finite, or `normalized` is asked of actuators without limits.
         """
         running = self._running("act")
         size = self.exported.observation_size
@@ -155,13 +178,16 @@ class Explorer:
                 f"`observation` {observed} is so large that the policy's answer is {action}; "
                 "throw the episode away with `discard()`."
             )
+        if normalized:
+            self.exported.actuators.refuse_unlimited()
         if explore:
             std = self.exported.policy.std
             action += std * self._generator.standard_normal(std.shape[0])
         before = running.controls[-1] if running.controls else None
         control = self._limiter.control(action, before)
+        answer = self.exported.actuators.normalized(control) if normalized else control.copy()
         running.add(observed, action, control)
-        return control.copy()
+        return answer
 
     def control(self, action: ArrayLike) -> FloatArray:
         """Return what the actuators would get for an action of the policy, `[action]`.
@@ -173,7 +199,7 @@ class Explorer:
         return self._limiter.actuators.control(checked)
 
     def end_episode(self, rewards: ArrayLike) -> Episode:
-        """Finish the running episode.
+        """Finish the running episode, and keep it for `adapt` if it explored.
 
         Args:
             rewards: r_t of every step that was taken, `[time]`.
@@ -191,9 +217,10 @@ class Explorer:
                 "`end_episode` needs at least one step, but `act` has not been called since "
                 "`begin_episode`; act, or call `discard()`."
             )
-        paid = finite_vector("rewards", rewards, running.num_steps, "one for each call of `act`")
-        episode = running.finished(paid)
-        episodes = (*self._state.episodes, episode)
+        reason = "one for each call of `act`"
+        episode = running.finished(finite_vector("rewards", rewards, running.num_steps, reason))
+        kept = (episode,) if running.purpose == "explore" else ()
+        episodes = (*self._state.episodes, *kept)
         self._state = replace(self._state, episodes=episodes, running=None)
         return episode
 
@@ -207,17 +234,25 @@ class Explorer:
         self._state = replace(self._state, running=None)
 
     def adapt(self) -> AdaptationInfo:
-        """Learn from all episodes since the last call, and forget them.
+        """Learn from all exploring episodes since the last call, and forget them.
 
         Moves the latent, or takes the last update back (`Safeguards.max_return_drop`).
 
         Raises:
-            RuntimeError: an episode is running, there are fewer than two finished episodes, or
-                the update is not finite. The episodes are kept.
+            RuntimeError: an episode is running, there are fewer than two finished episodes to
+                learn from, or the update is not finite. The episodes are kept.
         """
         self._refuse_if_running("adapt")
         self._state, info = learned(self._state, self.exported.rule, self.safeguards)
         return info
+
+    def _begun(self, explore: bool, z: ArrayLike | None) -> RunningEpisode:
+        latent, size = self._state.latent, self.exported.latent_size
+        if not explore:
+            return RunningEpisode(latent.mean.copy(), "deploy")
+        if z is not None:
+            return RunningEpisode(finite_vector("z", z, size, "as the policy's latent"))
+        return RunningEpisode(latent.draw(self._generator.standard_normal(size)))
 
     def _conditioned(self) -> ConditionedPolicy:
         running = self._state.running

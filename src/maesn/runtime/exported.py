@@ -21,7 +21,8 @@ class ExportedPolicy:
     Attributes:
         policy: weights; they stay as they are on the robot.
         actuators: how actions become controls.
-        start: the latent that a new task starts from, the prior N(0, I).
+        start: the latent that a new task starts from: the prior N(0, I), or an adapted one.
+        start_update: number of updates behind `start`; 0 for the prior.
         rule: how episodes move the latent.
         description: what the policy is for: family, horizon, control period and the like. Nothing
             depends on it.
@@ -32,6 +33,7 @@ class ExportedPolicy:
     start: Latent
     rule: LearningRule
     description: Mapping[str, str | int | float]
+    start_update: int = 0
 
     @property
     def latent_size(self) -> int:
@@ -68,6 +70,7 @@ class ExportedPolicy:
             "description": dict(self.description),
             "num_layers": len(self.policy.weights),
             "observation_size": self.observation_size,
+            "start_update": self.start_update,
             "rule": {
                 "full_steps": self.rule.full_steps,
                 "factor": self.rule.factor,
@@ -102,6 +105,7 @@ class ExportedPolicy:
                 ridge=entry(rule, "ridge", float),
             ),
             description=entry(metadata, "description", dict),
+            start_update=entry(metadata, "start_update", int),
         )
 
 

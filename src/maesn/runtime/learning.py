@@ -19,7 +19,7 @@ class AdaptationInfo(NamedTuple):
     mean_return: float
     """Mean undiscounted return of the batch."""
     num_episodes: int
-    """Number of episodes in the batch."""
+    """Number of episodes in the batch, without those played with `explore=False`."""
     rolled_back: bool
     """Whether the update before was taken back, instead of a new one being made."""
     shortened: bool
@@ -43,7 +43,8 @@ def learned(
     if num_episodes < MINIMUM_EPISODES:
         raise RuntimeError(
             f"`adapt` needs at least {MINIMUM_EPISODES} finished episodes to compare with each "
-            f"other, got {num_episodes}; play more with `begin_episode`."
+            f"other, got {num_episodes}; play more with `begin_episode()`. Episodes that began "
+            "with `explore=False` are not learned from."
         )
     mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
     if state.undo is not None and safeguards.is_drop(mean_return, state.undo.mean_return):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, take
 from maesn.runtime.episode import (
     Episode,
+    Purpose,
     RunningEpisode,
     episodes_from_arrays,
     episodes_to_arrays,
@@ -38,8 +39,8 @@ class ExplorerState:
 
     Attributes:
         latent: that the next z is drawn from.
-        update: number of calls of `adapt` so far.
-        episodes: finished since the last of them.
+        update: number of updates behind the latent. They decide the size of the next step.
+        episodes: finished since the last update, those to learn from.
         running: the episode that is being played, if any.
         undo: how to take the last update back; None if there is none to take back.
     """
@@ -67,7 +68,8 @@ class ExplorerState:
 
     def metadata(self) -> dict[str, Any]:
         """Return the numbers that a file keeps beside the arrays."""
-        return {"update": self.update}
+        purpose = "explore" if self.running is None else self.running.purpose
+        return {"update": self.update, "purpose": purpose}
 
     @staticmethod
     def from_archive(
@@ -80,7 +82,7 @@ class ExplorerState:
         sizes = (exported.observation_size, exported.action_size, size)
         running, undo = None, None
         if "running.latent" in arrays:
-            running = RunningEpisode.from_arrays(arrays, *sizes)
+            running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
         if "undo.mean" in arrays:
             undo = Undo(_latent(arrays, "undo", size), float(take(arrays, "undo.mean_return")))
         return ExplorerState(
@@ -90,6 +92,14 @@ class ExplorerState:
             running=running,
             undo=undo,
         )
+
+
+def _purpose(metadata: Mapping[str, Any]) -> Purpose:
+    found: Any = metadata.get("purpose")
+    if found not in get_args(Purpose):
+        raise ValueError(f"entry `purpose` must be 'explore' or 'deploy', got {found!r}.")
+    purpose: Purpose = found
+    return purpose
 
 
 def _latent(arrays: Mapping[str, NDArray[np.generic]], name: str, size: int) -> Latent:

@@ -185,7 +185,7 @@ def compare_lines(
     comparison = Comparison(
         lines=tuple(map(line, specs)),
         horizon=world.env.horizon,
-        baseline=tuple(map(line, baseline_lines(world))),
+        floor=tuple(map(line, baseline_lines(world))),
         oracle=None if ceiling is None else line(ceiling),
     )
     with explained("make", out):

@@ -16,12 +16,12 @@ from maesn.learners import (
     SCRATCH,
     AbstractFastLearner,
     GradientStep,
-    TrustRegionWeightStep,
     baselines,
     reinforce,
     trpo,
     vime,
 )
+from maesn.learners.scratch.policy_gradient import TRPO
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
@@ -55,7 +55,7 @@ class Scratch:
     """Each method from scratch begins anew in every task with each of these seeds."""
     step_size: float = GradientStep().step_size
     """Of reinforce from scratch. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    max_kl: float = TrustRegionWeightStep().trust_region.max_kl
+    max_kl: float = TRPO.trust_region.max_kl
     """Of trpo and vime from scratch: bound on the mean KL divergence of an update. Published:
     0.01."""
     curiosity_weight: float = CuriosityBonus().weight

@@ -13,11 +13,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Carry, HostReadings, Readings
+from maesn.axes import HostReadings, Readings, RecurrentState
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import TrialState
+from maesn.experience.trial_state import TrialState
 from maesn.numerics import AbstractDistribution
 
 
@@ -28,11 +28,12 @@ class Actors(eqx.Module):
     tasks: Any
     """Task pytree with a leading `task` axis."""
     noise: Float[Array, "task episode noise"]
-    context: Float[Array, "task episode context"]
+    description: Float[Array, "task episode description"]
+    z: Float[Array, "task episode z"]
     action_noise: Float[Array, "time task episode action"]
     """What makes the actions random, drawn for all steps at once."""
-    memory: TrialState
-    """What the trials have left so far, `[task, episode, ...]` each."""
+    trial_state: TrialState
+    """Where the trials go on, `[task, episode, ...]`."""
 
 
 class Decision(NamedTuple):
@@ -41,21 +42,20 @@ class Decision(NamedTuple):
     control: Float[Array | np.ndarray, "simulation control"]
     action: Float[Array, "task episode action"]
     behaviour: AbstractDistribution
-    hidden: Carry
+    recurrent_state: RecurrentState
     ended: Bool[Array, "task episode"]
     """Whether the episode has terminated, in this state or in an earlier one."""
 
 
 class Moment(NamedTuple):
-    """What the policies are told at step t of every episode; host worlds hand over NumPy arrays."""
+    """What the policies receive at step t of every episode; NumPy arrays from host worlds."""
 
     step: Int[Array | np.ndarray, ""]
     readings: Readings | HostReadings
     """`[simulation, ...]` each."""
     previous_readings: Readings | HostReadings
     previous_action: Float[Array | np.ndarray, "task episode action"]
-    hidden: Carry
-    """The policies' own memory."""
+    recurrent_state: RecurrentState
     ended: Bool[Array | np.ndarray, "task episode"]
     """Of the decision before; False at the start."""
 
@@ -76,8 +76,8 @@ class Trajectory(NamedTuple):
     action: Float[Array | np.ndarray, "time task episode action"]
     behaviour: AbstractDistribution
     """`[time, task, episode, action]`."""
-    hidden: Carry
-    """The policies' own memory after the last step, `[task, episode, ...]`."""
+    recurrent_state: RecurrentState
+    """After the last step, `[task, episode, ...]`."""
 
 
 class EpisodeError(RuntimeError):

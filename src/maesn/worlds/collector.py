@@ -9,10 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import ActionKind, Carry, HostReadings, Key, ObservedReward, Readings, TaskKeys
+from maesn.axes import (
+    ActionKind,
+    HostReadings,
+    Key,
+    ObservedReward,
+    Readings,
+    RecurrentState,
+    TaskKeys,
+)
 from maesn.envs.base import AnyEnv, Reward
 from maesn.experience.agent import Agent, Agents
-from maesn.experience.episodes import Episodes, TrialState
+from maesn.experience.episodes import Episodes
+from maesn.experience.trial_state import TrialState
 from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 from maesn.policies import PolicyInput
 from maesn.worlds import (
@@ -25,15 +34,12 @@ from maesn.worlds import (
     Trajectory,
 )
 
-# What policies of each kind of actions make of a state: their noise is drawn before they are asked.
+# What a policy returns for each kind of actions. By its type the noise of the actions is drawn,
+# before the policy is called.
 _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
     "continuous": DiagonalGaussian,
     "discrete": Categorical,
 }
-
-
-DRAWS = 2
-"""Which episodes a seed stands for: raised by every change after which it stands for others."""
 
 
 class Collector:
@@ -53,7 +59,7 @@ class Collector:
         return len(self.world.tasks)
 
     def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
         """See `Collect`.
 
@@ -61,10 +67,10 @@ class Collector:
             EpisodeError: physics or reward of an episode became non-finite.
             ValueError: the policy's actions are of another kind than the environment's.
         """
-        return self.play(keys, agents, task_index, carry)[0]
+        return self.play(keys, agents, task_index)[0]
 
     def play(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], carry: Carry = None
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"]
     ) -> tuple[Episodes, Readings | HostReadings]:
         """Play episodes as a call does, and keep the states.
 
@@ -73,9 +79,11 @@ class Collector:
         """
         self._check_policy(agents)
         tasks = self.world.tasks[np.asarray(task_index)]
-        actors, start = self._begin(keys, agents, tasks)
-        if carry is not None:
-            actors = replace(actors, memory=carry)
+        # Without the state of the trials, so that their first episode and the others share one
+        # compiled program.
+        actors, start = self._begin(keys, replace(agents, trial_state=None), tasks)
+        if agents.trial_state is not None:
+            actors = replace(actors, trial_state=agents.trial_state)
         try:
             trajectory = self.world.play(self._act, actors, start)
         except SimulationFailure as failure:
@@ -110,7 +118,7 @@ class Collector:
             raise EpisodeError(self.world.env.name, task, episode, step, reason)
 
     def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
-        """Draw contexts, initial states, and the noise of the actions of all episodes."""
+        """Draw z, the initial state, and the noise of the actions of every episode."""
         env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
         distribution = _DISTRIBUTIONS[env.action_kind]
 
@@ -118,61 +126,68 @@ class Collector:
             context_key, start_key, action_key = jax.random.split(
                 jax.random.fold_in(key, episode), 3
             )
-            noise = agent.context.noise(context_key, env.describe(task))
+            context = agent.context
+            noise = jax.random.normal(context_key, (context.noise_size,))
+            # Only where z is made of it: no other learner finds its task in the episodes.
+            description = env.describe(task) if context.description_size else jnp.zeros(0)
             action_noise = distribution.noise(action_key, (env.horizon, env.action_size))
-            hidden = agent.policy.initial_recurrent_state()
-            memory = TrialState(hidden, jnp.zeros(env.action_size), jnp.zeros(()))
-            context = agent.context.draw(noise)
-            return noise, context, action_noise, memory, env.start(start_key, task)
+            recurrent_state = agent.policy.initial_recurrent_state()
+            trial = TrialState(recurrent_state, jnp.zeros(env.action_size), jnp.zeros(()))
+            z = context.draw(noise, description)
+            return noise, description, z, action_noise, trial, env.start(start_key, task)
 
         def begin_task(agent: Agent, key: Key, task: Any) -> Any:
             return jax.vmap(begin_episode, in_axes=(None, None, None, 0))(
                 agent, key, task, episodes
             )
 
-        noise, context, action_noise, memory, start = agents.vmap(begin_task)(keys, tasks)
-        actors = Actors(agents, tasks, noise, context, jnp.moveaxis(action_noise, 2, 0), memory)
+        noise, description, z, action_noise, trial, start = agents.map(
+            begin_task, keys, tasks, how="vmap"
+        )
+        action_noise = jnp.moveaxis(action_noise, 2, 0)
+        actors = Actors(agents, tasks, noise, description, z, action_noise, trial)
         return actors, jax.tree.map(_join_batch_axes, start)
 
     def _decide(self, actors: Actors, moment: Moment) -> Decision:
         """Ask the policies for the step of every episode."""
         env = self.world.env
-        shape = actors.context.shape[:2]
+        shape = actors.z.shape[:2]
         readings, previous = jax.tree.map(
             lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
         )
         start = moment.step == 0
 
         def decide(
-            agent: Agent, task: Any, context: Array, noise: Array, memory: TrialState,
-            now: Readings, before: Readings, previous_action: Array, hidden: Carry, ended: Array,
+            agent: Agent, task: Any, z: Array, noise: Array, trial: TrialState, now: Readings,
+            before: Readings, previous_action: Array, state: RecurrentState, ended: Array,
         ) -> Any:  # fmt: skip
             reward = env.observed_reward(
                 agent.policy.observed_reward, before, previous_action, now, task
             )
             policy_input = PolicyInput(
                 observation=_observe(env, now, task),
-                previous_action=jnp.where(start, memory.action, previous_action),
-                previous_reward=jnp.where(start, memory.reward, reward),
+                previous_action=jnp.where(start, trial.action, previous_action),
+                previous_reward=jnp.where(start, trial.reward, reward),
                 episode_start=start,
             )
-            distribution, after = agent.policy(agent.perceive(policy_input), context, hidden)
+            distribution, after = agent.policy(agent.perceive(policy_input), z, state)
             action = distribution.sample_from_noise(noise)
-            # What is seen from here on may be NaN: it must not stay in the memory.
+            # Observations after the end may be NaN: they must not enter the recurrent state.
             ended = ended | _ends(env, now)
-            hidden = jax.tree.map(lambda old, new: jnp.where(ended, old, new), hidden, after)
-            return env.control(action), action, distribution, hidden, ended
+            state = jax.tree.map(lambda old, new: jnp.where(ended, old, new), state, after)
+            return env.control(action), action, distribution, state, ended
 
         per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
-        control, *others = actors.agents.vmap(per_task)(
-            actors.tasks, actors.context, actors.action_noise[moment.step], actors.memory,
-            readings, previous, moment.previous_action, moment.hidden, moment.ended,
+        control, *others = actors.agents.map(
+            per_task, actors.tasks, actors.z, actors.action_noise[moment.step], actors.trial_state,
+            readings, previous, moment.previous_action, moment.recurrent_state, moment.ended,
+            how="vmap",
         )  # fmt: skip
         return Decision(_join_batch_axes(control), *others)
 
     def _assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
         """Turn what was read and done into episodes; also say in which steps what is finite."""
-        shape = actors.context.shape[:2]
+        shape = actors.z.shape[:2]
         readings = jax.tree.map(
             lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
             trajectory.readings,
@@ -185,7 +200,7 @@ class Collector:
         observation, reward, observed, solved, ended = judge(readings, action, actors.tasks)
         terminated = jax.vmap(jax.vmap(partial(_ends_by_nature, self.world.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
-        remember = jax.vmap(jax.vmap(TrialState.after))
+        after = jax.vmap(jax.vmap(TrialState.after))
         episodes = Episodes(
             observation=observation,
             action=action,
@@ -196,10 +211,13 @@ class Collector:
             solved_at_start=solved[..., 0],
             terminated=terminated,
             noise=actors.noise,
-            context=actors.context,
+            description=actors.description,
+            z=actors.z,
             behaviour=behaviour,
-            carry=remember(actors.memory, trajectory.hidden, action, observed, valid),
-            start=actors.memory,
+            trial_end=after(
+                actors.trial_state, trajectory.recurrent_state, action, observed, valid
+            ),
+            trial_start=actors.trial_state,
             observed_reward=observed,
         )
         finite = _Finite(

@@ -88,7 +88,7 @@ def scan_episodes(
     Returns:
         What was read and done, and which episodes had ended at each decision.
     """
-    batch = actors.context.shape[:2]
+    batch = actors.z.shape[:2]
     no_action, no_end = jnp.zeros((*batch, env.action_size)), jnp.zeros(batch, bool)
 
     def step(now: tuple[Any, Moment], _: None) -> tuple[Any, tuple[Readings, Decision]]:
@@ -100,18 +100,18 @@ def scan_episodes(
             readings=readings,
             previous_readings=moment.readings,
             previous_action=decision.action,
-            hidden=decision.hidden,
+            recurrent_state=decision.recurrent_state,
             ended=decision.ended,
         )
-        return (state, following), (readings, decision._replace(hidden=None))
+        return (state, following), (readings, decision._replace(recurrent_state=None))
 
-    hidden = actors.memory.hidden
-    moment = Moment(jnp.zeros((), int), first, first, no_action, hidden, no_end)
+    recurrent_state = actors.trial_state.recurrent_state
+    moment = Moment(jnp.zeros((), int), first, first, no_action, recurrent_state, no_end)
     (_, last), (readings, decisions) = jax.lax.scan(step, (state, moment), length=env.horizon)
     trajectory = Trajectory(
         readings=jax.tree.map(lambda x, xs: jnp.concatenate([x[None], xs]), first, readings),
         action=decisions.action,
         behaviour=decisions.behaviour,
-        hidden=last.hidden,
+        recurrent_state=last.recurrent_state,
     )
     return trajectory, decisions.ended

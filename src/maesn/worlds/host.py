@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from maesn.axes import Carry, HostReadings
+from maesn.axes import HostReadings, RecurrentState
 from maesn.envs.base import AnyEnv
 from maesn.worlds.base import Act, Actors, Decision, Moment, Trajectory
 
@@ -33,10 +33,10 @@ def play_on_host(
         advance: moves all simulations by what was decided at a step, and returns their readings.
     """
     record = _Record(first, env.horizon)
-    batch = actors.context.shape[:2]
+    batch = actors.z.shape[:2]
     previous_action: Array | np.ndarray = np.zeros((*batch, env.action_size), np.float32)
     ended: Array | np.ndarray = np.zeros(batch, bool)
-    hidden = actors.memory.hidden
+    recurrent_state = actors.trial_state.recurrent_state
     for step in range(env.horizon):
         decision = act(
             actors,
@@ -45,13 +45,14 @@ def play_on_host(
                 readings=record.at(step),
                 previous_readings=record.at(max(step - 1, 0)),
                 previous_action=previous_action,
-                hidden=hidden,
+                recurrent_state=recurrent_state,
                 ended=ended,
             ),
         )
         record.add(step, advance(_calmed(decision), step), decision)
-        previous_action, hidden, ended = decision.action, decision.hidden, decision.ended
-    return record.trajectory(hidden)
+        previous_action, ended = decision.action, decision.ended
+        recurrent_state = decision.recurrent_state
+    return record.trajectory(recurrent_state)
 
 
 def _calmed(decision: Decision) -> Decision:
@@ -86,8 +87,8 @@ class _Record:
         self._write(step + 1, readings)
         self._decisions.append((decision.action, decision.behaviour))
 
-    def trajectory(self, hidden: Carry) -> Trajectory:
+    def trajectory(self, recurrent_state: RecurrentState) -> Trajectory:
         action, behaviour = jax.tree.map(
             lambda *steps: np.stack([np.asarray(step) for step in steps]), *self._decisions
         )
-        return Trajectory(self._readings, action, behaviour, hidden)
+        return Trajectory(self._readings, action, behaviour, recurrent_state)

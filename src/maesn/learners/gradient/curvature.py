@@ -14,6 +14,7 @@ from maesn.inner.adaptation import StepSizes
 from maesn.inner.surrogate import post_distributions
 from maesn.learners.gradient.objective import Experience, MetaObjective, MetaParameters
 from maesn.numerics import AbstractDistribution, multiply
+from maesn.numerics.tasks import map_tasks
 
 
 def sampled_distributions(
@@ -55,7 +56,7 @@ def sampled_distributions(
     for experience, exact in zip(objective.pre, jax.lax.stop_gradient(updated), strict=True):
         thinned = _thin(experience, inner)
         agents = move(objective, agents, parameters.step_sizes, thinned, exact)
-    return agents.vmap(post_distributions)(objective.post.every(*outer))
+    return agents.map(post_distributions, objective.post.every(*outer), how="vmap")
 
 
 def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
@@ -112,9 +113,9 @@ def _moved_contexts(
         _, unravel = ravel_pytree(start)
         return unravel(multiply(jacobian, varied - jax.lax.stop_gradient(varied)))
 
-    # One by one, because every row of a Jacobian takes as much memory as a gradient.
-    jacobians = fixed.one_by_one(jacobian_of)(*thinned)
-    differences = jax.vmap(linear)(jacobians, agents.context)
+    # One task after the other: every row of a Jacobian takes as much memory as a gradient.
+    jacobians = fixed.map(jacobian_of, *thinned)
+    differences = map_tasks(linear, jacobians, agents.context, how="vmap")
     return replace(agents, context=jax.tree.map(jnp.add, exact.context, differences))
 
 

@@ -1,6 +1,5 @@
 """The fast learner of every gradient-based method: policy gradient on a new task."""
 
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +12,13 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractFastLearner
+from maesn.learners.base import (
+    AbstractFastLearner,
+    Capabilities,
+    Purpose,
+    SavedContexts,
+    refuse_saved,
+)
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 
@@ -38,49 +43,38 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     advantage: AdvantageEstimator
     schedule: StepSchedule
     policy: AbstractPolicy
-    learned_context: AbstractContext
+    context_table: AbstractContext
     step_sizes: StepSizes
     statistics: ObservationStatistics | None = None
     """Of the observations in training; they stay as they are."""
 
-    def init(self, keys: TaskKeys) -> GradientFastState:
-        """Return the start in new tasks, one for each key. Nothing about it is random."""
-        return self._start(self.context.start_new(self.learned_context, keys.shape[0]))
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> GradientFastState:
+        """See `AbstractFastLearner.init`. Nothing is random. Step sizes follow `saved.updates`."""
+        refuse_saved(self, saved)
+        if saved is None:
+            start = self.context.start_new(self.context_table, keys.shape[0])
+            saved = SavedContexts(start, 0)
+        agents = Agents(self.policy, saved.context, shares_policy=True, statistics=self.statistics)
+        return GradientFastState(agents, jnp.asarray(saved.updates))
 
-    def resume(self, context: AbstractContext, update: int = 0) -> GradientFastState:
-        """See `AbstractFastLearner.resume`; the count of updates is for the step schedule."""
-        if self.adaptation.policy is not None:
-            raise ValueError(
-                "this run's method adapts the policy as well, and the file holds latents alone."
-            )
-        return self._start(context, update)
-
-    def paced(self, step_scale: float, full_steps: int | None) -> "GradientFastLearner":
-        """See `AbstractFastLearner.paced`."""
-        if not self.learns_from_reward:
-            raise ValueError("it changes nothing in a task, so it takes no steps.")
-        scale = self.schedule.scale * step_scale
-        number = self.schedule.full_steps if full_steps is None else full_steps
-        return replace(self, schedule=replace(self.schedule, scale=scale, full_steps=number))
+    def agents(self, state: GradientFastState, purpose: Purpose = "explore") -> Agents:
+        """Return the adapted agents; to be judged, they play the means of their latents."""
+        return state.agents.at_mean() if purpose == "deploy" else state.agents
 
     @property
-    def is_recurrent(self) -> bool:
-        return self.policy.initial_recurrent_state() is not None
-
-    @property
-    def learns_from_reward(self) -> bool:
-        return self.adaptation.policy is not None or self.adaptation.context is not None
-
-    def _start(self, context: AbstractContext, update: int = 0) -> GradientFastState:
-        agents = Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
-        return GradientFastState(agents, jnp.asarray(update))
-
-    def agents(self, state: GradientFastState) -> Agents:
-        return state.agents
+    def capabilities(self) -> Capabilities:
+        policy, context = self.adaptation.policy, self.adaptation.context
+        return Capabilities(
+            is_recurrent=self.policy.initial_recurrent_state() is not None,
+            learns_from_reward=policy is not None or context is not None,
+            resumes=policy is None and context is not None,
+            least_episodes=self.adaptation.least_episodes(self.context),
+        )
 
     @eqx.filter_jit
     def update(self, state: GradientFastState, episodes: Episodes) -> GradientFastState:
         """Take one policy-gradient step in every task."""
+        self.capabilities.check_episodes(episodes.valid.shape[1])
         moved = self.adaptation(
             state.agents,
             self.step_sizes,
@@ -90,7 +84,3 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
             scale=self.schedule(state.update),
         )
         return GradientFastState(moved, state.update + 1)
-
-    def contexts(self, state: GradientFastState) -> Any:
-        """Return the tasks' present contexts, stacked."""
-        return state.agents.context

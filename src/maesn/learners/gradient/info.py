@@ -75,7 +75,7 @@ def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
         return sum(jax.tree.leaves(parts), jnp.zeros(()))
 
     policy = squared(old.policy, new.policy)
-    context = squared(old.context, new.context)
+    context = squared(old.context_table, new.context_table)
     sizes = squared(old.step_sizes, new.step_sizes)
     total = policy + context + sizes
     scale = jnp.where(total > 0, 1.0 / jnp.where(total > 0, total, 1.0), 0.0)

@@ -5,7 +5,7 @@ the context that it conditions on, and the adaptation that it allows (`maesn.lea
 """
 
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
-from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.base import AbstractMetaLearner, Capabilities
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
@@ -33,7 +33,6 @@ from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.settings import added_later
 
 _STRIDES = ("curvature_stride", "hessian_stride")
 
@@ -72,11 +71,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     curvature_stride: int = 20
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
     steps resemble each other); 1 for all. The reference uses all."""
-    hessian_stride: int | None = added_later(None)
+    hessian_stride: int | None = None
     """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
     step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
     of both signs and nearly cancel, so it needs more steps."""
-    normalize_observations: bool = added_later(False)
+    normalize_observations: bool = False
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
 
@@ -92,7 +91,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             stride = getattr(self, name)
             if stride is not None and stride > 1 and self.policy.is_recurrent:
                 raise ValueError(
-                    f"`{name}` is {stride}, but a policy with memory needs all steps of an "
+                    f"`{name}` is {stride}, but a recurrent policy needs all steps of an "
                     "episode: set it to 1."
                 )
 
@@ -125,11 +124,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """
         check_enough_tasks(num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
-        context = self.context.init(context_key, num_tasks, description_size)
-        policy = self.policy.init(policy_key, observation_size, action_size, context.size)
-        one_task = jax.tree.map(lambda x: x[0], self.context.start_new(context, 1))
+        table = self.context.init(context_key, num_tasks, description_size)
+        policy = self.policy.init(policy_key, observation_size, action_size, table.size)
+        one_task = jax.tree.map(lambda x: x[0], self.context.start_new(table, 1))
         sizes = self.adaptation.init(Agent(policy, one_task))
-        parameters = MetaParameters(policy, context, sizes)
+        parameters = MetaParameters(policy, table, sizes)
         statistics = no_observations(observation_size) if self.normalize_observations else None
         return GradientState(parameters, jnp.zeros((), int), statistics)
 
@@ -139,6 +138,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
         """See `AbstractMetaLearner.for_actions`."""
         return replace(self, policy=self.policy.for_actions(kind))
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
+        Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
         """Return the context, the parts that an inner step changes, and if training has one."""
@@ -158,7 +162,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             advantage=self.advantage,
             schedule=self.schedule,
             policy=state.parameters.policy,
-            learned_context=state.parameters.context,
+            context_table=state.parameters.context_table,
             step_sizes=state.parameters.step_sizes,
             statistics=state.statistics,
         )
@@ -175,7 +179,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         pre: list[Experience] = []
         updated: list[Agents] = []
         for phase in range(self.inner_updates):
-            episodes = collect(task_keys(play_key, phase, index.shape[0]), agents, index)
+            keys = task_keys(play_key, phase, index.shape[0])
+            episodes = collect(keys, agents, index, stage=phase)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
             pre.append((episodes, advantages))
@@ -196,7 +201,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
         rows = partial(self.context.init, num_tasks=collect.num_tasks)
         expected = jax.eval_shape(rows, jax.random.key(0))
-        shapes = ([x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context))
+        shapes = (
+            [x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context_table)
+        )
         if len({tuple(found) for found in shapes}) > 1:
             raise ValueError(
                 f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
@@ -211,10 +218,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             task_keys(key, self.inner_updates + batch, index.shape[0])
             for batch in range(self.outer_batches)
         ]
-        post = collect(keys[0], agents, index)
-        for batch_keys in keys[1:]:
-            post = concatenate(post, collect(batch_keys, agents, index))
-        return post
+        batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
+        return reduce(concatenate, batches)
 
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
@@ -252,6 +257,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
+            objective.loss_and_gradient,
             lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
             step_weights(objective.post.every(*outer)),
         )

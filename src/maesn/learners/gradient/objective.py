@@ -1,6 +1,7 @@
 """The outer objective of gradient-based meta-learning, as a function of the meta-parameters."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -16,7 +17,8 @@ from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import outer_loss, post_distributions
 from maesn.numerics import AbstractDistribution, masked_mean
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.numerics.trust_region import Evaluation
+from maesn.numerics.tasks import map_tasks
+from maesn.numerics.trust_region import Candidate
 from maesn.policies import AbstractPolicy
 
 # A batch of episodes with its advantages.
@@ -28,8 +30,8 @@ class MetaParameters(eqx.Module):
 
     policy: AbstractPolicy
     """theta, where every task starts from."""
-    context: AbstractContext
-    """One context per training task, or one for all, as the context's rule says."""
+    context_table: AbstractContext
+    """One context per training task, or one for all, as the context settings say."""
     step_sizes: StepSizes
 
 
@@ -40,7 +42,7 @@ def start_agents(
     statistics: ObservationStatistics | None = None,
 ) -> Agents:
     """Return the pre-update agents of the given training tasks."""
-    started = context.start(parameters.context, index)
+    started = context.start(parameters.context_table, index)
     return Agents(parameters.policy, started, shares_policy=True, statistics=statistics)
 
 
@@ -78,7 +80,7 @@ class MetaObjective(eqx.Module):
 
     def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
-        return self.adapted(parameters).vmap(post_distributions)(episodes)
+        return self.adapted(parameters).map(post_distributions, episodes, how="vmap")
 
     def statistics_after(self) -> ObservationStatistics | None:
         """Return the statistics, with all that was observed before an action taken in."""
@@ -89,70 +91,59 @@ class MetaObjective(eqx.Module):
             statistics = statistics.with_batch(played.observation[..., :-1, :], played.valid)
         return statistics
 
-    def one_by_one(self, function: Callable[["MetaObjective"], Any]) -> Any:
-        """Return `function(objective of one task alone)`, task after task, stacked over `task`.
+    def evaluate(self, parameters: MetaParameters) -> Candidate:
+        """Return the loss, and the mean KL from the distributions that were played."""
+        return _mean_over_tasks(self._each(lambda task: task.evaluate_at_once(parameters)))
 
-        The activations of one task fit in a CPU's cache, those of all do not.
+    def loss_and_gradient(
+        self, parameters: MetaParameters
+    ) -> tuple[Float[Array, ""], MetaParameters]:
+        """Return the loss and its gradient.
+
+        Each task's gradient is taken by itself. Reverse mode through `evaluate` returns the same,
+        but stores the activations of all tasks.
         """
 
-        def one(row: Any) -> Any:
-            index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
-            task = MetaObjective(
-                self.context, self.adaptation, index, pre, post, advantages, self.statistics
-            )
-            return function(task)
+        def differentiate(task: MetaObjective) -> tuple[Float[Array, ""], MetaParameters]:
+            return jax.value_and_grad(lambda varied: task.evaluate_at_once(varied).loss)(parameters)
 
-        return jax.lax.map(one, (self.index, self.pre, self.post, self.advantages))
+        return _mean_over_tasks(self._each(differentiate))
 
-    def evaluate(self, parameters: MetaParameters) -> Evaluation:
-        """Return the loss, and the mean KL from the distributions that were played.
-
-        Only the loss is to be differentiated. Each task's gradient is then taken at once, because
-        reverse mode through the loop would store the activations of all tasks.
-        """
-
-        @jax.custom_vjp
-        def evaluate(parameters: MetaParameters) -> Evaluation:
-            return _mean_over_tasks(self.one_by_one(lambda task: task.evaluate_at_once(parameters)))
-
-        def forward(parameters: MetaParameters) -> tuple[Evaluation, MetaParameters]:
-            def differentiate(task: MetaObjective) -> tuple[Evaluation, MetaParameters]:
-                def loss(varied: MetaParameters) -> tuple[Float[Array, ""], Evaluation]:
-                    evaluation = task.evaluate_at_once(varied)
-                    return evaluation.loss, evaluation
-
-                slope, evaluation = jax.grad(loss, has_aux=True)(parameters)
-                return evaluation, slope
-
-            evaluation, slope = _mean_over_tasks(self.one_by_one(differentiate))
-            return evaluation, slope
-
-        def backward(slope: MetaParameters, cotangent: Evaluation) -> tuple[MetaParameters]:
-            return (jax.tree.map(lambda x: cotangent.loss * x, slope),)
-
-        evaluate.defvjp(forward, backward)
-        return evaluate(parameters)
-
-    def evaluate_at_once(self, parameters: MetaParameters) -> Evaluation:
-        """Return the same by one pass over all tasks, to be differentiated at will."""
+    def evaluate_at_once(self, parameters: MetaParameters) -> Candidate:
+        """Return what `evaluate` does, by one pass over all tasks."""
         new = self.distributions(parameters, self.post)
-        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
-        divergence = self.post.behaviour.kl(new)
-        return Evaluation(
-            loss=jnp.mean(surrogate + self.penalties(parameters)),
-            kl=jnp.mean(jax.vmap(masked_mean)(divergence, self.post.valid)),
+        divergence = map_tasks(
+            masked_mean, self.post.behaviour.kl(new), self.post.valid, how="vmap"
         )
+        losses = self._surrogates(new) + self.penalties(parameters)
+        return Candidate(loss=jnp.mean(losses), kl=jnp.mean(divergence))
 
     def task_losses(self, parameters: MetaParameters) -> Float[Array, " task"]:
         """Return every task's part of the loss."""
         new = self.distributions(parameters, self.post)
-        surrogate = jax.vmap(outer_loss)(new, self.post, self.advantages)
-        return surrogate + self.penalties(parameters)
+        return self._surrogates(new) + self.penalties(parameters)
 
     def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return what each task's pre-update context is charged."""
-        context = self.context.start(parameters.context, self.index)
-        return jax.vmap(self.context.penalty, axis_size=self.index.shape[0])(context)
+        """Return every task's penalty of its pre-update context."""
+        context = self.context.start(parameters.context_table, self.index)
+        penalties: Array = map_tasks(
+            lambda one, _: self.context.penalty(one), context, self.index, how="vmap"
+        )
+        return penalties
+
+    def _surrogates(self, new: AbstractDistribution) -> Float[Array, " task"]:
+        surrogates: Array = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
+        return surrogates
+
+    def _each(self, function: Callable[["MetaObjective"], Any]) -> Any:
+        """Map a function of the objective of a single task over the tasks."""
+
+        def one(*row: Any) -> Any:
+            index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
+            return function(replace(self, index=index, pre=pre, post=post, advantages=advantages))
+
+        # One after the other: the activations of one task fit in a CPU's cache, of all do not.
+        return map_tasks(one, self.index, self.pre, self.post, self.advantages, how="serial")
 
 
 def _mean_over_tasks(stacked: Any) -> Any:

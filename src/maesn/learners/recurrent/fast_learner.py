@@ -1,24 +1,31 @@
-"""The fast learner of RL2: it learns by remembering."""
+"""The fast learner of RL2: the recurrent state of its policy is all that it learns."""
 
 import equinox as eqx
 
 from maesn.axes import TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes, TrialState
-from maesn.learners.base import AbstractFastLearner
+from maesn.experience.episodes import Episodes
+from maesn.experience.trial_state import TrialState
+from maesn.learners.base import (
+    AbstractFastLearner,
+    Capabilities,
+    Purpose,
+    SavedContexts,
+    refuse_saved,
+)
 from maesn.policies import AbstractPolicy
 
 
 class RecurrentFastState(eqx.Module):
     """State of a `RecurrentFastLearner`."""
 
-    memory: TrialState | None
-    """What is remembered, `[task, episode, ...]`; None at the start."""
+    trial_state: TrialState | None
+    """Where the trials are, `[task, episode, ...]`; None at their start."""
 
 
 class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
-    """Acts with a policy that has memory; an update is to go on remembering.
+    """Acts with a recurrent policy; an update is one more episode of its trials.
 
     The episodes of a task are played in parallel, and each is the next one of a trial of its own:
     an update means one more episode of experience, however many trials are averaged over.
@@ -28,31 +35,21 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
     trained_episodes: int
     """Episodes of a trial in meta-training."""
 
-    def init(self, keys: TaskKeys) -> RecurrentFastState:
-        """Return the start in new tasks: nothing is remembered, and nothing is random."""
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> RecurrentFastState:
+        """See `AbstractFastLearner.init`. Trials begin; nothing is random."""
+        refuse_saved(self, saved)
         return RecurrentFastState(None)
 
-    def agents(self, state: RecurrentFastState) -> Agents:
-        return Agents(self.policy, Nothing(), shares_policy=True)
-
-    def memory(self, state: RecurrentFastState) -> TrialState | None:
-        return state.memory
+    def agents(self, state: RecurrentFastState, purpose: Purpose = "explore") -> Agents:
+        """See `AbstractFastLearner.agents`. To be judged, they do what they always do."""
+        return Agents(self.policy, Nothing(), shares_policy=True, trial_state=state.trial_state)
 
     def update(self, state: RecurrentFastState, episodes: Episodes) -> RecurrentFastState:
-        """Remember the episodes."""
-        return RecurrentFastState(episodes.carry)
-
-    def episodes_per_update(self, episodes_per_task: int) -> int:
-        return 1
+        """Go on from where the trials are after the episodes."""
+        return RecurrentFastState(episodes.trial_end)
 
     @property
-    def is_recurrent(self) -> bool:
-        return True
-
-    @property
-    def learns_from_reward(self) -> bool:
-        return False
-
-    @property
-    def trial_episodes(self) -> int:
-        return self.trained_episodes
+    def capabilities(self) -> Capabilities:
+        return Capabilities(
+            is_recurrent=True, trial_episodes=self.trained_episodes, learns_from_reward=False
+        )

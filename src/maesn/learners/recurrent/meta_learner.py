@@ -1,8 +1,8 @@
-"""RL2: learning inside a task is what a policy with memory does (Duan et al. 2016).
+"""RL2: a recurrent policy learns inside a task by its recurrent state (Duan et al. 2016).
 
-https://arxiv.org/abs/1611.02779. A trial is several episodes of one task between which memory is
-kept. Meta-training improves the policy on whole trials, so that it pays to find out in the first
-episode what the others need. In a new task nothing is updated but the memory.
+https://arxiv.org/abs/1611.02779. A trial is several episodes of one task, between which the
+recurrent state is kept. Meta-training improves the policy on whole trials: exploring in the first
+episode is worth what it adds to the returns of the others. In a new task no weights change.
 """
 
 from dataclasses import replace
@@ -19,11 +19,10 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner
-from maesn.learners.recurrent.policy_steps import AbstractPolicyStep, ProximalStep
-from maesn.learners.recurrent.trials import Trials, join_episodes
 from maesn.learners.recurrent.value import RecurrentValue, ValueState
-from maesn.learners.side_by_side import side_by_side
+from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import masked_mean, standardize, trial_advantages
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
@@ -32,8 +31,8 @@ class RecurrentMetaState(eqx.Module):
     """State of a `RecurrentMetaLearner`."""
 
     policy: AbstractPolicy
-    optimizer: Any
-    """State of the policy's optimiser."""
+    opt_state: Any
+    """Of the policy's optimiser."""
     value: ValueState
     iteration: Int[Array, ""]
 
@@ -52,20 +51,21 @@ class RecurrentInfo(eqx.Module):
     entropy: Float[Array, ""]
     """Mean entropy of the action distributions, in nats."""
     explained_variance: Float[Array, ""]
-    """Share of the variance of the returns that the value function knew before it was fitted."""
+    """Share of the variance of the returns that the value function explained before the fit."""
     value_accepted: Bool[Array, ""]
-    """False if the fit of the value function did not end in numbers: it stays as it was."""
+    """False if the fitted value function was not finite: it stays as it was."""
     policy_step: Any
-    """What the step of the policy says."""
+    """Of the step of the policy."""
 
 
 class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo]):
-    """Plays trials and improves a policy with memory on them."""
+    """Plays trials and improves a recurrent policy on them."""
 
     policy: AbstractPolicySettings = Recurrent()
     """The policy's network."""
     policy_step: AbstractPolicyStep = ProximalStep()
-    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO)."""
+    """How the policy is improved: `ProximalStep` (PPO), `TrustRegionStep` (TRPO) or `GradientStep`
+    (REINFORCE)."""
     value: RecurrentValue = RecurrentValue()
     """The baseline that advantages are measured from."""
     meta_batch_size: int = 20
@@ -88,8 +88,8 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         if self.trial_episodes > 1 and not self.policy.is_recurrent:
             raise ValueError(
                 f"`trial_episodes` is {self.trial_episodes}, but a policy of `"
-                f"{type(self.policy).__name__}` remembers nothing from one episode to the next: "
-                "choose `Recurrent`, or trials of 1 episode."
+                f"{type(self.policy).__name__}` is not recurrent and learns nothing from one "
+                "episode for the next: choose `Recurrent`, or trials of 1 episode."
             )
 
     def init(
@@ -109,8 +109,8 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         policy_key, value_key = jax.random.split(key)
         policy = self.policy.init(policy_key, observation_size, action_size, 0)
         value = self.value.init(value_key, observation_size, action_size)
-        optimizer = self.policy_step.init(policy)
-        return RecurrentMetaState(policy, optimizer, value, jnp.zeros((), int))
+        opt_state = self.policy_step.init(policy)
+        return RecurrentMetaState(policy, opt_state, value, jnp.zeros((), int))
 
     def iteration(self, state: RecurrentMetaState) -> Int[Array, ""]:
         return state.iteration
@@ -139,7 +139,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
                 )
 
     def fast_learner(self, state: RecurrentMetaState) -> RecurrentFastLearner:
-        """Return the learner of new tasks: it remembers."""
+        """Return the learner of new tasks: its policy goes on through their trials."""
         return RecurrentFastLearner(state.policy, self.trial_episodes)
 
     def step(
@@ -148,55 +148,29 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         """See `AbstractMetaLearner.step`."""
         task_key, play_key, learn_key = jax.random.split(key, 3)
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
-        agents = Agents(state.policy, Nothing(), shares_policy=True)
         episodes: list[Episodes] = []
         for number in range(self.trial_episodes):
             keys = task_keys(play_key, number, index.shape[0])
-            memory = episodes[-1].carry if episodes else None
-            episodes.append(collect(keys, agents, index, memory))
+            trial_state = episodes[-1].trial_end if episodes else None
+            agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
+            episodes.append(collect(keys, agents, index, stage=number))
         return self._improve(learn_key, state, tuple(episodes))
 
+    @eqx.filter_jit
     def _improve(
         self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
     ) -> tuple[RecurrentMetaState, RecurrentInfo]:
         policy_key, value_key = jax.random.split(key)
-        trials, expected, advantages = self._judge(state.value, episodes)
-        (policy, optimizer, told), (value, accepted) = side_by_side(
-            lambda: self._improve_policy(policy_key, state, trials, advantages),
-            lambda: self._fit_value(value_key, state.value, trials, advantages + expected),
-        )
-        info = _describe(episodes, trials, advantages, expected, accepted, told)
-        return RecurrentMetaState(policy, optimizer, value, state.iteration + 1), info
-
-    @eqx.filter_jit
-    def _judge(
-        self, value: ValueState, episodes: tuple[Episodes, ...]
-    ) -> tuple[Trials, Float[Array, "trial time"], Float[Array, "trial time"]]:
-        """Return the trials, V_t and advantages."""
         trials = join_episodes(episodes)
-        expected = self.value.values(value, trials)
-        return trials, expected, self.advantages(trials, expected)
-
-    @eqx.filter_jit
-    def _improve_policy(
-        self,
-        key: Key,
-        state: RecurrentMetaState,
-        trials: Trials,
-        advantages: Float[Array, "trial time"],
-    ) -> tuple[AbstractPolicy, Any, Any]:
+        expected = self.value.values(state.value, trials)
+        advantages = self.advantages(trials, expected)
         standard = standardize(advantages, trials.valid)
-        return self.policy_step(key, state.policy, state.optimizer, trials, standard)
-
-    @eqx.filter_jit
-    def _fit_value(
-        self,
-        key: Key,
-        value: ValueState,
-        trials: Trials,
-        returns: Float[Array, "trial time"],
-    ) -> tuple[ValueState, Bool[Array, ""]]:
-        return self.value.fit(key, value, trials, returns)
+        policy, opt_state, step = self.policy_step(
+            policy_key, state.policy, state.opt_state, trials, standard
+        )
+        value, accepted = self.value.fit(value_key, state.value, trials, advantages + expected)
+        info = _describe(episodes, trials, advantages, expected, accepted, step)
+        return RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info
 
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
@@ -212,14 +186,13 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         )
 
 
-@eqx.filter_jit
 def _describe(
     episodes: tuple[Episodes, ...],
     trials: Trials,
     advantages: Float[Array, "trial time"],
     expected: Float[Array, "trial time"],
     value_accepted: Bool[Array, ""],
-    told: Any,
+    policy_step: Any,
 ) -> RecurrentInfo:
     first, last = episodes[0], episodes[-1]
     valid, behaviour = trials.valid, trials.behaviour
@@ -233,7 +206,7 @@ def _describe(
         entropy=masked_mean(behaviour.entropy(), valid),
         explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
         value_accepted=value_accepted,
-        policy_step=told,
+        policy_step=policy_step,
     )
 
 

@@ -1,4 +1,4 @@
-"""A baseline with memory: how much a trial is still going to be paid."""
+"""A recurrent value function: the expected return of the rest of a trial."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
-from maesn.learners.recurrent.trials import Trials
+from maesn.learners.trials import Trials
 from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import MinibatchDescent, if_finite, masked_mean
 from maesn.policies import input_features, input_size
@@ -23,8 +23,8 @@ class ValueState(eqx.Module):
     """State of a `RecurrentValue`."""
 
     network: RecurrentNetwork
-    optimizer: Any
-    """State of Adam."""
+    opt_state: Any
+    """Of Adam."""
     moments: Float[Array, " 3"]
     """Running sums of 1, return, and squared return, from which mean and deviation follow."""
 
@@ -32,19 +32,19 @@ class ValueState(eqx.Module):
 class RecurrentValue(eqx.Module):
     """V_t = mean + std * network(x_0 ... x_t), fitted to λ-returns.
 
-    A network of its own, as the baseline of Duan et al. (2016, section 3), so that it takes nothing
-    from the policy, whose step may be a natural gradient. x_t is what the policy is told, and the
-    share of the trial that is over. Returns are standardised by running statistics, which makes
+    A network of its own, as the baseline of Duan et al. (2016, section 3): the step of the policy
+    may be a natural gradient. x_t is the policy's input, and the share of the trial that is over.
+    Returns are standardised by running statistics, which makes
     learning rates independent of the unit of rewards (Yu et al. 2022, "The surprising effectiveness
     of PPO in cooperative multi-agent games", section 5.1).
     """
 
     encoder_sizes: tuple[int, ...] = ()
-    """Widths of rectified linear layers before the memory."""
+    """Widths of rectified linear layers before the recurrent layer."""
     hidden_size: int = 64
-    """Components of the memory."""
+    """Components of the recurrent state."""
     readout_sizes: tuple[int, ...] = ()
-    """Widths of the hidden layers behind the memory."""
+    """Widths of the hidden layers behind the recurrent layer."""
     descent: MinibatchDescent = MinibatchDescent()
     """How it is fitted."""
 
@@ -68,9 +68,9 @@ class RecurrentValue(eqx.Module):
     def fit(
         self, key: Key, state: ValueState, trials: Trials, returns: Float[Array, "trial time"]
     ) -> tuple[ValueState, Bool[Array, ""]]:
-        """Return a value function that has been fitted to returns, and whether it has been.
+        """Return the value function fitted to returns, and whether the fit was accepted.
 
-        It stays as it is if the fit does not end in numbers: the next one may.
+        If the result is not finite, the value function stays as it is.
         """
         moments = _moments_after(state.moments, trials, returns)
         mean, std = _mean_and_std(moments)
@@ -81,10 +81,10 @@ class RecurrentValue(eqx.Module):
             played, wanted = batch
             return masked_mean((_outputs(network, played) - wanted) ** 2, played.valid), None
 
-        network, optimizer, _ = self.descent.run(
-            key, state.network, state.optimizer, loss, (trials, (returns - mean) / std)
+        network, opt_state, _ = self.descent.run(
+            key, state.network, state.opt_state, loss, (trials, (returns - mean) / std)
         )
-        return if_finite(ValueState(network, optimizer, moments), state)
+        return if_finite(ValueState(network, opt_state, moments), state)
 
 
 def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial time"]:
@@ -92,8 +92,8 @@ def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial t
     share = jnp.arange(steps)[:, None] / steps
 
     def along(played: Trials) -> Float[Array, " time"]:
-        told = jax.vmap(input_features, in_axes=(0, None))(played.inputs, jnp.zeros(0))
-        features = jnp.concatenate([told, share], axis=-1)
+        inputs = jax.vmap(input_features, in_axes=(0, None))(played.inputs, jnp.zeros(0))
+        features = jnp.concatenate([inputs, share], axis=-1)
         return network.unroll(features, played.valid, network.initial_recurrent_state())[0][:, 0]
 
     return jax.vmap(along)(trials)

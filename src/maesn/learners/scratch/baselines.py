@@ -13,9 +13,15 @@ from maesn.axes import ActionKind, TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners.base import AbstractFastLearner
+from maesn.learners.base import (
+    AbstractFastLearner,
+    Capabilities,
+    Purpose,
+    SavedContexts,
+    refuse_saved,
+)
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, CategoricalMLP, GaussianMLP
-from maesn.policies.gaussian_mlp import MINIMUM_STD
+from maesn.policies.heads import MINIMUM_STD
 
 
 class FixedPolicy(AbstractFastLearner[None]):
@@ -23,18 +29,18 @@ class FixedPolicy(AbstractFastLearner[None]):
 
     policy: AbstractPolicy
 
-    def init(self, keys: TaskKeys) -> None:
-        return None
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> None:
+        refuse_saved(self, saved)
 
-    def agents(self, state: None) -> Agents:
+    def agents(self, state: None, purpose: Purpose = "explore") -> Agents:
         return Agents(self.policy, Nothing(), shares_policy=True)
 
     def update(self, state: None, episodes: Episodes) -> None:
         """Learn nothing."""
 
     @property
-    def learns_from_reward(self) -> bool:
-        return False
+    def capabilities(self) -> Capabilities:
+        return Capabilities(learns_from_reward=False)
 
 
 def baselines(

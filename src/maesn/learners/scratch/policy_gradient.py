@@ -13,47 +13,52 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from maesn.axes import TaskKeys
+from maesn.axes import Key, TaskKeys
 from maesn.context import Nothing
-from maesn.experience.agent import Agents
+from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
-from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractFastLearner
-from maesn.learners.scratch.weight_steps import (
-    AbstractWeightStep,
-    GradientStep,
-    TrustRegionWeightStep,
-)
+from maesn.inner.advantage import AdvantageEstimator, Advantages
+from maesn.learners.base import AbstractFastLearner, Purpose, SavedContexts, refuse_saved
+from maesn.learners.policy_steps import AbstractPolicyStep, GradientStep, TrustRegionStep
+from maesn.learners.trials import trials_of
 from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
-from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.numerics.tasks import map_tasks
+from maesn.numerics.trust_region import TrustRegion
+from maesn.policies import AbstractPolicy, AbstractPolicySettings, GaussianMLP
+
+# Damping as in Stable-Baselines3 and Spinning Up: with the reference's 1e-5, the step follows
+# directions that one task's small batch says nothing of, and is cut back to nearly nothing. Steps
+# of conjugate gradients: Schulman et al. 2015, appendix C, and Spinning Up.
+TRPO = TrustRegionStep(TrustRegion(damping=0.1, cg_steps=10))
 
 
 class PolicyGradientState(eqx.Module):
     """State of a policy gradient in many tasks, each with weights of its own."""
 
     agents: Agents
-    memory: Any
-    """What the rule remembers, one per task."""
+    opt_state: Any
+    """Of the steps, one per task."""
     keys: TaskKeys
     """Of all further draws of each task."""
     update: Int[Array, ""]
     """Number of updates so far."""
 
 
-def refuse_recurrent(name: str, owner: AbstractPolicySettings | AbstractFastLearner[Any]) -> None:
-    """Refuse what remembers: the steps of the weights here judge every time step by itself.
+def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
+    """Refuse recurrent policies: the steps of the weights here judge every time step by itself.
 
     Args:
-        name: by which it was given.
-        owner: of the policy.
+        name: of the argument.
+        owner: what was given for it.
+        is_recurrent: whether its policy is.
 
     Raises:
-        ValueError: it has a memory.
+        ValueError: it is.
     """
-    if owner.is_recurrent:
+    if is_recurrent:
         raise ValueError(
-            f"`{name}` must be without memory, got {type(owner).__name__}: the policy gradient in "
+            f"`{name}` must not be recurrent, got {type(owner).__name__}: the policy gradient in "
             "one task judges every step by itself."
         )
 
@@ -61,32 +66,35 @@ def refuse_recurrent(name: str, owner: AbstractPolicySettings | AbstractFastLear
 class PolicyImprovement(eqx.Module):
     """Policy gradient on the weights of agents that are given; their contexts stay."""
 
-    rule: AbstractWeightStep = TrustRegionWeightStep()
+    rule: AbstractPolicyStep = TRPO
     """The step of the weights."""
     advantage: AdvantageEstimator = AdvantageEstimator()
     """How rewards become advantages."""
 
     def begin(self, keys: TaskKeys, agents: Agents) -> PolicyGradientState:
         """Return the state that begins with these agents, each with a copy of its weights."""
-        policy, memory = agents.vmap(lambda agent, _: (agent.policy, self.rule.init(agent.policy)))(
-            keys
+        policy, opt_state = agents.map(
+            lambda agent, _: (agent.policy, self.rule.init(agent.policy)), keys, how="vmap"
         )
         owners = replace(agents, policy=policy, shares_policy=False)
-        return PolicyGradientState(owners, memory, keys, jnp.zeros((), int))
+        return PolicyGradientState(owners, opt_state, keys, jnp.zeros((), int))
 
     @eqx.filter_jit
     def __call__(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
         """Move every task's weights once, by what its agent has played."""
         advantages = self.advantage.of_tasks(episodes)
         keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
-        # At once, all tasks would wait for the longest line search.
-        policy, memory = state.agents.one_by_one(
-            lambda agent, key, memory, played, judged: self.rule.step(
-                key, agent, memory, played, judged
-            )
-        )(keys, state.memory, episodes, advantages)
+
+        def improve(
+            agent: Agent, key: Key, opt_state: Any, played: Episodes, judged: Advantages
+        ) -> tuple[AbstractPolicy, Any]:
+            trials = trials_of(agent, played)
+            return self.rule(key, agent.policy, opt_state, trials, judged.step)[:2]
+
+        # All at once, they would wait for the longest line search.
+        policy, opt_state = state.agents.map(improve, keys, state.opt_state, episodes, advantages)
         moved = replace(state.agents, policy=policy)
-        return PolicyGradientState(moved, memory, state.keys, state.update + 1)
+        return PolicyGradientState(moved, opt_state, state.keys, state.update + 1)
 
 
 class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
@@ -102,17 +110,20 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     """How the weights follow their experience."""
 
     def __check_init__(self) -> None:
-        refuse_recurrent("policy", self.policy)
+        refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
 
-    def init(self, keys: TaskKeys) -> PolicyGradientState:
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> PolicyGradientState:
+        refuse_saved(self, saved)
         split = jax.vmap(jax.random.split)(keys)
-        policy = jax.vmap(
-            lambda key: self.policy.init(key, self.observation_size, self.action_size, 0)
-        )(split[:, 0])
+        policy = map_tasks(
+            lambda key: self.policy.init(key, self.observation_size, self.action_size, 0),
+            split[:, 0],
+            how="vmap",
+        )
         agents = Agents(policy, Nothing(), shares_policy=False)
         return self.improvement.begin(split[:, 1], agents)
 
-    def agents(self, state: PolicyGradientState) -> Agents:
+    def agents(self, state: PolicyGradientState, purpose: Purpose = "explore") -> Agents:
         return state.agents
 
     def update(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
@@ -121,7 +132,7 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
 
 
 IMPROVEMENTS = {
-    "trpo": PolicyImprovement(TrustRegionWeightStep()),
+    "trpo": PolicyImprovement(TRPO),
     "reinforce": PolicyImprovement(GradientStep()),
 }
 """How a policy's weights can follow the gradient of one task, by name."""
@@ -150,14 +161,14 @@ def trpo(
     observation_size: int,
     action_size: int,
     *,
-    max_kl: float = TrustRegionWeightStep().trust_region.max_kl,
+    max_kl: float = TRPO.trust_region.max_kl,
     **settings: Any,
 ) -> PolicyGradient:
-    """TRPO (Schulman et al. 2015) that drifts where all episodes are paid the same.
+    """TRPO (Schulman et al. 2015) that drifts where all episodes have the same rewards.
 
-    A family without control costs pays all episodes the same until one reaches the goal. Steps in
-    random directions are then a search of policies, which finds goals that the noise of actions
-    alone does not (docs/methods/scratch.md). The published runs drifted, by their implementation.
+    Without control costs this is so until an episode reaches the goal. Steps in random directions
+    are then a search among policies, which finds goals that the noise of actions alone does not
+    (docs/methods/scratch.md). The published runs drifted, by their implementation.
 
     Args:
         observation_size: components of an observation.
@@ -165,8 +176,7 @@ def trpo(
         max_kl: bound on the mean KL divergence of an update. Published: 0.01.
         settings: others of `PolicyGradient`.
     """
-    rule = TrustRegionWeightStep().sized(max_kl)
-    improvement = PolicyImprovement(rule, AdvantageEstimator(drifts=True))
+    improvement = PolicyImprovement(TRPO.sized(max_kl), AdvantageEstimator(drifts=True))
     return PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
 
 
@@ -174,26 +184,26 @@ def vime(
     observation_size: int,
     action_size: int,
     *,
-    max_kl: float = TrustRegionWeightStep().trust_region.max_kl,
+    max_kl: float = TRPO.trust_region.max_kl,
     curiosity: CuriosityBonus | None = None,
     **settings: Any,
 ) -> BonusFastLearner:
-    """VIME (Houthooft et al. 2016): TRPO that is paid for what it finds out.
+    """VIME (Houthooft et al. 2016): TRPO with a curiosity bonus.
 
-    It does not drift: with a bonus no two episodes are paid the same. (With a weight of 0 it stands
-    still where `trpo` drifts.)
+    It does not drift: with a bonus no two episodes have the same rewards. (With a weight of 0 it
+    stands still where `trpo` drifts.)
 
     Args:
         observation_size: components of an observation.
         action_size: components of an action, or number of choices.
         max_kl: bound on the mean KL divergence of an update. Published: 0.01.
-        curiosity: what it is paid; None for the usual.
+        curiosity: the bonus; None for the usual one.
         settings: others of `PolicyGradient`.
     """
-    improvement = PolicyImprovement(TrustRegionWeightStep().sized(max_kl))
+    improvement = PolicyImprovement(TRPO.sized(max_kl))
     learner = PolicyGradient(observation_size, action_size, improvement=improvement, **settings)
-    paid = CuriosityBonus() if curiosity is None else curiosity
-    return BonusFastLearner(learner, paid, observation_size, action_size)
+    bonus = CuriosityBonus() if curiosity is None else curiosity
+    return BonusFastLearner(learner, bonus, observation_size, action_size)
 
 
 SCRATCH: dict[str, Callable[..., AbstractFastLearner[Any]]] = {

@@ -1,8 +1,11 @@
-"""Curiosity for any learner: it is handed the episodes with a bonus added to their rewards."""
+"""A bonus for what an agent finds out, around any learner.
+
+The learner is handed its episodes with the bonus added to their rewards, and learns from the sum.
+"""
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic
 
 import equinox as eqx
 import jax
@@ -11,11 +14,19 @@ from jaxtyping import Array, Float, Int
 
 from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes, TrialState
+from maesn.experience.episodes import Collect, Episodes
 from maesn.experience.transitions import check_observed
-from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
-from maesn.learners.side_by_side import side_by_side
+from maesn.learners.base import (
+    AbstractFastLearner,
+    AbstractMetaLearner,
+    Capabilities,
+    Info,
+    Purpose,
+    SavedContexts,
+    refuse_saved,
+)
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
+from maesn.numerics.tasks import map_tasks
 
 
 class BonusFastState(eqx.Module):
@@ -31,7 +42,7 @@ class BonusFastState(eqx.Module):
 
 
 class BonusFastLearner(AbstractFastLearner[BonusFastState]):
-    """A fast learner that is paid for what each task's model of the dynamics finds out.
+    """A fast learner with a bonus for what each task's model of the dynamics learns.
 
     With TRPO from scratch this is VIME.
     """
@@ -39,7 +50,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     learner: AbstractFastLearner[Any]
     """Learns from reward and bonus."""
     curiosity: CuriosityBonus
-    """What it is paid."""
+    """What the bonus is."""
     observation_size: int
     """Components of an observation."""
     action_size: int
@@ -48,62 +59,38 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     """What the models know at the start; None for nothing."""
 
     def __check_init__(self) -> None:
-        if not self.learner.learns_from_reward:
+        can = self.learner.capabilities
+        if not can.learns_from_reward:
             raise ValueError(
-                f"`learner` must learn from what it is paid to be curious, which "
-                f"{type(self.learner).__name__} does not."
+                f"`learner` must learn from rewards, which {type(self.learner).__name__} does not: "
+                "a bonus would change nothing."
             )
-        if self.learner.has_bonus:
-            raise ValueError("`learner` must not be curious already: it would be paid twice.")
+        if can.has_bonus:
+            raise ValueError("`learner` must not have a bonus already: it would be added twice.")
         check_observed(self.observation_size)
 
-    def init(self, keys: TaskKeys) -> BonusFastState:
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> BonusFastState:
+        refuse_saved(self, saved)
         learner_keys, model_keys, keys = jnp.moveaxis(
             jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0
         )
-        models = jax.vmap(self._fresh)(model_keys)
+        models = map_tasks(self._fresh, model_keys, how="vmap")
         learner = self.learner.init(learner_keys)
         return BonusFastState(learner, models, keys, jnp.zeros((), int))
 
-    def agents(self, state: BonusFastState) -> Agents:
-        return self.learner.agents(state.learner)
-
-    def memory(self, state: BonusFastState) -> TrialState | None:
-        return self.learner.memory(state.learner)
-
-    def episodes_per_update(self, episodes_per_task: int) -> int:
-        return self.learner.episodes_per_update(episodes_per_task)
+    def agents(self, state: BonusFastState, purpose: Purpose = "explore") -> Agents:
+        return self.learner.agents(state.learner, purpose)
 
     @property
-    def trial_episodes(self) -> int | None:
-        return self.learner.trial_episodes
-
-    @property
-    def is_recurrent(self) -> bool:
-        return self.learner.is_recurrent
-
-    @property
-    def has_bonus(self) -> bool:
-        return True
-
-    def paced(self, step_scale: float, full_steps: int | None) -> "BonusFastLearner":
-        """See `AbstractFastLearner.paced`; the steps are those of the learner that is paid."""
-        return self.inside(lambda learner: learner.paced(step_scale, full_steps))
-
-    def inside(
-        self, change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]
-    ) -> "BonusFastLearner":
-        """See `AbstractFastLearner.inside`; what is changed is paid as before."""
-        return dataclasses.replace(self, learner=self.learner.inside(change))
+    def capabilities(self) -> Capabilities:
+        return self.learner.capabilities._replace(has_bonus=True, resumes=False)
 
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
-        """Learn from reward and bonus, then let the models learn from what was seen."""
+        """Learn from reward and bonus, then let the models learn from the transitions."""
         keys = _split_each(state.keys, state.update)
-        paid, bonus = self._pay(keys[:, 0], state.curiosity, episodes)
-        learned, models = side_by_side(
-            lambda: self.learner.update(state.learner, _with_bonus(episodes, bonus)),
-            lambda: self._learn(keys[:, 1], paid),
-        )
+        judged, bonus = self._judge(keys[:, 0], state.curiosity, episodes)
+        learned = self.learner.update(state.learner, _with_bonus(episodes, bonus))
+        models = self._learn(keys[:, 1], judged)
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
     def _fresh(self, key: Key) -> CuriosityState:
@@ -112,15 +99,30 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         return self.curiosity.init(key, self.observation_size, self.action_size)
 
     @eqx.filter_jit
-    def _pay(
+    def _judge(
         self, keys: TaskKeys, models: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
         # One task after the other: the gradients of single transitions are large.
-        return jax.lax.map(lambda x: self.curiosity.pay(*x), (keys, models, episodes))
+        return map_tasks(self.curiosity.judge, keys, models, episodes, how="serial")
 
     @eqx.filter_jit
     def _learn(self, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
-        return jax.vmap(self.curiosity.learn)(keys, models)
+        return map_tasks(self.curiosity.learn, keys, models, how="vmap")
+
+
+def inside(
+    learner: AbstractFastLearner[Any],
+    change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]],
+) -> AbstractFastLearner[Any]:
+    """Return a changed learner, which keeps its bonus if it has one.
+
+    Args:
+        learner: with or without a bonus.
+        change: makes another learner of the one that learns from the episodes.
+    """
+    if isinstance(learner, BonusFastLearner):
+        return dataclasses.replace(learner, learner=inside(learner.learner, change))
+    return change(learner)
 
 
 class BonusMetaState(eqx.Module):
@@ -132,7 +134,7 @@ class BonusMetaState(eqx.Module):
 
 
 class BonusInfo(eqx.Module):
-    """What a person wants to know of the curiosity of one meta-iteration."""
+    """What a person wants to know of the bonus of one meta-iteration."""
 
     bonus: Float[Array, ""]
     """Mean bonus of an episode in the last collection."""
@@ -140,11 +142,19 @@ class BonusInfo(eqx.Module):
     """Mean of the last median information gains, in nats for a step of size 1."""
 
 
-class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, dict[str, Any]]):
-    """A meta-learner that is paid for what one model of the dynamics finds out.
+class BonusMetaInfo(eqx.Module, Generic[Info]):
+    """What a person wants to know of one meta-iteration with a bonus."""
 
-    Every collection of a meta-iteration is paid by the model of its beginning; at its end the
-    model learns. What is learned of the dynamics passes on to new tasks.
+    learner: Info
+    """What the learner says of its step, with returns that are without bonus."""
+    curiosity: BonusInfo
+
+
+class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
+    """A meta-learner with a bonus for what one model of the dynamics learns.
+
+    The bonus of a meta-iteration is that of the model at its beginning; at its end the model
+    learns. What it has learned of the dynamics passes on to new tasks.
     """
 
     learner: AbstractMetaLearner[Any, Any]
@@ -154,7 +164,7 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, dict[str, Any]]):
 
     def __check_init__(self) -> None:
         if type(self) in self.learner.slots():
-            raise ValueError("`learner` must not be curious already: it would be paid twice.")
+            raise ValueError("`learner` must not have a bonus already: it would be added twice.")
 
     def init(
         self,
@@ -183,8 +193,14 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, dict[str, Any]]):
         self.learner.check_batch(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
-        """Return those of the learner, which is another method if it is curious."""
+        """Return those of the learner; with a bonus it is another method."""
         return (type(self), *self.learner.slots())
+
+    def metrics(self, info: BonusMetaInfo[Any]) -> dict[str, Any]:
+        """Return the metrics of the learner by their own names, and those of the bonus."""
+        inner = self.learner.metrics(info.learner)
+        named = {field.name: getattr(inner, field.name) for field in dataclasses.fields(inner)}
+        return named | {"curiosity": info.curiosity}
 
     def fast_learner(self, state: BonusMetaState) -> AbstractFastLearner[Any]:
         """Return the learner of new tasks; its models begin with what this one knows.
@@ -192,7 +208,7 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, dict[str, Any]]):
         A learner whose updates do not depend on rewards has no use for a bonus, and comes as it is.
         """
         learner, network = self.learner.fast_learner(state.learner), state.curiosity.network
-        if not learner.learns_from_reward:
+        if not learner.capabilities.learns_from_reward:
             return learner
         return BonusFastLearner(
             learner=learner,
@@ -204,21 +220,21 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, dict[str, Any]]):
 
     def step(
         self, key: Key, state: BonusMetaState, collect: Collect
-    ) -> tuple[BonusMetaState, dict[str, Any]]:
+    ) -> tuple[BonusMetaState, BonusMetaInfo[Any]]:
         """Do one meta-iteration.
 
         Returns:
-            The new state, and what the learner says of its step with `curiosity` beside it. The
-            returns are those of the first and the last agents, or episodes of a trial, without
-            bonus.
+            The new state, and what happened. The returns are those of the first and the last stage
+            of the meta-iteration, without bonus.
         """
-        learner_key, pay_key, learn_key = jax.random.split(key, 3)
-        paying = _CollectWithBonus(self.curiosity, pay_key, state.curiosity, collect)
-        learned, info = self.learner.step(learner_key, state.learner, paying)
-        told = {field.name: getattr(info, field.name) for field in dataclasses.fields(info)}
-        told |= {"return_before": paying.returns[0], "return_after": paying.returns[-1]}
-        told["curiosity"] = BonusInfo(paying.bonus, paying.state.medians.moments()[0][0])
-        return BonusMetaState(learned, _learn(self.curiosity, learn_key, paying.state)), told
+        learner_key, judge_key, learn_key = jax.random.split(key, 3)
+        judging = _CollectWithBonus(self.curiosity, judge_key, state.curiosity, collect)
+        learned, info = self.learner.step(learner_key, state.learner, judging)
+        before, after = judging.first_and_last_return()
+        info = dataclasses.replace(info, return_before=before, return_after=after)
+        said = BonusInfo(judging.bonus, judging.state.medians.moments()[0][0])
+        model = _learn(self.curiosity, learn_key, judging.state)
+        return BonusMetaState(learned, model), BonusMetaInfo(info, said)
 
 
 class _CollectWithBonus:
@@ -232,42 +248,42 @@ class _CollectWithBonus:
         self._curiosity = curiosity
         self._key = key
         self._collect = collect
-        self._agents: Agents | None = None
-        self._batches: list[list[Float[Array, ""]]] = []
-        """Mean return of every batch, by who played it."""
-
-    @property
-    def returns(self) -> list[Float[Array, ""]]:
-        """Mean return, without bonus, of each episode of a trial, or of all batches of an agent."""
-        return [jnp.stack(batches).mean() for batches in self._batches]
+        self._returns: list[tuple[int, Float[Array, ""]]] = []
+        """Stage and mean return, without bonus, of every batch."""
 
     @property
     def num_tasks(self) -> int:
         return self._collect.num_tasks
 
+    @property
+    def episodes_per_task(self) -> int:
+        return self._collect.episodes_per_task
+
+    def first_and_last_return(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return the mean returns of the first and of the last stage, over their batches."""
+        stages = [stage for stage, _ in self._returns]
+        first, last = (
+            jnp.stack([mean for stage, mean in self._returns if stage == chosen]).mean()
+            for chosen in (min(stages), max(stages))
+        )
+        return first, last
+
     def __call__(
-        self,
-        keys: TaskKeys,
-        agents: Agents,
-        task_index: Int[Array, " task"],
-        carry: TrialState | None = None,
+        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
-        episodes = self._collect(keys, agents, task_index, carry)
-        key = jax.random.fold_in(self._key, sum(map(len, self._batches)))
-        self.state, bonus = _pay(self._curiosity, key, self.state, episodes)
-        if agents is not self._agents or carry is not None:
-            self._batches.append([])
-        self._agents = agents
-        self._batches[-1].append(episodes.undiscounted_return.mean())
+        episodes = self._collect(keys, agents, task_index, stage)
+        key = jax.random.fold_in(self._key, len(self._returns))
+        self.state, bonus = _judge(self._curiosity, key, self.state, episodes)
+        self._returns.append((stage, episodes.undiscounted_return.mean()))
         self.bonus = bonus.sum(-1).mean()
         return _with_bonus(episodes, bonus)
 
 
 @eqx.filter_jit
-def _pay(
+def _judge(
     curiosity: CuriosityBonus, key: Key, state: CuriosityState, episodes: Episodes
 ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
-    return curiosity.pay(key, state, episodes)
+    return curiosity.judge(key, state, episodes)
 
 
 @eqx.filter_jit
@@ -276,9 +292,9 @@ def _learn(curiosity: CuriosityBonus, key: Key, state: CuriosityState) -> Curios
 
 
 def _with_bonus(episodes: Episodes, bonus: Float[Array, "task episode time"]) -> Episodes:
-    """Return the episodes with rewards to learn from; what the policy was shown stays."""
-    shown = episodes.reward if episodes.observed_reward is None else episodes.observed_reward
-    return dataclasses.replace(episodes, reward=episodes.reward + bonus, observed_reward=shown)
+    """Return the episodes with bonus; what the policy received as a reward stays without."""
+    received = episodes.reward if episodes.observed_reward is None else episodes.observed_reward
+    return dataclasses.replace(episodes, reward=episodes.reward + bonus, observed_reward=received)
 
 
 def _split_each(keys: TaskKeys, update: Int[Array, ""]) -> Any:

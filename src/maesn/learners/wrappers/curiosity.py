@@ -1,9 +1,8 @@
-"""Curiosity: pay an agent for what it finds out about the dynamics of its world, as VIME does.
+"""Curiosity: a bonus for information about the dynamics of the world, as in VIME.
 
-A Bayesian neural network models p(s' | s, a). A transition is worth the information that it brings
-about the network's weights, KL(posterior after it || posterior before it). Nothing here knows a
-task or a learner: any learner that is handed the episodes with the bonus added is curious
-(`maesn.learners.wrappers.bonus`).
+A Bayesian neural network models p(s' | s, a). The bonus of a transition is the information that it
+brings about the network's weights, KL(posterior after it || posterior before it). Nothing here
+knows a task or a learner: `maesn.learners.wrappers.bonus` adds the bonus to the rewards of any.
 
 Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration" (2016),
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
@@ -33,8 +32,8 @@ class CuriosityState(eqx.Module):
     """What one model knows: arrays only."""
 
     network: BayesianNetwork
-    optimizer: Any
-    """Moments of Adam."""
+    opt_state: Any
+    """Of Adam."""
     pool: Ring
     """Transitions to learn from."""
     medians: Ring
@@ -46,16 +45,15 @@ class CuriosityState(eqx.Module):
 class CuriosityBonus(eqx.Module):
     """How a bonus is computed: r'(s, a, s') = r + weight * gain(s, a, s') / typical gain.
 
-    The typical gain is the mean of the medians of the last batches. A model that has learned
-    nothing yet is not asked, as in the published code: to it, everything is worth so much more than
-    later on that its median would leave hardly any bonus to the next batches.
+    The typical gain is the mean of the medians of the last batches. As long as the model has
+    learned nothing there is no bonus, as in the published code: the gains of a fresh model are so
+    much larger than later ones that their median would leave hardly any bonus to the next batches.
 
-    Methods are written for one model of one world's dynamics, and mapped over tasks by whoever has
-    several.
+    Methods are written for one model of the dynamics of one world; callers map them over tasks.
     """
 
     weight: float = 1e-4
-    """eta, what a transition of typical information gain is paid. Published: 1e-4."""
+    """eta, the bonus of a transition of typical information gain. Published: 1e-4."""
     hidden_sizes: tuple[int, ...] = (32,)
     """Widths of the network's hidden layers. Published: 32."""
     prior_std: float = 0.5
@@ -118,20 +116,19 @@ class CuriosityBonus(eqx.Module):
     ) -> CuriosityState:
         return CuriosityState(
             network=network,
-            optimizer=optax.adam(self.learning_rate).init(network),
+            opt_state=optax.adam(self.learning_rate).init(network),
             pool=pool,
             medians=Ring.empty(self.median_window, 1),
             has_learned=has_learned,
         )
 
-    def pay(
+    def judge(
         self, key: Key, state: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "*batch time"]]:
         """Return the bonus of every step, by what the model has learned before; 0 where invalid.
 
-        The state that comes back holds some of the transitions and their median gain; it has not
-        learned from them yet. As long as it has learned nothing, the bonus is 0, and no median is
-        kept.
+        The new state holds some of the transitions and their median gain; it has not learned from
+        them yet. As long as the model has learned nothing, the bonus is 0 and no median is kept.
 
         Args:
             key: random key.
@@ -214,19 +211,19 @@ class CuriosityBonus(eqx.Module):
         adam, scale = optax.adam(self.learning_rate), Scale(*state.pool.moments())
         number = jnp.maximum(state.pool.size, 1).astype(float)
 
-        def step(carry: tuple[BayesianNetwork, Any], step_key: Key) -> Any:
-            network, optimizer = carry
+        def step(now: tuple[BayesianNetwork, Any], step_key: Key) -> Any:
+            network, opt_state = now
             row_key, noise_key = jax.random.split(step_key)
             rows = jax.vmap(scale.__call__)(state.pool.sample(row_key, self.batch_size))
             shape = (self.batch_size, self.samples, network.noise_size)
             noise = jax.random.normal(noise_key, shape)
             gradient = jax.grad(self.objective)(network, rows, noise, number)
-            return first_order_step(adam, network, gradient, optimizer), None
+            return first_order_step(adam, network, gradient, opt_state), None
 
-        start = (state.network, state.optimizer)
-        (network, optimizer), _ = jax.lax.scan(step, start, jax.random.split(key, self.updates))
+        start = (state.network, state.opt_state)
+        (network, opt_state), _ = jax.lax.scan(step, start, jax.random.split(key, self.updates))
         has_learned = jnp.ones_like(state.has_learned)
-        return replace(state, network=network, optimizer=optimizer, has_learned=has_learned)
+        return replace(state, network=network, opt_state=opt_state, has_learned=has_learned)
 
     def _draw_additions(self, key: Key, seen: Transitions) -> Transitions:
         number = seen.valid.shape[0]

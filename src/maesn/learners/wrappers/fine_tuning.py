@@ -1,11 +1,10 @@
 """Fine-tuning: after a fast learner has settled, its policy's weights follow the task's gradient.
 
-A rule for test time, which any fast learner without memory can be given; nothing is trained for it.
-It is what the paper's claim about asymptotic performance means: what the latents cannot reach, the
-weights can.
+A rule for new tasks; nothing is trained for it. Any fast learner can be fine-tuned whose policy is
+not recurrent. The paper's claim about asymptotic performance rests on it: what the latents cannot
+reach, the weights can.
 """
 
-from dataclasses import replace
 from typing import Any, Generic
 
 import equinox as eqx
@@ -14,8 +13,15 @@ from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes, TrialState
-from maesn.learners.base import AbstractFastLearner, FastState
+from maesn.experience.episodes import Episodes
+from maesn.learners.base import (
+    AbstractFastLearner,
+    Capabilities,
+    FastState,
+    Purpose,
+    SavedContexts,
+    refuse_saved,
+)
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
     PolicyImprovement,
@@ -28,14 +34,14 @@ class FineTuningState(eqx.Module, Generic[FastState]):
 
     learner: FastState
     tuning: PolicyGradientState | None
-    """None until the learner has done its updates."""
+    """None until the learner has had its episodes."""
     keys: TaskKeys
-    update: Int[Array, ""]
-    """Number of updates so far, both kinds together."""
+    episodes: Int[Array, ""]
+    """Episodes of each task so far."""
 
 
 class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
-    """`after` updates of a fast learner, then policy gradient on its agents' weights.
+    """`after` episodes for a fast learner, then policy gradient on its agents' weights.
 
     The contexts stay as the learner has left them: z is drawn from the adapted latent in every
     episode, and π(a | o, z) is improved.
@@ -45,40 +51,48 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     """Adapts first."""
     improvement: PolicyImprovement = PolicyImprovement()
     """How the weights follow their experience afterwards."""
-    after: int = 10
-    """Updates of the learner. The reference's steps are halved from the third update on: after ten
-    of them the latents stand still."""
+    after: int = 500
+    """Episodes of each task that the learner has before. The update that reaches them is its last
+    one. With 50 episodes per update this is ten updates, after which the latents stand still: the
+    reference's steps are halved from the third update on."""
 
     def __check_init__(self) -> None:
         if self.after < 0:
-            raise ValueError(f"`after` must be at least 0, got {self.after}.")
-        refuse_recurrent("learner", self.learner)
-        if self.learner.has_bonus:
+            raise ValueError(f"`after` must be at least 0 episodes, got {self.after}.")
+        can = self.learner.capabilities
+        refuse_recurrent("learner", self.learner, is_recurrent=can.is_recurrent)
+        if can.has_bonus:
             raise ValueError(
-                "`learner` must not be curious, because the updates after its own would not be "
-                "paid: fine-tune who is paid, by `learner.inside`."
+                "`learner` must not have a bonus, which the updates after its own would not get: "
+                "fine-tune the learner inside of the bonus, by `learners.inside`."
             )
 
-    def init(self, keys: TaskKeys) -> FineTuningState[Any]:
-        state = FineTuningState(self.learner.init(keys), None, keys, jnp.zeros((), int))
-        return state if self.after else replace(state, tuning=self._begin(state))
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> FineTuningState[Any]:
+        refuse_saved(self, saved)
+        return self._next(self.learner.init(keys), keys, jnp.zeros((), int))
 
-    def agents(self, state: FineTuningState[Any]) -> Agents:
-        return self.learner.agents(state.learner) if state.tuning is None else state.tuning.agents
-
-    def memory(self, state: FineTuningState[Any]) -> TrialState | None:
-        return self.learner.memory(state.learner) if state.tuning is None else None
+    def agents(self, state: FineTuningState[Any], purpose: Purpose = "explore") -> Agents:
+        """Return the learner's agents, or those of its contexts and the tuned weights."""
+        if state.tuning is None:
+            return self.learner.agents(state.learner, purpose)
+        agents = state.tuning.agents
+        return agents.at_mean() if purpose == "deploy" else agents
 
     def update(self, state: FineTuningState[Any], episodes: Episodes) -> FineTuningState[Any]:
         """Let the learner learn, or go on from where it stands."""
-        learner, tuning, done = state.learner, state.tuning, state.update + 1
-        if tuning is not None:
-            tuned = self.improvement(tuning, episodes)
-            return FineTuningState(learner, tuned, state.keys, done)
-        learned = FineTuningState(self.learner.update(learner, episodes), None, state.keys, done)
-        if int(done) < self.after:
-            return learned
-        return FineTuningState(learned.learner, self._begin(learned), state.keys, done)
+        count = state.episodes + episodes.valid.shape[1]
+        if state.tuning is not None:
+            tuned = self.improvement(state.tuning, episodes)
+            return FineTuningState(state.learner, tuned, state.keys, count)
+        return self._next(self.learner.update(state.learner, episodes), state.keys, count)
 
-    def _begin(self, state: FineTuningState[Any]) -> PolicyGradientState:
-        return self.improvement.begin(state.keys, self.learner.agents(state.learner))
+    @property
+    def capabilities(self) -> Capabilities:
+        return self.learner.capabilities._replace(learns_from_reward=True, resumes=False)
+
+    def _next(self, learned: Any, keys: TaskKeys, count: Int[Array, ""]) -> FineTuningState[Any]:
+        """Return the state after an update of the learner's; if it was the last, tuning begins."""
+        tuning = None
+        if int(count) >= self.after:
+            tuning = self.improvement.begin(keys, self.learner.agents(learned))
+        return FineTuningState(learned, tuning, keys, count)

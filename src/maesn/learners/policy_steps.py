@@ -1,27 +1,41 @@
-"""How a policy is improved on trials: PPO or TRPO, one slot."""
+"""How a policy's weights follow what it has played: REINFORCE, PPO or TRPO, one slot."""
 
+import math
 from abc import abstractmethod
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import optax
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
-from maesn.learners.recurrent.trials import Trials
-from maesn.numerics import AbstractDistribution, MinibatchDescent, if_finite, masked_mean
-from maesn.numerics.trust_region import Evaluation, TrustRegion, TrustRegionInfo
+from maesn.learners.trials import Trials
+from maesn.numerics import (
+    AbstractDistribution,
+    MinibatchDescent,
+    first_order_step,
+    if_finite,
+    masked_mean,
+)
+from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
+from maesn.settings import check_choice
 
 
 class AbstractPolicyStep(eqx.Module):
     """Improves a policy on trials that it has played."""
 
     @property
-    @abstractmethod
     def minibatches(self) -> int:
         """Number of parts that the trials are cut into."""
+        return 1
+
+    @abstractmethod
+    def sized(self, size: float) -> "AbstractPolicyStep":
+        """Return the same step with another size, in its own measure."""
 
     @abstractmethod
     def init(self, policy: AbstractPolicy) -> Any:
@@ -32,7 +46,7 @@ class AbstractPolicyStep(eqx.Module):
         self,
         key: Key,
         policy: AbstractPolicy,
-        state: Any,
+        opt_state: Any,
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[AbstractPolicy, Any, Any]:
@@ -41,10 +55,63 @@ class AbstractPolicyStep(eqx.Module):
         Args:
             key: random key.
             policy: has played the trials.
-            state: of the optimiser.
+            opt_state: of the optimiser.
             trials: what was played.
             advantages: of every step; ignored where invalid.
         """
+
+
+Scaling: TypeAlias = Literal["none", "adam"]
+
+
+class GradientStepInfo(eqx.Module):
+    """What happened in one `GradientStep`."""
+
+    loss: Float[Array, ""]
+    """Before the step."""
+    gradient_norm: Float[Array, ""]
+
+
+class GradientStep(AbstractPolicyStep):
+    """REINFORCE: θ' = θ + step_size * mean_t[∇ log π(a_t) A_t], over all steps of all trials."""
+
+    step_size: float = 0.1
+    """Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    scaling: Scaling = "none"
+    """`adam` for a gradient that Adam scales: the size of the step then means something else."""
+
+    def __check_init__(self) -> None:
+        check_choice("scaling", self.scaling, Scaling)
+        if not 0 < self.step_size < math.inf:
+            raise ValueError(f"`step_size` must be positive and finite, got {self.step_size}.")
+
+    def sized(self, size: float) -> "GradientStep":
+        """Return the same step with another `step_size`."""
+        return replace(self, step_size=size)
+
+    @property
+    def _optimizer(self) -> optax.GradientTransformation:
+        make = {"none": optax.sgd, "adam": optax.adam}[self.scaling]
+        return make(self.step_size)
+
+    def init(self, policy: AbstractPolicy) -> Any:
+        return self._optimizer.init(policy)
+
+    def __call__(
+        self,
+        key: Key,
+        policy: AbstractPolicy,
+        opt_state: Any,
+        trials: Trials,
+        advantages: Float[Array, "trial time"],
+    ) -> tuple[AbstractPolicy, Any, GradientStepInfo]:
+        def loss(varied: AbstractPolicy) -> Float[Array, ""]:
+            log_prob = trials.distributions(varied).log_prob(trials.action)
+            return -masked_mean(log_prob * advantages, trials.valid)
+
+        value, gradient = jax.value_and_grad(loss)(policy)
+        moved, opt_state = first_order_step(self._optimizer, policy, gradient, opt_state)
+        return moved, opt_state, GradientStepInfo(value, optax.tree.norm(gradient))
 
 
 class ProximalInfo(eqx.Module):
@@ -66,7 +133,7 @@ class ProximalStep(AbstractPolicyStep):
         L = -mean_t min(ρ_t A_t, clip(ρ_t, 1 - ε, 1 + ε) A_t) - w mean_t H(π_t)
 
     with ρ_t = π(a_t) / π_old(a_t) and the entropy H. A minibatch holds whole trials, and gradients
-    run through all of their memory.
+    run through all of their steps.
     """
 
     clip: float = 0.2
@@ -86,6 +153,10 @@ class ProximalStep(AbstractPolicyStep):
     def minibatches(self) -> int:
         return self.descent.minibatches
 
+    def sized(self, size: float) -> "ProximalStep":
+        """Return the same step with another learning rate."""
+        return replace(self, descent=replace(self.descent, learning_rate=size))
+
     def init(self, policy: AbstractPolicy) -> Any:
         return self.descent.init(policy)
 
@@ -93,7 +164,7 @@ class ProximalStep(AbstractPolicyStep):
         self,
         key: Key,
         policy: AbstractPolicy,
-        state: Any,
+        opt_state: Any,
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[AbstractPolicy, Any, ProximalInfo]:
@@ -102,9 +173,9 @@ class ProximalStep(AbstractPolicyStep):
         ) -> tuple[Float[Array, ""], ProximalInfo]:
             return self.loss(batch[0].distributions(varied), *batch)
 
-        improved, new_state, info = self.descent.run(key, policy, state, loss, (trials, advantages))
-        (improved, state), accepted = if_finite((improved, new_state), (policy, state))
-        return improved, state, eqx.tree_at(lambda told: told.accepted, info, accepted)
+        *new, info = self.descent.run(key, policy, opt_state, loss, (trials, advantages))
+        (improved, opt_state), accepted = if_finite(tuple(new), (policy, opt_state))
+        return improved, opt_state, replace(info, accepted=accepted)
 
     def loss(
         self,
@@ -133,21 +204,22 @@ class ProximalStep(AbstractPolicyStep):
 
 
 class TrustRegionStep(AbstractPolicyStep):
-    """TRPO, the step of Duan et al. (2016), with the surrogate -mean_t ρ_t A_t."""
+    """TRPO (Schulman et al. 2015), with the surrogate -mean_t ρ_t A_t."""
 
     trust_region: TrustRegion = TrustRegion(damping=1e-2, cg_steps=10)
     """Damping ours: with the outer step's 1e-5, the step follows directions that a tenth of the
     trials say nothing of. Steps of conjugate gradients: Schulman et al. 2015, appendix C."""
     curvature_stride: int = 10
-    """The curvature is averaged over one of so many trials; 1 for all."""
+    """The curvature is averaged over one of so many time steps, or of so many trials if the policy
+    is recurrent; 1 for all. Schulman et al. 2015, appendix C.1: a tenth of the data."""
 
     def __check_init__(self) -> None:
         if self.curvature_stride < 1:
             raise ValueError(f"`curvature_stride` must be at least 1, got {self.curvature_stride}.")
 
-    @property
-    def minibatches(self) -> int:
-        return 1
+    def sized(self, size: float) -> "TrustRegionStep":
+        """Return the same step with another bound on the mean KL divergence."""
+        return replace(self, trust_region=replace(self.trust_region, max_kl=size))
 
     def init(self, policy: AbstractPolicy) -> None:
         return None
@@ -156,26 +228,27 @@ class TrustRegionStep(AbstractPolicyStep):
         self,
         key: Key,
         policy: AbstractPolicy,
-        state: None,
+        opt_state: None,
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[AbstractPolicy, None, TrustRegionInfo]:
-        def evaluate(varied: AbstractPolicy) -> Evaluation:
+        def evaluate(varied: AbstractPolicy) -> Candidate:
             new = trials.distributions(varied)
             gain = masked_mean(probability_ratio(new, trials) * advantages, trials.valid)
-            return Evaluation(-gain, masked_mean(trials.behaviour.kl(new), trials.valid))
+            return Candidate(-gain, masked_mean(trials.behaviour.kl(new), trials.valid))
 
-        sample = self._sample(key, trials)
+        is_recurrent = policy.initial_recurrent_state() is not None
+        draw = trials.sample_trials if is_recurrent else trials.sample_steps
+        sample = draw(key, self.curvature_stride)
         weight = sample.valid.astype(float)
-        weight = weight / jnp.maximum(weight.sum(), 1.0)
-        improved, info = self.trust_region.step(policy, evaluate, sample.distributions, weight)
+        improved, info = self.trust_region.step(
+            policy,
+            evaluate,
+            jax.value_and_grad(lambda varied: evaluate(varied).loss),
+            sample.distributions,
+            weight / jnp.maximum(weight.sum(), 1.0),
+        )
         return improved, None, info
-
-    def _sample(self, key: Key, trials: Trials) -> Trials:
-        """Draw the trials that the curvature is averaged over."""
-        count = trials.valid.shape[0]
-        rows = jax.random.permutation(key, count)[: max(count // self.curvature_stride, 1)]
-        return jax.tree.map(lambda x: x[rows], trials)
 
 
 def probability_ratio(new: AbstractDistribution, trials: Trials) -> Float[Array, "trial time"]:

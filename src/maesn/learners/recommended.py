@@ -1,0 +1,116 @@
+"""Settings that were found to work on a family, each with where that is shown.
+
+A method's preset has the published settings, or its reference's. On some families others do better;
+they are listed here and nowhere else. `results/README.md` says how they were found.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
+
+from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.presets import BONUS_SUFFIX, METHODS
+
+Settings = TypeVar("Settings")
+
+
+class Recommendation(NamedTuple):
+    """A setting that differs from the preset's."""
+
+    value: Any
+    source: str
+    """Where it is shown to work."""
+
+
+# Latents that begin at 0, the mean of the prior, instead of at draws from it.
+_SPREAD_ON_WHEELED = Recommendation(
+    0.0,
+    "results/wheeled/tables.md: -332.6 and -334.9 after ten updates where three seeds that begin "
+    "at draws are at -343.6 in the mean; with 50 episodes -331.3 and -338.0",
+)
+_SPREAD_ON_BLOCKPUSH = Recommendation(
+    0.0, "results/blockpush/tables.md: -236.4 after ten updates where draws lead to -244.8"
+)
+_DAMPING_ON_BLOCKPUSH = Recommendation(
+    1e-2,
+    "results/README.md, section blockpush: with 1e-5 the actions' standard deviation stays near 1; "
+    "maesn ends at -266.7 instead of -315.3. Chosen on the returns of training, of 3e-3 to 3e-2",
+)
+
+RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
+    "wheeled": {"maesn": {"context.initial_spread": _SPREAD_ON_WHEELED}},
+    "blockpush": {
+        "maesn": {
+            "context.kl_weight": Recommendation(
+                0.5,
+                "results/README.md, section blockpush: a dense return after the update of -122 "
+                "where weight 0.1 gives -129; chosen on the returns of training",
+            ),
+            "context.initial_spread": _SPREAD_ON_BLOCKPUSH,
+            "trust_region.damping": _DAMPING_ON_BLOCKPUSH,
+        },
+        **{
+            method: {"trust_region.damping": _DAMPING_ON_BLOCKPUSH}
+            for method in ("latent_space", "maml", "maml_bias_only", "oracle")
+        },
+    },
+}
+"""Family -> method -> path of a setting of the learner -> its value."""
+
+RECOMMENDED_RUNS: dict[str, dict[str, dict[str, Recommendation]]] = {
+    "blockpush": {
+        "maesn": {
+            "episodes_per_task": Recommendation(
+                50, "results/blockpush/tables.md: -249.1 after ten updates where 20 lead to -266.7"
+            )
+        }
+    },
+    "ant": {
+        "maesn": {
+            "episodes_per_task": Recommendation(
+                50, "results/ant/tables.md: what was run there, 312.9 to 387.6 in ten updates"
+            )
+        }
+    },
+}
+"""Family -> method -> setting of the run -> its value."""
+
+
+def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
+    """Return a method with the settings that suit a family; its preset where none are known.
+
+    Args:
+        method: as in `maesn.METHODS`.
+        family: name of a family.
+
+    Raises:
+        ValueError: there is no such method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
+    learner = METHODS[method]()
+    base = method.removesuffix(BONUS_SUFFIX)
+    prefix = "learner." if base != method else ""
+    for path, found in _found(RECOMMENDED, base, family).items():
+        learner = with_setting(learner, prefix + path, found.value)
+    return learner
+
+
+def recommended_run(method: str, family: str) -> dict[str, Any]:
+    """Return the settings of a run that suit a method on a family, by name."""
+    found = _found(RECOMMENDED_RUNS, method.removesuffix(BONUS_SUFFIX), family)
+    return {name: recommendation.value for name, recommendation in found.items()}
+
+
+def with_setting(settings: Settings, path: str, value: Any) -> Settings:
+    """Return settings with another value at a path such as `trust_region.damping`."""
+    name, _, rest = path.partition(".")
+    if rest:
+        value = with_setting(getattr(settings, name), rest, value)
+    return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
+
+
+def _found(
+    table: Mapping[str, Mapping[str, Mapping[str, Recommendation]]], method: str, family: str
+) -> Mapping[str, Recommendation]:
+    return table.get(family, {}).get(method, {})

@@ -1,0 +1,102 @@
+"""Trials: what a policy has played, with all that it takes to judge another policy on it."""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key
+from maesn.experience.agent import Agent
+from maesn.experience.episodes import Episodes, Thinning
+from maesn.numerics import AbstractDistribution
+from maesn.policies import AbstractPolicy, PolicyInput
+
+
+class Trials(eqx.Module):
+    """Independent trials, each of one episode or of several episodes of the same task.
+
+    `time` runs over all episodes of a trial, one behind the other. An episode that ended early
+    leaves a gap of invalid steps before the next one. A recurrent state begins anew in every trial.
+    """
+
+    inputs: PolicyInput
+    """What the policy saw, `[trial time ...]`; 0 where invalid."""
+    action: Float[Array, "trial time action"]
+    """What it did; 0 where invalid."""
+    reward: Float[Array, "trial time"]
+    """What it learns from; 0 where invalid."""
+    valid: Bool[Array, "trial time"]
+    behaviour: AbstractDistribution
+    """The distribution that each action was drawn from, `[trial time action]`."""
+    z: Float[Array, "trial z"]
+    """What its context fed to it throughout each trial."""
+
+    def distributions(self, policy: AbstractPolicy) -> AbstractDistribution:
+        """Return a policy's distributions along the trials, `[trial time action]`.
+
+        Gradients run through the whole of every trial.
+        """
+        trials = self.valid.shape[0]
+        fresh = jax.tree.map(
+            lambda x: jnp.broadcast_to(x, (trials, *x.shape)), policy.initial_recurrent_state()
+        )
+        return policy.unroll(self.inputs, self.valid, self.z, fresh)[0]
+
+    def sample_trials(self, key: Key, stride: int) -> "Trials":
+        """Draw one of `stride` trials, at least one in all."""
+        count = self.valid.shape[0]
+        rows = jax.random.permutation(key, count)[: max(count // stride, 1)]
+        return jax.tree.map(lambda x: x[rows], self)
+
+    def sample_steps(self, key: Key, stride: int) -> "Trials":
+        """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""
+        time = self.valid.shape[1]
+        thinning = Thinning.draw(key, stride, time)
+        steps = thinning.offset + thinning.stride * jnp.arange(time // thinning.stride)
+        fields = self.inputs, self.action, self.reward, self.valid, self.behaviour
+        return _join(jax.tree.map(lambda x: jnp.take(x, steps, axis=1), fields), self.z)
+
+
+def join_episodes(episodes: Sequence[Episodes]) -> Trials:
+    """Put the episodes of trials one behind the other.
+
+    Args:
+        episodes: the first, second, ... episode of every trial, `[task, episode, time, ...]`. What
+            is parallel there, tasks and episodes, are independent trials here.
+    """
+    flat = [
+        jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), _steps(one, one.policy_inputs()))
+        for one in episodes
+    ]
+    joined = jax.tree.map(lambda *arrays: jnp.concatenate(arrays, axis=1), *flat)
+    return _join(joined, episodes[0].z.reshape(-1, episodes[0].z.shape[-1]))
+
+
+def trials_of(agent: Agent, episodes: Episodes) -> Trials:
+    """Return one task's episodes `[episode, time, ...]` as trials of one episode each.
+
+    Args:
+        agent: has played them.
+        episodes: what it has played.
+    """
+    return _join(_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
+
+
+# The fields of `Trials` that have a time axis, in their order.
+_Steps: TypeAlias = tuple[PolicyInput, Array, Array, Array, AbstractDistribution]
+
+
+def _join(steps: _Steps, z: Float[Array, "trial z"]) -> Trials:
+    inputs, action, reward, valid, behaviour = steps
+    return Trials(inputs, action, reward, valid, behaviour, z)
+
+
+def _steps(episodes: Episodes, inputs: PolicyInput) -> _Steps:
+    """Return what was played, with the axes of the episodes; 0 where invalid."""
+    valid = episodes.valid
+    action = jnp.where(valid[..., None], episodes.action, 0.0)
+    reward = jnp.where(valid, episodes.reward, 0.0)
+    return inputs, action, reward, valid, episodes.behaviour

@@ -1,0 +1,34 @@
+"""The one way to map a function of one task over many."""
+
+from collections.abc import Callable
+from typing import Any, Literal, TypeAlias, assert_never
+
+import jax
+
+# `serial`: one task after the other, in one compiled loop. `vmap`: all tasks at once.
+How: TypeAlias = Literal["serial", "vmap"]
+
+
+def map_tasks(function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
+    """Map a function of one task over the leading axis of its arguments.
+
+    On a CPU, `serial` takes half of the time of `vmap` for gradients through a policy: the
+    activations of one task fit in the cache, those of all tasks do not. It also needs the memory of
+    one task alone. `vmap` is faster for small functions, and where all tasks share the weights of
+    their policy: then a product with them is one matrix product over all tasks.
+
+    Args:
+        function: written for one task.
+        *rows: its arguments, pytrees of arrays with a leading `task` axis.
+        how: `serial` or `vmap`.
+
+    Returns:
+        What the function returns, with a leading `task` axis.
+    """
+    match how:
+        case "serial":
+            return jax.lax.map(lambda row: function(*row), rows)
+        case "vmap":
+            return jax.vmap(function)(*rows)
+        case _:
+            assert_never(how)

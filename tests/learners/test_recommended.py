@@ -1,0 +1,86 @@
+"""Settings that suit a family: what they change, and where the command line uses them."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+import maesn
+from maesn import cli
+from maesn.commands.train import read_options
+from maesn.envs import FAMILIES
+from maesn.learners import METHODS, RECOMMENDED, RECOMMENDED_RUNS, method_name
+from maesn.learners.recommended import with_setting
+from maesn.runs.config import RunSettings
+from maesn.runs.serialization import differing
+
+SUITED = [(method, family) for family in RECOMMENDED for method in RECOMMENDED[family]]
+
+
+@pytest.mark.parametrize(("method", "family"), SUITED)
+def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> None:
+    wanted = {path: found.value for path, found in RECOMMENDED[family][method].items()}
+    learner = maesn.recommended(method, family)
+    assert differing(learner, METHODS[method]()) == wanted
+    assert method_name(learner) == method
+    curious = maesn.recommended(f"{method}+curiosity", family)
+    assert curious == with_setting(METHODS[f"{method}+curiosity"](), "learner", learner)
+
+
+def test_the_tables_name_families_methods_and_settings() -> None:
+    fields = {field.name for field in dataclasses.fields(RunSettings)}
+    for table in (RECOMMENDED, RECOMMENDED_RUNS):
+        assert set(table) <= set(FAMILIES)
+        for of_family in table.values():
+            assert set(of_family) <= set(METHODS)
+            assert all("results/" in one.source for of in of_family.values() for one in of.values())
+    assert all(set(of) <= fields for run in RECOMMENDED_RUNS.values() for of in run.values())
+
+
+def test_elsewhere_the_preset_is_what_there_is() -> None:
+    assert maesn.recommended("maesn", "point") == METHODS["maesn"]()
+    assert maesn.recommended("rl2", "blockpush") == METHODS["rl2"]()
+    with pytest.raises(ValueError, match=r"`method` must be one of maesn.*got 'trpo'"):
+        maesn.recommended("trpo", "point")
+
+
+@pytest.mark.parametrize(
+    ("words", "learner", "episodes"),
+    [
+        ("--family blockpush", maesn.recommended("maesn", "blockpush"), 50),
+        ("--family=ant", METHODS["maesn"](), 50),
+        ("", maesn.recommended("maesn", "wheeled"), 20),
+        ("--family blockpush --settings reference", METHODS["maesn"](), 20),
+        (
+            "--episodes-per-task 30 --family wheeled --context.initial-spread 0.5",
+            with_setting(METHODS["maesn"](), "context.initial_spread", 0.5),
+            30,
+        ),
+    ],
+)
+def test_the_command_begins_with_what_suits(words: str, learner: Any, episodes: int) -> None:
+    options = read_options("maesn", words.split())
+    assert options.learner == learner
+    assert options.run_settings.episodes_per_task == episodes
+
+
+def test_the_command_says_so_in_one_line(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    few = ["--family", "wheeled", "--iterations", "0", "--policy.hidden-sizes", "4"]
+    assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "a")]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if "that suit" in line]
+    assert said == [
+        "settings that suit `wheeled`: context.initial_spread 0.0 (--settings reference for the "
+        "published ones)"
+    ]
+    overridden = [*few, "--context.initial-spread", "1", "--run", str(tmp_path / "b")]
+    assert cli.run(["train", "maesn", *overridden]) == 0
+    assert "that suit" not in capsys.readouterr().out
+    assert maesn.Run.open(tmp_path / "a").learner.context.initial_spread == 0
+
+
+def test_help_shows_the_familys_own_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.run(["train", "maesn", "--family", "blockpush", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "and ant. (default: 0.5)" in text
+    assert "--settings {recommended,reference}" in text

@@ -1,0 +1,88 @@
+"""A robot that starts at an adapted latent: from `maesn adapt` to the runtime."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import maesn
+from maesn import api, cli
+from maesn.policies import GaussianMLP
+from maesn.runs.config import RunSettings
+from maesn.runtime import Explorer
+from maesn.storage import RunError
+
+TINY: dict[str, Any] = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
+SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=4)
+
+
+@pytest.fixture(scope="module")
+def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, api.Adapted]:
+    """A run, and what adapting it to the test tasks has written."""
+    directory = tmp_path_factory.mktemp("adapted") / "run"
+    maesn.train(maesn.PRESETS["maesn"](**TINY), SETTINGS, directory)
+    return directory, api.adapt(directory, episodes=6, episodes_per_update=3, reward="dense")
+
+
+def test_the_robot_starts_at_the_last_latent_of_the_task(
+    adapted: tuple[Path, api.Adapted], tmp_path: Path
+) -> None:
+    run, done = adapted
+    policy = api.export(run, tmp_path / "policy.npz", latents=done.latents, task=7)
+    explorer, prior = Explorer.load(policy), Explorer.load(api.export(run, tmp_path / "prior.npz"))
+    context = done.outcome.contexts
+    np.testing.assert_array_equal(explorer.latent_mean, np.float64(context.mean[7, -1]))
+    np.testing.assert_allclose(explorer.latent_std, np.exp(np.float64(context.log_std[7, -1])))
+    assert abs(explorer.latent_mean).min() > 0
+    assert prior.latent_mean.tolist() == [0.0, 0.0]
+    # Two updates lie behind it, so that the step size is that of `adapt(..., start=latents)`.
+    assert (explorer.update, prior.update) == (2, 0)
+    assert explorer.exported.rule.scale(explorer.update) == 0.5
+    assert explorer.exported.description["task"] == 7
+
+
+def test_the_command_does_the_same(
+    adapted: tuple[Path, api.Adapted], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, done = adapted
+    words = ["--latents", str(done.latents), "--task", "7"]
+    assert cli.run(["export", str(run), str(tmp_path / "policy.npz"), *words]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "policy.npz")
+    assert Explorer.load(tmp_path / "policy.npz").update == 2
+
+
+def test_what_cannot_be_a_start_is_refused(
+    adapted: tuple[Path, api.Adapted], tmp_path: Path
+) -> None:
+    run, done = adapted
+    assert done.latents is not None
+    path = tmp_path / "policy.npz"
+    for words in ({"latents": done.latents}, {"task": 0}):
+        with pytest.raises(RunError, match="`latents` and `task` belong together"):
+            api.export(run, path, **words)
+    for task in (-1, 100):
+        with pytest.raises(RunError, match=f"`task` must be an index from 0 to 99.*got {task}"):
+            api.export(run, path, latents=done.latents, task=task)
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(RunError, match=r"Expected arrays at `.*broken\.npz`"):
+        api.export(run, path, latents=tmp_path / "broken.npz", task=0)
+    np.savez(tmp_path / "goals.npz", goal=np.zeros((3, 2)))
+    with pytest.raises(RunError, match="is not a file of latents"):
+        api.export(run, path, latents=tmp_path / "goals.npz", task=0)
+    three = {"mean": np.zeros((2, 1, 3)), "log_std": np.zeros((2, 1, 3)), "first_update": 0}
+    np.savez(tmp_path / "three.npz", **three)
+    with pytest.raises(RunError, match="have 3 components, but the policy's z has 2"):
+        api.export(run, path, latents=tmp_path / "three.npz", task=0)
+    assert not path.exists()
+
+
+def test_latents_of_other_weights_are_refused(
+    adapted: tuple[Path, api.Adapted], tmp_path: Path
+) -> None:
+    run, done = adapted
+    other = shutil.copytree(run, tmp_path / "run")
+    maesn.resume(other, iterations=2)
+    with pytest.raises(RunError, match="was adapted with other weights"):
+        api.export(other, tmp_path / "policy.npz", latents=done.latents, task=0)
