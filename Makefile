@@ -11,7 +11,7 @@ TEST_READY := $(VENV)/.ready-to-test
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-external lint style types floors unit bench docs clean
+.PHONY: help demo check test test-long test-external fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -19,8 +19,14 @@ help: ## Show this list
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures
 	@$(BIN)/maesn demo
 
+check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under a minute
+	@$(MAKE) --no-print-directory --keep-going lint fast
+
 test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
+
+test-long: $(TEST_READY) ## Run the tests that take minutes: shipped policies return what they did
+	@$(BIN)/python -m pytest --quiet --tb=short tests/long
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
 EXTERNAL := .venv-external
@@ -34,8 +40,22 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 	  sb3-contrib torch
 	@touch $@
 
-lint: $(TEST_READY) ## Check style, types and the floors of the architecture
-	@$(MAKE) --no-print-directory --keep-going style types floors
+lint: $(TEST_READY) ## Check style, types and which package imports which
+	@$(MAKE) --no-print-directory --keep-going style types imports
+
+# What needs the fewest compiled programs, from each layer that has such tests.
+FAST := $(addprefix tests/, context test_public_surface.py \
+  $(addprefix numerics/test_, categorical.py conjugate_gradient.py gaussian.py minibatch_descent.py returns.py) \
+  $(addprefix runtime/test_, explorer.py mathematics.py safeguards.py storage.py) \
+  $(addprefix physics/test_, ant_model.py assumptions.py blockpush_model.py models.py native.py native_failures.py \
+    wheeled_model.py wheeled_motion.py) \
+  $(addprefix envs/test_, catalogue.py foreign_observations.py goals.py robots.py) \
+  experience/test_episodes.py worlds/test_hosted.py inner/test_advantage.py learners/test_masking.py \
+  $(addprefix runs/test_, checkpoint.py checkpoint_store.py compilation.py config.py serialization.py) \
+  $(addprefix report/test_, adaptation_table.py published.py runs.py series.py statistics.py tables.py))
+fast: $(TEST_READY)
+	@echo "== fast tests"
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) $(FAST)
 
 unit: $(TEST_READY)
 	@echo "== tests"
@@ -50,8 +70,8 @@ types: $(TEST_READY)
 	@echo "== types"
 	@$(BIN)/mypy --no-error-summary
 
-floors: $(TEST_READY)
-	@echo "== floors"
+imports: $(TEST_READY)
+	@echo "== imports"
 	@$(BIN)/lint-imports --no-logo
 
 bench: $(RUN_READY) ## Time a whole meta-iteration against the bare simulator

@@ -1,7 +1,7 @@
 r"""A family of tasks in an environment that others wrote: Gymnasium's `HalfCheetah-v5`.
 
-The cheetah has to run at a speed that it is not told, between 0 and 2 m/s (the task of the MAML
-paper). A whole meta-learning run, from the directory of the repository:
+The cheetah has to run at a hidden speed between 0 and 2 m/s (the task of the MAML paper). A whole
+meta-learning run, from the directory of the repository:
 
     pip install -e '.[gym]' 'gymnasium[mujoco]'
     export PYTHONPATH=examples
@@ -10,8 +10,7 @@ paper). A whole meta-learning run, from the directory of the repository:
     maesn adapt runs/cheetah --family half_cheetah_velocity:family
 
 Dense reward is minus the distance from the target speed, minus the environment's own control cost.
-Sparse reward pays that within 0.3 m/s of the target, and a constant elsewhere: there it does not
-tell the speed.
+Sparse reward is the same within 0.3 m/s of the target speed, and a constant elsewhere.
 """
 
 from typing import Any
@@ -28,7 +27,7 @@ HORIZON = 200  # steps of 0.05 s, as in the MAML paper
 
 
 class TargetSpeed(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Pays for a speed instead of for speed."""
+    """Rewards a target speed instead of a high one."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], speed: float, reward: str) -> None:
         super().__init__(env)
@@ -44,13 +43,13 @@ class TargetSpeed(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation, _, terminated, truncated, info = self.env.step(action)
         distance = abs(info["x_velocity"] - self.speed)
         reached = bool(distance < SPARSE_RADIUS)
-        paid = -MAX_SPEED if self.sparse and not reached else -distance
-        reward = float(paid + info["reward_ctrl"])
+        closeness = -MAX_SPEED if self.sparse and not reached else -distance
+        reward = float(closeness + info["reward_ctrl"])
         return observation, reward, terminated, truncated, {**info, "is_success": reached}
 
 
 def make_env(speed: np.ndarray, reward: str) -> TargetSpeed:
-    """Return the cheetah with a target speed in m/s, paying the "dense" or "sparse" reward."""
+    """Return the cheetah with a target speed in m/s, with the "dense" or "sparse" reward."""
     # MuJoCo 4 finds an attribute of Gymnasium's model deprecated, and says so of every cheetah.
     mujoco.set_mju_user_warning(lambda message: None)
     return TargetSpeed(gymnasium.make("HalfCheetah-v5"), float(speed), reward)

@@ -1,8 +1,8 @@
 """A family of tasks in an environment that others wrote: Meta-World's ML1 `reach-v3`.
 
-A robot arm has to reach a place in space that it is not told. Meta-World 3.1.1 asks for MuJoCo
-3.3.0. That is too old for the engine of the library's own robots, but this family needs no part of
-it. So it wants an environment of its own:
+A robot arm has to reach a hidden point in space. Meta-World 3.1.1 asks for MuJoCo 3.3.0. That is
+too old for the engine of the library's own robots, which this family does not use. So it needs a
+virtual environment of its own:
 
     python3.11 -m venv .venv-external
     .venv-external/bin/pip install -e '.[gym]' 'gymnasium[mujoco]' metaworld==3.1.1
@@ -29,8 +29,8 @@ from maesn.envs.foreign import gymnasium_family
 # Metres. The object's start and the goal, as Meta-World draws them in `SawyerReachEnvV3`.
 LOWER = np.array([-0.1, 0.6, 0.02, -0.1, 0.8, 0.05])
 UPPER = np.array([0.1, 0.7, 0.02, 0.1, 0.9, 0.3])
-# Metres in the plane. Meta-World draws again where the object lies nearer to the goal, and goes on
-# doing so for ever where it is told the task.
+# Metres in the plane. Meta-World draws again where the object lies nearer to the goal. It would do
+# so for ever where the task is given.
 CLEARANCE = 0.15
 HORIZON = 150  # steps of 1/80 s, in which the hand can be anywhere; Meta-World itself ends at 500
 
@@ -42,10 +42,10 @@ class Reach(gymnasium.Wrapper[Any, Any, Any, Any]):
         super().__init__(SawyerReachEnvV3())
         self.sparse = reward == "sparse"
 
-    def set_task(self, places: np.ndarray) -> None:
+    def set_task(self, points: np.ndarray) -> None:
         """Take another task: the object's start and the goal, 3 coordinates each, in metres."""
         task = {
-            "rand_vec": places.astype(np.float64),
+            "rand_vec": points.astype(np.float64),
             "env_cls": SawyerReachEnvV3,
             "partially_observable": True,  # the goal is not among the observations
         }
@@ -54,33 +54,33 @@ class Reach(gymnasium.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one step of 1/80 s."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        paid = info["success"] if self.sparse else reward
-        return observation, float(paid), terminated, truncated, info
+        chosen = info["success"] if self.sparse else reward
+        return observation, float(chosen), terminated, truncated, info
 
 
-def make_env(places: np.ndarray, reward: str) -> Reach:
-    """Return the arm with a task, paying the "dense" or "sparse" reward."""
+def make_env(points: np.ndarray, reward: str) -> Reach:
+    """Return the arm with a task, with the "dense" or "sparse" reward."""
     env = Reach(reward)
-    env.set_task(places)
+    env.set_task(points)
     return env
 
 
 def draw_tasks(stream: np.random.Generator, size: int) -> np.ndarray:
     """Draw that many tasks, the object's start and the goal, `[size, 6]` in metres."""
-    places = stream.uniform(LOWER, UPPER, (size, 6)).astype(np.float32)
-    while (near := np.linalg.norm(places[:, 3:5] - places[:, :2], axis=1) < CLEARANCE).any():
-        places[near] = stream.uniform(LOWER, UPPER, (near.sum(), 6))
-    return places
+    points = stream.uniform(LOWER, UPPER, (size, 6)).astype(np.float32)
+    while (near := np.linalg.norm(points[:, 3:5] - points[:, :2], axis=1) < CLEARANCE).any():
+        points[near] = stream.uniform(LOWER, UPPER, (near.sum(), 6))
+    return points
 
 
 family = gymnasium_family(
     "metaworld_reach",
     make_env,
     draw_tasks,
-    task_names=("places",),
+    task_names=("points",),
     seed=21,
     horizon=HORIZON,
     max_environments=100,
     position=lambda observation: observation[:2],  # of the hand, seen from above
-    goal=lambda places: places[3:5],
+    goal=lambda points: points[3:5],
 )

@@ -30,7 +30,7 @@ from maesn.runtime import Explorer
 MODEL = files("maesn") / "physics" / "models" / "wheeled.xml"
 HORIZON = 200
 CONTROL_PERIOD = 0.01  # seconds
-RADIUS = 0.8  # metres; nearer than that the sparse reward tells how far the goal is
+RADIUS = 0.8  # metres; within it the sparse reward is minus the distance from the goal
 CONTROL_COST = 0.05
 POSITION_NOISE, VELOCITY_NOISE = 0.01, 0.1
 NUM_RESAMPLES = 10_000
@@ -71,8 +71,8 @@ class Robot:
 def sparse_reward(position: np.ndarray, torque: np.ndarray, goal: np.ndarray) -> float:
     """Return -d within the goal region, else -|goal|, less the cost of the torques."""
     distance = np.linalg.norm(position - goal)
-    paid = -distance if distance <= RADIUS else -np.linalg.norm(goal)
-    return float(paid - CONTROL_COST * np.sum(torque**2))
+    closeness = -distance if distance <= RADIUS else -np.linalg.norm(goal)
+    return float(closeness - CONTROL_COST * np.sum(torque**2))
 
 
 def play_episode(
@@ -85,7 +85,7 @@ def play_episode(
     for _ in range(HORIZON):
         observation = robot.observation()
         before = time.perf_counter()
-        torque = explorer.act(observation)
+        torque = explorer.act(observation)  # in N m, the motors' unit
         latencies.append(time.perf_counter() - before)
         robot.move(torque)
         position = robot.data.qpos[:2]

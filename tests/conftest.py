@@ -8,13 +8,15 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 # Before JAX is imported, and inherited by the programs that tests start. A graphics card can be
 # asked for by name (`JAX_PLATFORMS=cuda make test`); figures never open a window.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["MPLBACKEND"] = "Agg"
-# Tests compile far more than they compute. Without XLA's fusion emitters compiling takes half as
-# long, and what is compiled runs about a fifth slower, so production keeps them.
+# Tests compile far more than they compute. Without optimisations and without XLA's fusion emitters,
+# compiling takes a quarter of the time. What is compiled runs slower, so production keeps both.
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 # XLA has aborted the process while it read back a program that the tests had stored.
 os.environ["MAESN_CACHE"] = "off"
@@ -38,26 +40,35 @@ def x64() -> Iterator[None]:
         yield
 
 
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector the hundreds of thousands of objects that modules made."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled_programs() -> Iterator[None]:
-    """Let the compiled programs of one file go before the next file begins.
+    """Let compiled programs go before they take too many memory maps.
 
-    Each holds several memory maps, and Linux kills a process that asks for more than 65,530
-    (`vm.max_map_count`): one that ran half of all tests would.
+    Each holds several, and Linux kills a process that asks for more than 65,530
+    (`vm.max_map_count`): one that ran half of all tests would. Until then, the files that follow
+    use them again.
     """
     yield
-    jax.clear_caches()
-    gc.collect()
+    maps = Path("/proc/self/maps")
+    if not maps.exists() or maps.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture
-def quick_compiler(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A compiler that optimises nothing: it takes half the time, where programs are large.
+def optimising_compiler(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Compile as in production, also in programs that the test starts.
 
-    In programs that the test starts as well. For tests whose tolerances do not rest on the order
-    in which sums are taken.
+    For tests that compute longer than they compile.
     """
-    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
+    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "false")
     jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)

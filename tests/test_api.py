@@ -21,8 +21,6 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=4)
 TINY = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
 

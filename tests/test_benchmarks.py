@@ -26,8 +26,6 @@ from maesn.policies import Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 class FallenAnt(Ant):
     """An ant that may start too low, so that its episode has ended before it begins."""

@@ -8,8 +8,6 @@ from guides import Guide
 
 from maesn.runs.run import Run
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 GUIDE = Guide("own_environment_gymnasium.md", "hidden_gravity")
 VERBS = ("train", "adapt", "plot", "export")
 
@@ -27,8 +25,8 @@ def test_its_commands_do_what_they_say(
     run = tmp_path / "runs" / "gravity"
     assert (run / "adaptation" / "test-sparse.csv").exists()
     assert (tmp_path / "gravity.npz").exists()
-    # The family has to be named again, which is what the user is told.
-    told = "next:    maesn adapt runs/gravity --family hidden_gravity:family"
-    assert told in capsys.readouterr().out
+    # The family has to be named again, and the command says so.
+    advice = "next:    maesn adapt runs/gravity --family hidden_gravity:family"
+    assert advice in capsys.readouterr().out
     normalized = "runs/maesn-hidden_gravity:family-0"
     assert Run.open(normalized, "hidden_gravity:family").learner.normalize_observations

@@ -17,8 +17,6 @@ from maesn.envs import NAMED_SETS, TaskSet
 from maesn.worlds import NativeWorld, make_world
 from maesn.worlds.simulators import native_simulator
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 GUIDE = Guide("own_environment_mujoco.md", "puck")
 VERBS = ("train", "adapt", "plot", "render", "export")
 
@@ -69,12 +67,12 @@ def test_it_is_moved_by_the_batched_engine(puck: ModuleType, name: str) -> None:
 def test_its_rewards_are_those_that_it_says(puck: ModuleType) -> None:
     goal = jnp.array([0.6, 0.8])
     near, far = ({"qpos": jnp.asarray(at), "qvel": jnp.zeros(2)} for at in ([0.6, 0.6], [0.0, 0.0]))
-    paid = {
+    rewards = {
         kind: [puck.Puck(reward_kind=kind).reward(far, goal, at, goal).total for at in (near, far)]
         for kind in ("dense", "sparse")
     }
-    np.testing.assert_allclose(paid["dense"], [-0.2, -1.0], atol=1e-6)
-    np.testing.assert_allclose(paid["sparse"], [-0.2, -1.0], atol=1e-6)
+    np.testing.assert_allclose(rewards["dense"], [-0.2, -1.0], atol=1e-6)
+    np.testing.assert_allclose(rewards["sparse"], [-0.2, -1.0], atol=1e-6)
     beyond = {"qpos": jnp.array([-0.6, -0.8]), "qvel": jnp.zeros(2)}
     assert puck.Puck(reward_kind="sparse").reward(far, goal, beyond, goal).total == -1
     assert puck.Puck().reward(far, goal, beyond, goal).total == pytest.approx(-2)

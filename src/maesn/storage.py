@@ -30,7 +30,7 @@ _ADVICE = {
     errno.EPERM: "ask for the permission, or choose another directory",
     errno.EROFS: "choose a directory that can be written to",
     errno.ENOTDIR: "a part of this path is a file: choose another directory",
-    errno.EEXIST: "there is a file in its place: choose another directory",
+    errno.EEXIST: "a file has that name: choose another directory",
     errno.ENOENT: "check the spelling",
 }
 

@@ -89,7 +89,7 @@ def test_the_reference_ends_an_episode_when_the_torso_leaves_its_heights(
 @pytest.mark.parametrize("variant", ["reference", "paper"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e11])
 @pytest.mark.parametrize(("name", "index"), [("qpos", 11), ("qvel", 13)])
-def test_a_state_that_blows_up_ends_the_episode_and_is_paid_like_the_one_before(
+def test_a_state_that_blows_up_ends_the_episode_and_is_rewarded_like_the_one_before(
     variant: Variant, value: float, name: str, index: int
 ) -> None:
     env, goal = Ant(variant=variant), jnp.array(GOAL)

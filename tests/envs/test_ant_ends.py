@@ -92,7 +92,6 @@ class Replacing:
         return jnp.where(mask, values, self.garbage)
 
 
-@pytest.mark.usefixtures("quick_compiler")
 def test_maesn_learns_from_the_ants_that_live() -> None:
     env = Bursting(horizon=HORIZON)
     # Every step counts for the curvature: of an episode that dies at once there is only the first.

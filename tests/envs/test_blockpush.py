@@ -28,9 +28,9 @@ def readings(block: int, place: tuple[float, float]) -> dict[str, jax.Array]:
 
 
 def reward(env: BlockPush, place: tuple[float, float], block: int = 3) -> float:
-    paid = env.reward(readings(block, (9.0, 9.0)), jnp.ones(3), readings(block, place), TASK)
-    assert paid.other == 0.0
-    return float(paid.total)
+    reward = env.reward(readings(block, (9.0, 9.0)), jnp.ones(3), readings(block, place), TASK)
+    assert reward.other == 0.0
+    return float(reward.total)
 
 
 def test_sizes_and_times() -> None:
@@ -105,7 +105,7 @@ def test_sparse_rewards_far_away_are_the_goals_distance_or_one_constant() -> Non
     for variant, expected in (("reference", -2.5), ("paper", -1.0)):
         env = BlockPush(variant=variant, reward_kind="sparse")
         assert env.reward(far, jnp.ones(3), far, task).total == pytest.approx(expected)
-        # Who reads rewards is not told how far away the goal is.
+        # A policy that reads rewards does not see how far away the goal is.
         shown = env.observed_reward("own", far, jnp.ones(3), far, task)
         assert shown == {"reference": -5.0, "paper": -1.0}[variant]
 
@@ -130,8 +130,8 @@ def test_the_goal_region_is_reached_by_the_middle_of_the_block(
 def test_the_paper_tells_the_goal_and_not_the_block() -> None:
     np.testing.assert_array_equal(BlockPush().instruction(TASK), np.zeros(0))
     env = BlockPush(variant="paper")
-    told = [env.instruction(TASK._replace(block=jnp.asarray(block))) for block in range(5)]
-    np.testing.assert_array_equal(told, np.tile(np.float32([0.8, -0.6]), (5, 1)))
+    shown = [env.instruction(TASK._replace(block=jnp.asarray(block))) for block in range(5)]
+    np.testing.assert_array_equal(shown, np.tile(np.float32([0.8, -0.6]), (5, 1)))
 
 
 def test_figures_show_the_gripper_and_the_goal() -> None:
@@ -156,7 +156,7 @@ def test_an_episode_on_the_engine(variant: Any) -> None:
     assert not episodes.terminated.any()
     assert not episodes.solved_at_start.any()
     np.testing.assert_array_equal(episodes.solved.any(-1), [[True], [False]])
-    # What is paid differs; what is seen does not, but for the little noise of the actions.
+    # Rewards differ; observations do not, but for the little noise of the actions.
     np.testing.assert_allclose(episodes.observation[0], episodes.observation[1], atol=1e-4)
     assert episodes.observation.shape == (2, 1, 101, env.observation_size)
     still = [3, 4, 5, 6, 9, 10, 11, 12]

@@ -19,7 +19,7 @@ from maesn.experience.episodes import Episodes
 EVERY = FAMILIES | PROBES
 
 
-# Here the agent is told its goal, in plain sight.
+# Here the agent sees its goal.
 INSTRUCTED = {("blockpush", "paper")}
 
 
@@ -73,7 +73,7 @@ def test_the_last_state_of_a_robot_does_not_depend_on_the_task_either(name: str)
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_what_is_paid_depends_on_the_task(name: str) -> None:
+def test_rewards_depend_on_the_task(name: str) -> None:
     # Otherwise the tests above would compare a task with itself.
     tasks, pair = two_tasks(EVERY[name])
     one, other = (play_in(EVERY[name].make_env(), tasks, index) for index in pair)
@@ -109,9 +109,9 @@ def test_the_start_and_the_instruction_do_not_depend_on_the_task(
         readings = readings_at(env, *env.initial(keys(1)[0], task))
         return env.observe(readings), env.instruction(task)
 
-    (seen_one, told_one), (seen_other, told_other) = map(first, pair)
+    (seen_one, shown_one), (seen_other, shown_other) = map(first, pair)
     assert_same(seen_one, seen_other)
-    assert (name, variant) in INSTRUCTED or np.array_equal(told_one, told_other)
+    assert (name, variant) in INSTRUCTED or np.array_equal(shown_one, shown_other)
 
 
 class LeakyStart(Point):

@@ -57,7 +57,7 @@ def test_return_of_a_gaussian_on_a_target(env: AnyEnv) -> None:
 @pytest.mark.parametrize("make_env", [HiddenTarget, DelayedTarget])
 def test_sparse_return_of_a_gaussian_on_a_target(make_env: type) -> None:
     # X = |a - g|^2 / s^2 is noncentral chi-squared with 2 degrees of freedom and the noncentrality
-    # |m - g|^2 / s^2. Within the radius -s^2 X is paid, elsewhere -|g|^2 = -1.
+    # |m - g|^2 / s^2. Within the radius the reward is -s^2 X, elsewhere -|g|^2 = -1.
     mean, std = (0.5, 0.5), 0.4
     env = make_env(reward_kind="sparse", sparse_radius=RADIUS)
     episodes = play_many(env, TARGETS, constant_agents(env, 2, jnp.array(mean), std))
@@ -93,7 +93,7 @@ def test_the_best_action_for_all_targets_together() -> None:
     assert_mean(-np.sum((best - targets) ** 2, axis=1), 4 / math.pi**2 - 1)
 
 
-def test_only_the_first_action_counts_and_is_paid_for_at_the_end() -> None:
+def test_only_the_first_action_counts_and_is_rewarded_at_the_end() -> None:
     env = DelayedTarget()
     episodes = play_many(env, TARGETS, constant_agents(env, 2, 0.0, 1.0))
     first = np.asarray(episodes.action[:, :, 0])
@@ -144,11 +144,11 @@ def test_with_a_latent_every_side_is_found_in_half_of_the_episodes() -> None:
 
 
 @pytest.mark.parametrize("reward_kind", ["dense", "sparse"])
-def test_an_adapted_latent_is_paid_the_optimum(reward_kind: RewardKind) -> None:
+def test_an_adapted_latent_has_the_best_return(reward_kind: RewardKind) -> None:
     env = HiddenSide(reward_kind=reward_kind)
     episodes = play_many(env, SIDES, coherent_agents([-1.0, 1.0], 1e-3))
     np.testing.assert_allclose(episodes.undiscounted_return, np.ones((2, EPISODES)), rtol=1e-6)
-    # Sparse, nothing is paid before the last step.
+    # Sparse, there is no reward before the last step.
     early = np.asarray(episodes.reward[..., :-1])
     np.testing.assert_allclose(early, np.full_like(early, 0.1 if reward_kind == "dense" else 0.0))
 

@@ -1,8 +1,6 @@
 """`maesn render`: the episodes are those of `maesn adapt`, and the files show them."""
 
 import io
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -204,24 +202,21 @@ def test_without_a_library_to_draw_with_nothing_is_played(
     assert error.count("\n") == 1
 
 
-def test_the_command_draws_or_says_what_to_install(run: Run, tmp_path: Path) -> None:
+def test_the_command_draws_or_says_what_to_install(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["render", str(run.directory), "--task", "3", "--after", "0", "3", "--shown", "2"]
     options = ["--episodes", "3", "--episodes-per-update", "3", "--out", str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, "-m", "maesn", *command, *options],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    code, printed = cli.run([*command, *options]), capsys.readouterr()
     if not can_draw():
-        assert done.returncode == cli.USAGE_ERROR
-        assert_says_what_to_install(done.stderr)
+        assert code == cli.USAGE_ERROR
+        assert_says_what_to_install(printed.err)
         return
-    assert done.returncode == 0, done.stderr
+    assert code == 0, printed.err
     with Image.open(tmp_path / "test-sparse-task-3.png") as sheet:
         colours = len(np.unique(np.asarray(sheet).reshape(-1, 3), axis=0))
     assert colours > 300
-    assert done.stdout.split() == [str(path) for path in sorted(tmp_path.iterdir())]
+    assert printed.out.split() == [str(path) for path in sorted(tmp_path.iterdir())]
 
 
 def test_what_has_no_place_in_a_plane_is_refused_in_a_sentence(

@@ -16,8 +16,6 @@ from small_runs import tiny_maesn, tiny_settings
 import maesn
 from maesn.runs.run import Run
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 GUIDE = Guide("own_rule.md", "my_rules")
 
 

@@ -34,8 +34,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 BUDGET = ["--episodes", "9", "--episodes-per-update", "3"]
 FEW = {"episodes": 6, "episodes_per_update": 3}
 
@@ -118,9 +116,9 @@ def test_each_method_has_a_rule_of_its_own(trained: Path) -> None:
 def test_without_adaptation_the_agents_stay(trained: Path, few: str) -> None:
     done = api.adapt(trained, tasks=few, rule=NoAdaptation(), **FEW)
     assert np.all(done.outcome.contexts.mean == 0)
-    learner = Evaluation(rule=NoAdaptation()).fast_learner(
-        Trained(Run.open(trained).learner, Run.open(trained).latest_state()), "maesn", point
-    )
+    run = Run.open(trained)
+    trained_as = Trained(run.learner, run.latest_state())
+    learner = Evaluation(rule=NoAdaptation()).fast_learner(trained_as, "maesn", run.env())
     assert isinstance(learner, FixedAgents)
     assert not learner.capabilities.learns_from_reward
 
@@ -186,7 +184,10 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     with pytest.raises(ValueError, match="`full_steps` must be at least 1, got 0"):
         GradientRule(full_steps=0)
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), tiny_settings())
-    for added, reason in ((ThenTrpo(), "`learner` must be"), (VimeBonus(), "`learner` must learn")):
+    for added, reason in (
+        (ThenTrpo(), "`learner` must not be"),
+        (VimeBonus(), "`learner` must learn"),
+    ):
         with pytest.raises(RunError, match=f"`rl2` cannot be adapted like this: {reason}"):
             api.adapt(recurrent, wrappers=(added,), episodes=550)
     with pytest.raises(RunError, match="`episodes` must be more than `after`, got 500 and 500"):

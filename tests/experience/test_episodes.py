@@ -10,8 +10,6 @@ from learning_problems.prepared import HORIZON, UNEQUAL, make_problem, stack
 from maesn.experience.episodes import Episodes, Thinning, concatenate
 from maesn.learners.gradient.curvature import step_weights
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 def episodes(garbage: float = 0.0) -> Episodes:
     return stack(make_problem(0, UNEQUAL).batches(0)[:2], garbage)

@@ -30,7 +30,6 @@ SETTINGS = {
     "reparameterized": Settings(gradient="reparameterized"),
     "theta_as_well": Settings(theta_step=0.1),
 }
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 jitted = eqx.filter_jit(lambda adaptation, *arguments: adaptation(*arguments))
 
 

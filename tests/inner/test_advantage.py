@@ -13,7 +13,6 @@ from reference.advantage import AdvantageSettings, Episode, experience
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 REFERENCE, SHORT_SIGHTED = AdvantageSettings(), AdvantageSettings(0.9, 0.5, 0.1)
 
 

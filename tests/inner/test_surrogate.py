@@ -23,7 +23,6 @@ MEAN, STD = np.array([0.4, -0.2]), np.array([0.8, 1.2])
 MEAN_GRADIENT = -2 * (WEIGHT @ MEAN + OFFSET - TARGET) * WEIGHT
 LOG_STD_GRADIENT = -2 * WEIGHT**2 * STD**2
 EPISODES = 400_000
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def linear_agent() -> Agent:

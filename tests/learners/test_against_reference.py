@@ -97,7 +97,7 @@ def largest(parameters: Parameters) -> float:
 
 
 @every_case
-@pytest.mark.usefixtures("x64", "quick_compiler")
+@pytest.mark.usefixtures("x64")
 def test_loss_and_kl_and_gradient(case: str) -> None:
     problem, parameters, tasks = problem_of(case), elsewhere(case), tasks_of(case)
     objective, translated = (
@@ -128,7 +128,7 @@ def test_loss_and_kl_and_gradient_in_single_precision() -> None:
 
 
 @every_case
-@pytest.mark.usefixtures("x64", "quick_compiler")
+@pytest.mark.usefixtures("x64")
 def test_curvature_product(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)
     objective = objective_for(learner_for(problem), problem, ROWS)
@@ -141,7 +141,7 @@ def test_curvature_product(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", STEPPED)
-@pytest.mark.usefixtures("x64", "quick_compiler")
+@pytest.mark.usefixtures("x64")
 def test_outer_step(case: str) -> None:
     problem, tasks = problem_of(case), tasks_of(case)
     learner, old = learner_for(problem), to_library(problem.parameters)
@@ -171,7 +171,7 @@ def assert_agent_close(agents: Agents, slot: int, expected: ReferenceAgent) -> N
 
 
 @pytest.mark.parametrize("case", ["two_inner_updates", "theta_as_well"])
-@pytest.mark.usefixtures("x64", "quick_compiler")
+@pytest.mark.usefixtures("x64")
 def test_a_whole_meta_iteration(case: str) -> None:
     """Who plays, in which tasks, and what comes of it."""
     problem = problem_of(case)

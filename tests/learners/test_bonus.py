@@ -40,7 +40,6 @@ from maesn.worlds.collector import Collector
 
 SMALL = CuriosityBonus(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)
 TASKS = 3
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 class Listener(AbstractFastLearner[list[Episodes]]):

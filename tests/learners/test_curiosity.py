@@ -16,7 +16,6 @@ KEY = jax.random.key(0)
 SMALL = CuriosityBonus(hidden_sizes=(4,), pool_size=64, pool_additions=16, updates=20, samples=3)
 # Compiled, as the learners call them.
 judge, learn = (eqx.filter_jit(method) for method in (CuriosityBonus.judge, CuriosityBonus.learn))
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def knowing(curiosity: CuriosityBonus) -> CuriosityState:

@@ -32,7 +32,7 @@ THROUGH_POLICY = [
 CASES = [*((name, {}) for name in METHODS), ("maesn", REPARAMETERIZED)]
 REGION = TrustRegion(damping=1e-3)
 ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(3, 0)
-pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 def learner_of(method: str, **settings: Any) -> GradientMetaLearner:

@@ -31,7 +31,7 @@ from maesn.learners.presets import latent_space
 from maesn.policies import GaussianMLP
 
 TASKS = 3
-pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 def fast_learner(preset: str) -> GradientFastLearner:

@@ -28,7 +28,6 @@ from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 TASKS = 2
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @pytest.fixture(scope="module")

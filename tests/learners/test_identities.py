@@ -23,7 +23,7 @@ from maesn.learners.presets import POLICY_STEP, latent_space, maesn, maesn_theta
 SEED = 2
 AT_REST = InnerStep(0.0, learned=False)
 ROWS = (1, 4, 2)
-pytestmark = pytest.mark.usefixtures("x64", "quick_compiler")
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 def settings_of(problem: Problem) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from maesn.learners import GradientInfo, GradientState
 from maesn.learners.gradient.objective import MetaParameters
 
 KEY = 4
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @cache

@@ -17,7 +17,7 @@ from maesn.policies import GaussianMLP
 ROWS = (3, 0)
 
 
-@pytest.mark.usefixtures("x64", "quick_compiler")
+@pytest.mark.usefixtures("x64")
 def test_a_bias_and_learned_step_sizes_of_theta() -> None:
     """Directional derivatives of the outer loss and of the KL; they move every array."""
     policy = GaussianMLP(SIZES[1:-1])

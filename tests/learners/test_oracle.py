@@ -20,8 +20,6 @@ from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 
 

@@ -15,7 +15,6 @@ from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import PolicyInput, Recurrent, RecurrentPolicy
 
 TRIALS, STEPS, CHOICES, CLIP, ENTROPY = 5, 4, 3, 0.2, 0.1
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def random_trials(logits: np.ndarray | None = None) -> tuple[Trials, np.ndarray]:

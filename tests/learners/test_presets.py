@@ -38,7 +38,6 @@ SMALL = {
 # Those with memory have tests of their own (`test_recurrent`).
 WITHOUT_MEMORY = [name for name in PRESETS if not name.startswith("rl2")]
 every_preset = pytest.mark.parametrize("preset", WITHOUT_MEMORY)
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @contextmanager

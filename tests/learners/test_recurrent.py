@@ -37,7 +37,6 @@ from maesn.worlds.collector import Collector
 
 TASKS, EPISODES, TRIAL = 4, 3, 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def small(**settings: Any) -> RecurrentMetaLearner:

@@ -34,7 +34,6 @@ from maesn.policies import GaussianMLP, GaussianMLPPolicy
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 ROWS = (0, 3)
 
 

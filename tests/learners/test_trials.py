@@ -22,7 +22,6 @@ from maesn.worlds.collector import Collector
 
 HORIZON, SLOTS, EPISODES = 6, 2, 3
 LIFETIMES = np.float32([3, 5])
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def mortal() -> Collector:

@@ -75,7 +75,6 @@ def trained(learner: GradientMetaLearner, iterations: int) -> tuple[GradientStat
     return state, collect
 
 
-@pytest.mark.usefixtures("quick_compiler")
 @pytest.mark.parametrize("preset", [maesn, maml])
 def test_a_learner_sees_by_the_statistics_of_the_iterations_before(preset: Any) -> None:
     learner = preset(policy=GaussianMLP((8,)), meta_batch_size=4, normalize_observations=True)

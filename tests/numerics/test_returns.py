@@ -66,7 +66,7 @@ def test_returns_agree_with_a_double_loop(length: int, discount: float) -> None:
 def test_returns_agree_with_a_recursive_filter() -> None:
     reward, _, valid = _episode(TIME)
     expected = scipy.signal.lfilter([1.0], [1.0, -0.99], np.float64(reward)[::-1])[::-1]
-    np.testing.assert_allclose(discounted_returns(reward, valid, 0.99), expected, rtol=1e-5)
+    np.testing.assert_allclose(discounted_returns(reward, valid, 0.99), expected, atol=1e-5)
 
 
 def test_returns_of_discount_zero_are_the_rewards() -> None:

@@ -17,9 +17,6 @@ STD = np.array([0.5, 1.0, 2.0])
 ONE = jnp.ones(1)
 
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
-
 def gaussian(parameters: dict[str, Array]) -> DiagonalGaussian:
     """One distribution whose coordinates are the parameters themselves, `[1, 3]`."""
     return DiagonalGaussian(parameters["mean"][None], parameters["log_std"][None])

@@ -79,8 +79,8 @@ def test_tensors_are_named_by_their_path(tmp_path: Path) -> None:
     state = jax.eval_shape(lambda key: tiny_maesn().init(key, 2, 2, 5), jax.random.key(0))
     assert {name: leaf.shape for name, leaf in named_leaves(state).items()} == {
         "iteration": (),
-        "parameters/context/log_std": (5, 2),
-        "parameters/context/mean": (5, 2),
+        "parameters/context_table/log_std": (5, 2),
+        "parameters/context_table/mean": (5, 2),
         "parameters/policy/log_std": (2,),
         "parameters/policy/mlp/layers/0/bias": (8,),
         "parameters/policy/mlp/layers/0/weight": (4, 8),

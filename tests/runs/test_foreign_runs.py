@@ -13,6 +13,8 @@ from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
 from maesn.api import adapt, export, plot
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
+from maesn.evaluation import exploration
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import render
 from maesn.learners import rl2
 from maesn.policies import Recurrent
@@ -21,8 +23,6 @@ from maesn.runs.training import train
 from maesn.runtime import Explorer
 from maesn.storage import RunError
 from maesn.worlds import EpisodeError
-
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def fragile(health: Path, **settings: Any) -> TaskFamily:
@@ -56,7 +56,9 @@ def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Pa
     assert metrics(run) == metrics(whole)
 
 
-def test_every_verb_works_on_a_foreign_family(tmp_path: Path) -> None:
+def test_every_verb_works_on_a_foreign_family(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     family = fragile(
         tmp_path / "health",
         position=lambda observation: observation[-2:],
@@ -64,12 +66,14 @@ def test_every_verb_works_on_a_foreign_family(tmp_path: Path) -> None:
         max_environments=40,
     )
     run = finish(new_run(tmp_path / "run", family), 1)
-    outcome = adapt(run.directory, updates=1, episodes_per_task=20, family=family)
+    # Twice as many episodes of all tasks as there may be environments: ten tasks at a time.
+    outcome = adapt(run, episodes=4, episodes_per_update=4)
     assert outcome.curves.mean_return.shape == (100, 2)
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     names = {path.name for path in plot([run.directory], family=family)}
     assert {"exploration.png", "adaptation-curves-test-sparse.png"} <= names
-    few = {"update": [0], "episodes": 1, "episodes_per_task": 2}
-    pictures = drawn(lambda: render(run.directory, family=family, **few)) or []
+    few = Evaluation(episodes=2, episodes_per_update=2)
+    pictures = drawn(lambda: render(run, few, after=[0], shown=1)) or []
     assert all(path.parent == run.directory / "render" for path in pictures)
     assert len(pictures) == (2 if can_draw() else 0)
     explorer = Explorer.load(export(run.directory, tmp_path / "policy.npz", family=family), seed=0)
@@ -83,7 +87,7 @@ def test_figures_that_need_positions_are_left_out_and_said_so(
 ) -> None:
     family = fragile(tmp_path / "health")
     run = finish(new_run(tmp_path / "run", family), 1)
-    adapt(run.directory, updates=0, episodes_per_task=1, family=family)
+    adapt(run, episodes=0, episodes_per_update=1)
     names = {path.name for path in plot([run.directory], family=family)}
     assert "learning-curves-dense.png" in names
     assert "exploration.png" not in names
@@ -109,4 +113,4 @@ def test_a_reward_that_is_not_paid_cannot_be_read(tmp_path: Path) -> None:
     paid = tiny_settings(reward="sparse")
     assert Run.create(directory, reader, paid, family=family).learner == reader
     with pytest.raises(RunError, match="reads the sparse one: give --reward sparse, or a policy"):
-        adapt(directory, reward="dense", updates=0, episodes_per_task=1, family=family)
+        adapt(directory, reward="dense", episodes=0, episodes_per_update=1, family=family)

@@ -15,6 +15,8 @@ from maesn.runs.beginning import begun_state
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 
 def save_changed(run: Run, change: float) -> Any:
     """Pretend that a run has learned something."""
@@ -51,7 +53,7 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
         (
             tiny_maesn(context=BiasContext(2)),
             {},
-            "tensor `parameters/context/value` should be absent",
+            "tensor `parameters/context_table/value` should be absent",
         ),
         (tiny_maesn(context=LatentContext(size=3)), {}, "tensor `parameters/policy/mlp/"),
         (

@@ -61,21 +61,21 @@ class Killer:
 def test_a_killed_process_resumes_bit_for_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("XLA_FLAGS")  # compiled as in production
+    for name in ("XLA_FLAGS", "JAX_DISABLE_MOST_OPTIMIZATIONS"):  # compiled as in production
+        monkeypatch.delenv(name)
     runs = [
-        create(tmp_path / name, tiny_maesn(), iterations=60, checkpoint_every=3)
+        create(tmp_path / name, tiny_maesn(), iterations=40, checkpoint_every=3)
         for name in ("whole", "killed")
     ]
     killer = Killer(tmp_path)
     assert killer.start(runs[0]).wait(timeout=300) == 0
-    for _ in range(2):
-        process = killer.start(runs[1])
-        assert killer.stop(runs[1], process, signal.SIGKILL) == -signal.SIGKILL
+    process = killer.start(runs[1])
+    assert killer.stop(runs[1], process, signal.SIGKILL) == -signal.SIGKILL
     process = killer.start(runs[1])
     assert killer.stop(runs[1], process, signal.SIGINT) != 0
     assert "KeyboardInterrupt" in killer.said()
     # Ctrl-C has saved the very last iteration, whatever `checkpoint_every` says.
-    assert runs[1].latest().iteration == len(metrics(runs[1])) < 60
+    assert runs[1].latest().iteration == len(metrics(runs[1])) < 40
     assert killer.start(runs[1]).wait(timeout=300) == 0
     assert outcome(runs[0]) == outcome(runs[1])
-    assert metrics(runs[1])[-1]["environment_steps"] == 60 * 2 * 4 * 3 * 40
+    assert metrics(runs[1])[-1]["environment_steps"] == 40 * 2 * 4 * 3 * 40

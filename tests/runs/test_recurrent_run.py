@@ -4,21 +4,18 @@ import csv
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from small_runs import create, finish, metrics, outcome, reopened
 
 from maesn import api
-from maesn.evaluation.tables import write_arrays
 from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 from maesn.runs.serialization import from_json, to_json
-from maesn.storage import RunError
+from maesn.storage import RunError, write_arrays
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def tiny() -> RecurrentMetaLearner:
@@ -32,9 +29,7 @@ def tiny() -> RecurrentMetaLearner:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    jax.config.update("jax_disable_most_optimizations", True)
     run = finish(create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3))
-    jax.config.update("jax_disable_most_optimizations", False)
     return run.directory
 
 
@@ -56,7 +51,7 @@ def test_what_is_written_of_an_iteration(trained: Path) -> None:
 
 
 def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:
-    adaptation = api.adapt(trained, updates=2, episodes_per_task=2)
+    adaptation = api.adapt(trained, episodes=4, episodes_per_update=2).outcome
     assert adaptation.episodes_per_update == 1
     assert adaptation.trial_episodes == 2
     with (trained / "adaptation" / "test-sparse.csv").open() as file:

@@ -29,6 +29,7 @@ from maesn.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
 
 POINT = FAMILIES["point"]
+pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:
@@ -155,7 +156,7 @@ def test_the_command_gives_policies_that_choose_where_that_is_needed(
     few = ["--family", "bandit", "--iterations", "0", "--policy.hidden-sizes", "6"]
     assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "maesn")]) == 0
     assert Run.open(tmp_path / "maesn").learner.policy == CategoricalMLP((6,))
-    rl2 = ["train", "rl2", "--family", "bandit", "--iterations", "0"]
+    rl2 = ["train", "rl2", "--family", "bandit", "--iterations", "0", "--policy.hidden-size", "4"]
     assert cli.run([*rl2, "--run", str(tmp_path / "rl2")]) == 0
     assert Run.open(tmp_path / "rl2").learner.policy.action_kind == "discrete"
     deviation = ["--policy.initial-std", "0.5", "--run", str(tmp_path / "refused")]

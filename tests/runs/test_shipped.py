@@ -17,6 +17,7 @@ from maesn.commands.train import read_options
 from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.evaluation import exploration, film
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractMetaLearner, maesn
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP
@@ -26,8 +27,6 @@ from maesn.runs.serialization import digest
 from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
 from maesn.runtime import Explorer
 from maesn.storage import RunError
-
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 POLICIES = policy_names()
 LARGEST = 400_000  # bytes
@@ -75,7 +74,7 @@ def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, folder: Path) -> N
     tasks = family.task_set("test", 20).tasks
     leaves = tasks if isinstance(tasks, tuple) else (tasks,)
     np.savez("twenty.npz", **dict(zip(family.task_names, leaves, strict=True)))
-    options = ["--tasks", "twenty.npz", "--updates", "3", "--episodes-per-task", "20"]
+    options = ["--tasks", "twenty.npz", "--episodes", "60", "--episodes-per-update", "20"]
     assert cli.run(["adapt", name, *options]) == 0
     table = folder / f"maesn-{name}" / "adaptation" / "file-twenty-sparse.csv"
     rows = np.genfromtxt(table, delimiter=",", names=True)
@@ -86,17 +85,17 @@ def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, folder: Path) -> N
     assert files(TRAINED) == installed
 
 
-@pytest.mark.parametrize("name", POLICIES)
-def test_each_can_be_drawn_and_filmed(
-    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_one_can_be_drawn_and_filmed_by_its_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    api.adapt(name, updates=1, episodes_per_task=2)
-    for path in api.plot([name]):
-        assert path.parent == Path(f"maesn-{name}") / "figures"
-    pictures = drawn(lambda: film.render(name, update=[0], episodes=1, episodes_per_task=2))
-    places = {path.parent for path in pictures or []}
-    assert places == ({Path(f"maesn-{name}") / "render"} if can_draw() else set())
+    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-blockpush")
+    api.adapt("blockpush", few)
+    for path in api.plot(["blockpush"]):
+        assert path.parent == copy / "figures"
+    pictures = drawn(lambda: film.render("blockpush", few, after=[0], shown=1))
+    parents = {path.parent for path in pictures or []}
+    assert parents == ({copy / "render"} if can_draw() else set())
 
 
 @pytest.mark.parametrize("name", POLICIES)

@@ -1,4 +1,4 @@
-"""Files: exact continuation, whole or not at all, and what damaged ones are told."""
+"""Files: exact continuation, whole or not at all, and damaged ones are refused."""
 
 import errno
 import os

@@ -17,8 +17,6 @@ from maesn.runs.serialization import digest, from_json, to_json
 from maesn.studies.ablation import Ablation
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 OPTIONS = [
     *("ablation", "--family", "point", "--iterations", "2", "--meta-batch-size", "3"),
     *("--episodes-per-task", "3", "--episodes-per-update", "3", "--num-tasks", "3"),

@@ -29,8 +29,6 @@ from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare, comparison_world, silent
 from maesn.studies.lines import Scratch
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 

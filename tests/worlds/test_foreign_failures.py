@@ -1,6 +1,7 @@
 """Foreign environments that fail: the failure is named, and no process is left behind."""
 
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -26,10 +27,11 @@ from strange_families import (
     is_running,
     seeds,
 )
-from strangers import Diarist, Walker, make_hopeless
+from strangers import HORIZON, Diarist, Walker, make_broken, make_hopeless
 
 from maesn import cli
 from maesn.envs import TaskSet
+from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
 from maesn.worlds import EpisodeError, make_world
 from maesn.worlds.collector import Collector
 
@@ -59,6 +61,9 @@ AT_RESET = {
     63: "the environment raised RuntimeError: no actions today",
 }
 REASONS = FAILURES | AT_RESET
+# One of each way in which a failure reaches the process that learns: a number or an exception that
+# a worker reports, at a step or a reset, and workers that hang or are gone.
+THROUGH_PROCESSES = (10, 30, 40, 41, 50, 63)
 STEP = 2
 
 
@@ -99,7 +104,25 @@ def unlucky_episodes(task: np.ndarray) -> set[int]:
     return {episode for episode, place in enumerate(starts) if place[0] > 0}
 
 
-@pytest.mark.parametrize("kind", REASONS)
+@pytest.mark.parametrize("kind", [kind for kind in REASONS if kind not in THROUGH_PROCESSES])
+def test_what_an_environment_must_not_do_is_named(kind: int) -> None:
+    quiet, failing = (pickle.dumps(row) for row in rows()[[0, 2 + list(REASONS).index(kind)]])
+    hosted = HostedEnvironment(make_broken, "dense", None)
+    hosted.describe(quiet)
+    unlucky = next(s for s in range(99) if Walker(rows()[0]).reset(seed=s)[0]["place"][0] > 0)
+    returned: list[Reading] = []
+    with pytest.raises(HostedError) as error:
+        play_hosted(hosted, failing, unlucky, returned)
+    assert REASONS[kind] in str(error.value)
+    assert len(returned) == (0 if kind in AT_RESET else STEP)
+
+
+def play_hosted(hosted: HostedEnvironment, task: bytes, seed: int, into: list[Reading]) -> None:
+    into.append(hosted.begin(task, seed))
+    into.extend(hosted.step(np.zeros(2, np.float32)) for _ in range(HORIZON))
+
+
+@pytest.mark.parametrize("kind", THROUGH_PROCESSES)
 def test_what_goes_wrong_is_named_and_leaves_no_process_behind(
     kind: int, collect: Collector, impatiently: Collector
 ) -> None:

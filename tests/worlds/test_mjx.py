@@ -15,8 +15,6 @@ from maesn.axes import Readings
 from maesn.envs import Point, TaskSet, Wheeled, point, wheeled
 from maesn.worlds import EpisodeError, MjxWorld, engine_of, make_world
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 TASKS = wheeled.task_set("test")
 TASK_INDEX = [17, 3]
 CARTS = TaskSet(CartTask(np.float32([0.0, 5.0, 0.0]), np.float32([1.0, 2.0, 8.0])))

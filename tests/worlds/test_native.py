@@ -122,9 +122,9 @@ def test_observations_rewards_and_ends_follow_from_the_states(played: Played) ->
         seen = episode.observation[: lived + 1]
         np.testing.assert_allclose(seen, judged.observation[: lived + 1], rtol=1e-5, atol=1e-6)
         np.testing.assert_array_equal(episode.solved[:lived], judged.solved[:lived])
-        paid, cost = judged.goal_reward[:lived], judged.cost[:lived]
-        np.testing.assert_allclose(episode.goal_reward[:lived], paid, atol=1e-5)
-        np.testing.assert_allclose(episode.reward[:lived], paid - cost, atol=1e-5)
+        goal, cost = judged.goal_reward[:lived], judged.cost[:lived]
+        np.testing.assert_allclose(episode.goal_reward[:lived], goal, atol=1e-5)
+        np.testing.assert_allclose(episode.reward[:lived], goal - cost, atol=1e-5)
 
 
 def test_these_episodes_have_what_is_to_be_compared(played: Played) -> None:

@@ -1,4 +1,4 @@
-"""A four-legged robot that walks to a goal it is not told (section "Legged Locomotion").
+"""A four-legged robot that walks to a hidden goal (section "Legged Locomotion").
 
 Observation (125 components; the goal is not among them):
 
@@ -39,8 +39,8 @@ Inside of R the sparse reward is the reference's dense one, or the paper's 4 - |
 prints the 4 in the sparse reward alone.
 
 Episodes last 200 steps of 0.01 s. A state that is not finite ends them. In the reference variant,
-so does a torso below 0.2 m or above 1 m; every step lived pays there, so that falling costs. The
-paper does not speak of an end, and its dense reward would make it pay to fall.
+so does a torso below 0.2 m or above 1 m; its dense reward is positive, so that falling costs. The
+paper does not speak of an end, and with its negative dense reward an early end would be a gain.
 """
 
 from typing import ClassVar, Literal
@@ -56,7 +56,7 @@ from maesn.envs.reaching import AbstractReaching, Goal
 
 GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
-# Appendix "Reward Functions" (sparse reward alone); the reference pays it on dense reward as well.
+# Appendix "Reward Functions" (sparse reward alone); the reference adds it to the dense one, too.
 BONUS = 4.0
 # The paper calls it "an uninformative large negative constant". All goals lie 2 m from the start,
 # so this is the distance of an ant that has not moved.
@@ -77,7 +77,7 @@ LARGEST = 1e10  # MuJoCo calls larger numbers bad, and goes on without them
 
 
 class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
-    """A four-legged robot that walks to a goal on a half circle, which it is not told."""
+    """A four-legged robot that walks to a hidden goal on a half circle."""
 
     name: ClassVar[str] = "ant"
     model: ClassVar[str] = "ant.xml"
@@ -118,7 +118,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         next_readings: Readings,
         task: Goal,
     ) -> Reward:
-        # A state that blew up is no place to pay for: the last one that was any counts instead.
+        # A state that blew up has no reward: the last sound one counts instead.
         alive = _is_sound(next_readings)
         seen = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
         goal = self._goal_reward(seen, task)
@@ -160,12 +160,12 @@ def rotation_matrix(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
     are not of unit length, so the quaternion is normalised first, as MuJoCo does.
     """
     w, x, y, z = quaternion / jnp.linalg.norm(quaternion)
-    entries = [
+    rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return jnp.stack([jnp.stack(row) for row in entries])
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _contact_forces(readings: Readings) -> Float[Array, "14 6"]:

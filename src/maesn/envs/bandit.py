@@ -1,9 +1,9 @@
-"""A Bernoulli bandit: a probe of learning by remembering, with a known optimum.
+"""A Bernoulli bandit: a probe of recurrent learning, with a known optimum.
 
-See `maesn.envs.probes` for what probes are. The one of Duan et al. (2016, section 3.1,
-https://arxiv.org/abs/1611.02779): an arm pays 1 with a probability of its own, else 0. The Bayes
-optimal return over all tasks, uniform probabilities, follows from dynamic programming over counts
-of payments; `benchmarks/bandit.py` computes it.
+See `maesn.envs.probes` for what probes are. It is that of Duan et al. (2016, section 3.1,
+https://arxiv.org/abs/1611.02779): an arm's reward is 1 with a probability of its own, else 0. The
+Bayes optimal return over all tasks, with uniform probabilities, follows from dynamic programming
+over counts of rewards; `benchmarks/bandit.py` computes it.
 """
 
 from typing import ClassVar, TypeAlias
@@ -24,13 +24,13 @@ ARMS, PULLS = 5, 10  # the smallest of the bandits of Duan et al.
 
 
 class Bandit(AbstractProbe[Probabilities]):
-    """Arms that pay 1 with an unknown probability each, for an agent that sees nothing else.
+    """Arms with a reward of 1 with an unknown probability each; the agent sees nothing else.
 
     Action (one of `action_size` arms): which one to pull. Observation (1): always 0. Reward, dense
-    and sparse: 1 if the arm pays, else 0. An episode has T pulls. "Solved" means that it has paid.
+    and sparse: 1 or 0. An episode has T pulls. A step is "solved" if its reward is 1.
 
     State: `qpos` holds the number of pulls so far and the draws u_t ~ U(0, 1) of all pulls, `qvel`
-    the arm that was pulled last (one-hot). Arm k pays at pull t if u_t < p_k.
+    the arm that was pulled last (one-hot). Arm k is rewarded at pull t if u_t < p_k.
     """
 
     name: ClassVar[str] = "bandit"
@@ -64,8 +64,8 @@ class Bandit(AbstractProbe[Probabilities]):
         next_readings: Readings,
         task: Probabilities,
     ) -> Reward:
-        paid = self.solved(next_readings, task).astype(action.dtype)
-        return Reward(paid, jnp.zeros(()))
+        rewarded = self.solved(next_readings, task).astype(action.dtype)
+        return Reward(rewarded, jnp.zeros(()))
 
     def solved(self, readings: Readings, task: Probabilities) -> Bool[Array, ""]:
         # Before the first pull no arm is pulled, and the probability below is 0.
@@ -73,11 +73,11 @@ class Bandit(AbstractProbe[Probabilities]):
         return draws[jnp.maximum(pulls - 1, 0)] < readings["qvel"] @ task
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        """Return the origin: there is no place."""
+        """Return the origin: a bandit has no position."""
         return jnp.zeros(2)
 
     def goal(self, task: Probabilities) -> Float[Array, " 2"]:
-        """Return the origin: there is no place."""
+        """Return the origin: a bandit has no position."""
         return jnp.zeros(2)
 
 

@@ -1,9 +1,9 @@
 """Environments: pure functions of one episode, and the tasks that they are asked to solve.
 
-An environment says how an episode starts, what the agent sees, what it is paid, and when it ends.
-It holds no state and knows no batch. What moves the world is someone else's business: a physics
-engine for `AbstractMujocoEnv`, the environment's own `advance` for `AbstractPureEnv`, and processes
-in which somebody else's environments run for `maesn.envs.foreign.GymnasiumEnv`.
+An environment says how an episode starts, what the agent observes, its reward, and when it ends. It
+holds no state and knows no batch. Its world is moved by a physics engine (`AbstractMujocoEnv`), by
+its own `advance` (`AbstractPureEnv`), or by processes in which the environments of others run
+(`maesn.envs.foreign.AbstractGymnasiumEnv`).
 """
 
 import dataclasses
@@ -31,13 +31,13 @@ class Reward(NamedTuple):
     """The reward of one step, in two parts."""
 
     goal: Float[Array, "*batch"]
-    """What is paid for the goal."""
+    """The part that depends on the goal."""
     other: Float[Array, "*batch"]
-    """Control costs, contact costs, survival bonus: what no goal has to do with."""
+    """The part that does not: control costs, contact costs, a survival bonus."""
 
     @property
     def total(self) -> Float[Array, "*batch"]:
-        """What the agent is paid."""
+        """The reward of the step."""
         return self.goal + self.other
 
 
@@ -53,8 +53,7 @@ class Start(NamedTuple):
 class AbstractEnv(eqx.Module, Generic[Task]):
     """The world of one episode, as pure functions.
 
-    `observe` receives no task. An environment that tells the agent its goal does so through
-    `instruction`, in plain sight, or not at all.
+    `observe` receives no task. Only `instruction` can show a task to the agent.
     """
 
     name: eqx.AbstractClassVar[str]
@@ -98,16 +97,16 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return what the agent sees of the world."""
 
     def instruction(self, task: Task) -> Float[Array, " instruction"]:
-        """Return what the agent is told of its task: a vector appended to the observation.
+        """Return what the agent sees of its task: a vector appended to the observation.
 
-        This is nothing, unless the environment says otherwise.
+        Empty, unless the environment overrides it.
         """
         return jnp.zeros(0)
 
     def describe(self, task: Task) -> Float[Array, " description"]:
-        """Return what tells a task from all others: a vector for oracles, and for nobody else.
+        """Return a vector that identifies the task, which oracles alone receive.
 
-        All numbers of the task, unless an environment knows better what an oracle needs.
+        All numbers of the task, unless the environment overrides it.
         """
         leaves = [jnp.ravel(jnp.asarray(leaf)).astype(float) for leaf in jax.tree.leaves(task)]
         return jnp.concatenate(leaves)
@@ -124,7 +123,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
 
     @property
     def uninformative_reward(self) -> float:
-        """What an agent that reads sparse rewards is shown for the goal, far from it."""
+        """Goal part of the sparse reward that a policy with rewards as inputs sees far away."""
         return 0.0
 
     def observed_reward(
@@ -135,11 +134,11 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         next_readings: Readings,
         task: Task,
     ) -> Float[Array, ""]:
-        """Return the reward of one step as it is shown to an agent that reads rewards.
+        """Return the reward of one step as a policy sees it that has rewards as inputs.
 
-        Far from the goal a sparse reward may differ from task to task: the reference pays what the
-        dense reward pays at the start, which tells how far away the goal is. What is shown there
-        is the same in all tasks.
+        Far from the goal the sparse reward of the reference is the dense one at the start, which
+        depends on the distance of the goal. A policy sees `uninformative_reward` there instead,
+        the same in all tasks.
         """
         env = self if kind == "own" else dataclasses.replace(self, reward_kind="sparse")
         reward = env.reward(readings, action, next_readings, task)
@@ -149,14 +148,14 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
     def check_shown(self, kind: ObservedReward) -> None:
-        """Refuse a kind of reward that agents cannot be shown here.
+        """Refuse a kind of reward that policies cannot see here.
 
         Raises:
             ValueError: they cannot.
         """
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        """Whether the episode ends by nature in this state: never, unless it says when."""
+        """Whether the episode ends by nature in this state: never, unless overridden."""
         return jnp.zeros((), bool)
 
     @abstractmethod
@@ -172,9 +171,9 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return the planar position (metres) by which figures show where the agent is."""
 
     def judged_position(self, readings: Readings, task: Task) -> Float[Array, " 2"]:
-        """Return the planar position (metres) of what is to reach the goal, for pictures.
+        """Return the planar position (metres) of what has to reach the goal, for pictures.
 
-        This is the agent, unless the task is to move something else.
+        This is the agent, unless the environment overrides it.
         """
         return self.position(self.observe(readings))
 
@@ -183,9 +182,9 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return the planar position (metres) by which figures show the task."""
 
     def landmarks(self, task: Task) -> Float[Array, "landmark 2"]:
-        """Return the planar positions (metres) of what a task lays out beside its goal.
+        """Return the planar positions (metres) of what a task places beside its goal.
 
-        This is nothing, unless the environment says otherwise.
+        Nothing, unless the environment overrides it.
         """
         return jnp.zeros((0, 2))
 
@@ -200,7 +199,7 @@ class AbstractSimulatedEnv(AbstractEnv[Task]):
     def model_fields(self, task: Task) -> dict[str, Array]:
         """Return what the task changes in the dynamics: name of the quantity -> values.
 
-        This is nothing, unless the environment says otherwise.
+        Nothing, unless the environment overrides it.
         """
         return {}
 
@@ -223,7 +222,7 @@ class AbstractMujocoEnv(AbstractSimulatedEnv[Task]):
     frame_skip: ClassVar[int] = 1
     """Physics steps per control step."""
     nonfinite: ClassVar[Literal["raise", "report"]] = "raise"
-    """What a state that blows up is: an error, or something that `terminated` expects."""
+    """What happens when a state blows up: an error, or `terminated` has to expect it."""
 
 
 class AbstractPureEnv(AbstractSimulatedEnv[Task]):

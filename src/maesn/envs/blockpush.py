@@ -1,7 +1,7 @@
 """A gripper that pushes one of five blocks to a goal (section "Robotic Manipulation").
 
-Which block counts is never told; the agent has to try them. Where the goal is, the reference does
-not tell either, and the paper does: its state holds "the positions of all of the objects, the goal
+The agent never sees which block counts and has to try them. In the reference it does not see the
+goal either. In the paper it does: the state holds "the positions of all of the objects, the goal
 position, and the configuration of the hand".
 
 Observation (26 components; 28 in the variant `paper`):
@@ -34,8 +34,8 @@ Episodes last 100 steps of 0.01 s and never terminate. They start exactly as the
 and with the gripper at the origin: nothing is random but the policy. At full force the gripper
 moves up to 4 cm per step, which is as thick as its bars: it can jump through a block.
 
-The goal lies in the same band of y as its block, so that whoever is told the goal and sees the
-table, as in the variant `paper`, could tell which block is meant.
+The goal lies in the same band of y as its block. So the variant `paper`, which shows the goal,
+gives away which block is meant.
 """
 
 from typing import ClassVar, NamedTuple
@@ -53,8 +53,8 @@ from maesn.envs.tasks import TaskFamily
 NUM_BLOCKS = 5
 SPARSE_RADIUS = 0.2  # metres; appendix "Reward Functions"
 REWARD_SCALE = 5.0  # reference, per metre
-# The paper calls it "an uninformative large negative constant". The reference pays |g| (times its
-# scale), which is 0.75 to 1.07 m; this is the round number among them.
+# The paper calls it "an uninformative large negative constant". In the reference it is |g| (times
+# its scale), which is 0.75 to 1.07 m; this is the round number among them.
 C_MAX = 1.0
 ACTION_SCALE = 2.0  # the motors' range, +-2 N and N m
 BLOCK_SPACING = 0.2  # metres; in the model, block b is at home at x = 0.2 (b + 1), y = 0
@@ -68,7 +68,7 @@ BAND_HEIGHT = 0.2
 
 
 class BlockPushTask(NamedTuple):
-    """Which block is to be moved where, and how the table is laid."""
+    """Which block is to be moved where, and where all blocks start."""
 
     block: Int[Array | np.ndarray, "*row"]
     """Index of the block that counts, 0 to 4."""
@@ -79,7 +79,7 @@ class BlockPushTask(NamedTuple):
 
 
 class BlockPush(AbstractMujocoEnv[BlockPushTask]):
-    """A gripper among five blocks, one of which, it is not told which, belongs to the goal."""
+    """A gripper among five blocks, one of which, unknown to it, has to reach the goal."""
 
     name: ClassVar[str] = "blockpush"
     model: ClassVar[str] = "blockpush.xml"
@@ -113,7 +113,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         return jnp.asarray(task.goal) if self.variant == "paper" else jnp.zeros(0)
 
     def describe(self, task: BlockPushTask) -> Float[Array, " 7"]:
-        """Return which block counts (one-hot) and where it is to go; the table can be seen."""
+        """Return which block counts (one-hot) and where it is to go; the layout is observed."""
         chosen = jnp.arange(NUM_BLOCKS) == task.block
         return jnp.concatenate([chosen.astype(float), jnp.asarray(task.goal)])
 
@@ -136,8 +136,8 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         """
         far = C_MAX if self.variant == "paper" else jnp.linalg.norm(task.goal)
         distance = _distance(next_readings, task)
-        paid = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
-        return Reward(self._scale * paid, jnp.zeros(()))
+        goal = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
+        return Reward(self._scale * goal, jnp.zeros(()))
 
     @property
     def _scale(self) -> float:
@@ -195,7 +195,7 @@ def _draw_tasks(stream: np.random.Generator, size: int) -> BlockPushTask:
 def _scatter(
     stream: np.random.Generator, bands: np.ndarray, x: tuple[float, float]
 ) -> Float[np.ndarray, "layout 5 2"]:
-    """Draw a place in the band of each block."""
+    """Draw a position in the band of each block."""
     along = stream.uniform(*x, bands.shape)
     across = LOWEST_Y + BAND_HEIGHT * (bands + stream.uniform(0.0, 1.0, bands.shape))
     return np.stack([along, across], axis=-1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A probe of exploration: the reward is far away, and nothing on the way says so.
+"""A probe of exploration: the reward is far away, and nothing on the way points to it.
 
 See `maesn.envs.probes` for what probes are.
 """
@@ -21,18 +21,18 @@ NEAREST = 28.0  # where the reward begins at the nearest
 
 
 class Chain(AbstractProbe[Distance]):
-    """A corridor between two walls, whose far end is paid: 30 steps of 50 must go that way.
+    """A corridor between two walls, rewarded at its far end: 30 steps of 50 must go that way.
 
     Observation (1): position, as a share of the length. Action (1): the step, clipped to [-1, 1];
     the agent starts at 0, and walls stand there and at 30. With x_t its position and g the task,
     28 to 30:
 
         dense:   r_t = (x_{t+1} - x_t) / g                          the return is x_T / g
-        sparse:  r_t = 1 where x_{t+1} >= g - sparse_radius, else `pay_elsewhere`
+        sparse:  r_t = 1 where x_{t+1} >= g - sparse_radius, else `reward_elsewhere`
 
-    Steps drawn from N(0, 1) reach about 12 in an episode, and a reward is as good as never found
-    by chance: the sparse chain is for agents that look for it. (Houthooft et al. 2016 use sparse
-    mountain car for this.)
+    Steps drawn from N(0, 1) reach about 12 in an episode, so that chance hardly ever finds a
+    reward: the sparse chain is for agents that explore on purpose. (Houthooft et al. 2016 use
+    sparse mountain car for this.)
     """
 
     name: ClassVar[str] = "chain"
@@ -40,7 +40,7 @@ class Chain(AbstractProbe[Distance]):
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
     sparse_radius: float = 0.0
-    pay_elsewhere: float = 0.0
+    reward_elsewhere: float = 0.0
     """Sparse reward of the other steps, the same everywhere."""
     horizon: int = 50
     observation_size: int = 1
@@ -67,15 +67,15 @@ class Chain(AbstractProbe[Distance]):
         task: Distance,
     ) -> Reward:
         step = (next_readings["qpos"][0] - readings["qpos"][0]) / task
-        paid = jnp.where(self.solved(next_readings, task), 1.0, self.pay_elsewhere)
-        return Reward(step if self.reward_kind == "dense" else paid, jnp.zeros(()))
+        sparse = jnp.where(self.solved(next_readings, task), 1.0, self.reward_elsewhere)
+        return Reward(step if self.reward_kind == "dense" else sparse, jnp.zeros(()))
 
     def solved(self, readings: Readings, task: Distance) -> Bool[Array, ""]:
         return readings["qpos"][0] >= task - self.sparse_radius
 
     @property
     def uninformative_reward(self) -> float:
-        return self.pay_elsewhere
+        return self.reward_elsewhere
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return jnp.append(LENGTH * observation, 0.0)

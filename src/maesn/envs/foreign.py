@@ -1,4 +1,4 @@
-"""Families of environments that others wrote, for Gymnasium's interface.
+"""Families of environments that others wrote, with Gymnasium's interface.
 
 Observations are flattened. Actions are mapped once, for all tasks: the policy's action a is
 unbounded, and component i of the control is
@@ -32,7 +32,7 @@ from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool
 
 # Seconds. Making an environment can take long on a machine that does much else.
 TIME_LIMIT = 120.0
-# Hosted environments hold memory: about 20 MB each where a model has meshes.
+# Hosted environments take memory: about 20 MB each where a model has meshes.
 MAX_ENVIRONMENTS = 500
 
 
@@ -99,7 +99,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         next_readings: Readings,
         task: Any,
     ) -> Reward:
-        """Return the environment's reward, which does not say what is due to the goal: all."""
+        """Return the environment's reward, all of it as the goal's part."""
         return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
 
     def observed_reward(
@@ -110,19 +110,19 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         next_readings: Readings,
         task: Any,
     ) -> Float[Array, ""]:
-        """Return the environment's reward: whether it tells a task from afar is not known here."""
+        """Return the environment's reward as it is: far from the goal it may depend on the task."""
         return next_readings["reward"]
 
     def check_shown(self, kind: ObservedReward) -> None:
-        """Refuse what is not paid: an environment pays one reward at a time.
+        """Refuse a reward of another kind than the environment gives: it has one at a time.
 
         Raises:
-            ValueError: it is not.
+            ValueError: the kind is another one.
         """
         if kind not in ("own", self.reward_kind):
             raise ValueError(
-                f"`{self.name}` pays the {self.reward_kind} reward alone, but the policy reads the "
-                f"{kind} one: give --reward {kind}, or a policy that reads what is paid."
+                f"`{self.name}` gives the {self.reward_kind} reward alone, but the policy reads "
+                f"the {kind} one: set `reward` to {kind}, or the policy's `observed_reward` to own."
             )
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
@@ -162,8 +162,8 @@ def gymnasium_family(
     Args:
         name: of the family.
         make_env: returns the environment of a task (one row of what `draw_tasks` returns, as
-            NumPy arrays) that pays the "dense" or the "sparse" reward, its second argument. An
-            environment with a method `set_task(task)` is kept and told the next task; any other
+            NumPy arrays) with the "dense" or the "sparse" reward, its second argument. An
+            environment with a method `set_task(task)` is kept and given the next task; any other
             is made anew for every task.
         draw_tasks: draws that many tasks, as an array with one row per task, or a pytree of them.
             They are held in JAX's single precision.
@@ -253,6 +253,6 @@ def _look_at(name: str, recipe: Recipe, task: Any) -> Interface:
 def _known(name: str, argument: str, given: Any, found: Any) -> Any:
     if given is None and found is None:
         raise InterfaceError(
-            f"`{argument}` must be given for `{name}`, because its environment does not say it."
+            f"`{argument}` must be given for `{name}`, because its environment does not have it."
         )
     return found if given is None else given

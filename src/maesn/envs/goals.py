@@ -1,4 +1,4 @@
-"""Goals: what reaching them pays (the paper's appendix "Reward Functions"), and where they lie."""
+"""Goals: their reward (the paper's appendix "Reward Functions"), and where they lie."""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,4 +1,4 @@
-"""A point that slides on a plane towards a goal it is not told: the fast family.
+"""A point that slides on a plane towards a hidden goal: the fast family.
 
 It has the wheeled robot's goals and rewards but no dynamics, so MAESN trains on it in seconds. It
 is not in the paper; its variants follow those of `maesn.envs.wheeled`.
@@ -44,11 +44,11 @@ POSITION_NOISE = 0.01  # standard deviation of the start in metres
 
 
 class Point(AbstractDriving, AbstractPureEnv[Goal]):
-    """A point that slides to a goal on a half circle, which it is not told: trains in seconds."""
+    """A point that slides to a hidden goal on a half circle: trains in seconds."""
 
     name: ClassVar[str] = "point"
     control_period: ClassVar[float] = 0.1
-    c_max: ClassVar[float] = 2.0  # what the dense reward pays a point that has not moved
+    c_max: ClassVar[float] = 2.0  # minus the dense reward at the start
     control_cost: ClassVar[float] = 0.05
 
     variant: Variant = "reference"

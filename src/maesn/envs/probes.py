@@ -1,20 +1,20 @@
 """Probes: tiny environments whose best return is known, each for one mechanism of learning.
 
 They are not in the paper, and both variants are the same. A learner that fails on one of them has
-an error that a robot would hide behind noise.
+an error, which a robot's noise would hide.
 
 | family           | mechanism                                   | best return, dense; sparse      |
 |------------------|---------------------------------------------|---------------------------------|
 | `hidden_target`  | policy gradient: one step, one action       | 0; 0                            |
-| `delayed_target` | credit: only a_0 counts, paid at the end    | 0; 0                            |
+| `delayed_target` | credit: only a_0 counts, rewarded last      | 0; 0                            |
 | `hidden_side`    | coherent choice: the same side T times      | 1; 1                            |
 | `hidden_end`     | masks: nature ends the episode, NaN follows | steps lived; 1                  |
-| `chain`          | exploration: the far end pays, nothing else | 30/g; 51 - g, in whole steps    |
-| `bandit`         | memory: find the best arm, then pull it     | 6.66 of 10 on average, the same |
+| `chain`          | exploration: only the far end is rewarded   | 30/g; 51 - g, in whole steps    |
+| `bandit`         | recurrence: find the best arm, then pull it | 6.66 of 10 on average, the same |
 
 One control step counts as one second, positions have no unit, velocities are not used (zero), and
-nothing is random but the policy (and what the arms of `bandit` pay). The task appears in no
-observation of a living episode.
+nothing is random but the policy and the rewards of `bandit`. No observation before the end of an
+episode depends on the task.
 """
 
 from typing import ClassVar, TypeAlias
@@ -44,14 +44,15 @@ class HiddenSide(AbstractProbe[Side]):
     """Two tasks, left (-1) and right (+1), for an agent that is blind.
 
     Action (1): its sign is the direction of the step, of length 1/T. The agent starts at 0 and
-    sees nothing (one component, always 0). With x_t its place and g the task:
+    sees nothing (one component, always 0). With x_t its position and g the task:
 
         dense:   r_t = g (x_{t+1} - x_t)                        the return is g x_T
         sparse:  r_t = 1 where |x_{t+1} - g| <= sparse_radius, else 0
 
     By default the sparse reward needs all T steps. A policy without a latent decides every step
-    anew, to the right with probability p: it is paid p^T in one task and (1 - p)^T in the other,
-    2^-T in the worse of them at best. One that draws a side per episode is paid 1/2 in both.
+    anew, to the right with probability p: its expected return is p^T in one task and (1 - p)^T in
+    the other, so at best 2^-T in the worse of them. One that draws a side per episode has 1/2 in
+    both.
     """
 
     name: ClassVar[str] = "hidden_side"
@@ -104,7 +105,7 @@ class HiddenEnd(AbstractProbe[Lifetime]):
 
     Observation (1): share of the horizon that is over. Reward: 1 for every step lived, so that the
     return is min(ceil(L), T); sparse, 1 for the step that ends the episode. Afterwards state,
-    observations and rewards are NaN, and whatever forgets the mask shows it.
+    observations and rewards are NaN: where a mask is forgotten, NaN shows it.
     """
 
     name: ClassVar[str] = "hidden_end"
@@ -112,7 +113,7 @@ class HiddenEnd(AbstractProbe[Lifetime]):
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
     sparse_radius: float = 0.0
-    """Sparse, steps are paid from this many steps before the end."""
+    """Sparse, steps are rewarded from this many steps before the end."""
     horizon: int = 10
     observation_size: int = 1
     action_size: int = 1
@@ -139,8 +140,8 @@ class HiddenEnd(AbstractProbe[Lifetime]):
         task: Lifetime,
     ) -> Reward:
         lived = next_readings["qpos"][0] - readings["qpos"][0]
-        paid = jnp.where(self.solved(next_readings, task), lived, 0.0 * lived)
-        return Reward(lived if self.reward_kind == "dense" else paid, jnp.zeros(()))
+        sparse = jnp.where(self.solved(next_readings, task), lived, 0.0 * lived)
+        return Reward(lived if self.reward_kind == "dense" else sparse, jnp.zeros(()))
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         lived, lifetime = readings["qpos"]

@@ -1,4 +1,4 @@
-"""Environments whose task is a place: the agent is to get there, and is not told where it is."""
+"""Environments whose task is a position: the agent has to get there, and does not see where."""
 
 from typing import TypeAlias
 
@@ -33,7 +33,7 @@ class AbstractDriving(AbstractReaching):
     c_max: eqx.AbstractClassVar[float]
     """The paper's "uninformative large negative constant", sign turned."""
     control_cost: eqx.AbstractClassVar[float]
-    """Price of a squared unit of control."""
+    """Cost of a squared unit of control."""
 
     def reward(
         self,
@@ -50,17 +50,16 @@ class AbstractDriving(AbstractReaching):
             paper:      r = -d 1[near] - c_max 1[far]
 
         Dense, every distance is near; sparse, d > sparse_radius is far. The paper's form is that
-        of its appendix "Reward Functions"; the reference adds a control cost, and pays far from the
-        goal what the dense reward pays at the start, so that its constant differs from task to
-        task.
+        of its appendix "Reward Functions". The reference adds a control cost, and its constant far
+        from the goal is the dense reward at the start, which differs from task to task.
         """
         paper = self.variant == "paper"
         far = self.c_max if paper else jnp.linalg.norm(task)
         distance = self.distance(next_readings, task)
-        paid = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
+        goal = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
         if paper:
-            return Reward(paid, jnp.zeros(()))
-        return Reward(paid, -self.control_cost * jnp.sum(self.control(action) ** 2))
+            return Reward(goal, jnp.zeros(()))
+        return Reward(goal, -self.control_cost * jnp.sum(self.control(action) ** 2))
 
     @property
     def uninformative_reward(self) -> float:

@@ -1,4 +1,4 @@
-"""Probes of the policy gradient and of credit assignment: a hidden target is to be named.
+"""Probes of the policy gradient and of credit assignment: the action must hit a hidden target.
 
 See `maesn.envs.probes` for what probes are.
 """
@@ -22,15 +22,15 @@ SPARSE_RADIUS = 0.5  # the action 0 is twice as far away
 
 
 class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
-    """A target g on the upper half circle of radius 1, to be named by the first action.
+    """A target g on the upper half circle of radius 1, which the first action has to hit.
 
     State and observation: share of the episode that is over (1), then a_0 (2; zero before it is
-    known). Later actions change nothing. Reward, paid at step T-1 alone: -|a_0 - g|^2; sparse,
-    that within the radius and -|g|^2, what the action 0 is paid, elsewhere.
+    known). Later actions change nothing. The reward comes at step T-1 alone: -|a_0 - g|^2; sparse,
+    the same within the radius, and elsewhere -|g|^2, the reward of the action 0.
 
     If a_0 ~ N(m, diag(s^2)), the expected dense return is -(|m - g|^2 + sum_i s_i^2). The best
-    action for all targets together is their mean (0, 2/pi), and its return -(1 - 4/pi^2) = -0.595:
-    what exceeds that has learned from the task.
+    action for all targets together is their mean (0, 2/pi), with return -(1 - 4/pi^2) = -0.595. An
+    agent with a higher return has learned from the task.
     """
 
     sparse_radius: eqx.AbstractVar[float]
@@ -42,9 +42,9 @@ class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
         return action
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
-        steps, named = readings["qpos"][:1], readings["qpos"][1:]
-        named = jnp.where(steps == 0, control, named)
-        return {"qpos": jnp.concatenate([steps + 1, named]), "qvel": readings["qvel"]}
+        steps, first = readings["qpos"][:1], readings["qpos"][1:]
+        first = jnp.where(steps == 0, control, first)
+        return {"qpos": jnp.concatenate([steps + 1, first]), "qvel": readings["qvel"]}
 
     def observe(self, readings: Readings) -> Float[Array, " 3"]:
         return readings["qpos"] / jnp.array([self.horizon, 1.0, 1.0])
@@ -57,9 +57,9 @@ class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
         task: Goal,
     ) -> Reward:
         error = jnp.sum((next_readings["qpos"][1:] - task) ** 2)
-        pay = goal_reward(error, -jnp.sum(task**2), self.reward_kind, self.sparse_radius**2)
+        goal = goal_reward(error, -jnp.sum(task**2), self.reward_kind, self.sparse_radius**2)
         last = next_readings["qpos"][0] == self.horizon
-        return Reward(jnp.where(last, pay, 0.0), jnp.zeros(()))
+        return Reward(jnp.where(last, goal, 0.0), jnp.zeros(()))
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return observation[1:]

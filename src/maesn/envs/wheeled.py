@@ -1,4 +1,4 @@
-"""A two-wheeled robot that drives to a goal it is not told (section "Wheeled Locomotion").
+"""A two-wheeled robot that drives to a hidden goal (section "Wheeled Locomotion").
 
 Observation (12 components; the goal is not among them):
 
@@ -47,13 +47,13 @@ VELOCITY_NOISE = 0.1
 
 
 class Wheeled(AbstractDriving, AbstractMujocoEnv[Goal]):
-    """A two-wheeled robot that drives to a goal on a half circle, which it is not told."""
+    """A two-wheeled robot that drives to a hidden goal on a half circle."""
 
     name: ClassVar[str] = "wheeled"
     model: ClassVar[str] = "wheeled.xml"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel")
     control_period: ClassVar[float] = 0.01
-    # All goals lie 2 m from the start: this is what the dense reward pays a robot there.
+    # All goals lie 2 m from the start: minus the dense reward there.
     c_max: ClassVar[float] = 2.0
     control_cost: ClassVar[float] = 0.05  # reference, per squared newton metre
 

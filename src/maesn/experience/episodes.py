@@ -1,4 +1,4 @@
-"""A batch of episodes, and the function that plays one: all that learning sees of the world."""
+"""Batches of episodes, and the function that plays them: all that learning sees of the world."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -50,9 +50,9 @@ class Episodes(eqx.Module):
     solved: Bool[Array, "*batch time"]
     """Whether the state after step t lies in the goal region."""
     solved_at_start: Bool[Array, "*batch"]
-    """Whether the episode starts in the goal region: what is solved then, nobody has solved."""
+    """Whether the episode starts in the goal region, which is no success of the policy."""
     terminated: Bool[Array, "*batch"]
-    """Whether the episode ended by nature rather than by the clock."""
+    """Whether the episode ended by the task's own rules rather than by the clock."""
     noise: Float[Array, "*batch noise"]
     """The standard normal draw behind z; no components for a z that is not random."""
     description: Float[Array, "*batch description"]
@@ -66,10 +66,10 @@ class Episodes(eqx.Module):
     trial_start: TrialState | None = None
     """Before the first step; None where a trial of a policy that is not recurrent begins."""
     observed_reward: Float[Array, "*batch time"] | None = None
-    """r_t as it was shown to the policy; None if that is `reward`."""
+    """r_t as the policy received it; None if that is `reward`."""
 
     def policy_inputs(self) -> PolicyInput:
-        """Return what the policy was told at every step, `[*batch time ...]`; 0 where invalid."""
+        """Return the policy's inputs at every step, `[*batch time ...]`; 0 where invalid."""
         steps = self.action.shape[-2]
         rewards = self.reward if self.observed_reward is None else self.observed_reward
         first_action, first_reward = (
@@ -101,7 +101,7 @@ class Episodes(eqx.Module):
         Neighbouring steps of an episode resemble each other, so an average over the thinned steps
         is nearly as good as one over all. What needs whole episodes (returns) must be computed
         before, and a recurrent policy needs all steps, a stride of 1. `observation` keeps no
-        final state: it has as many entries as `action`.
+        final state: it has as many steps as `action`.
         """
         time = self.action.shape[-2]
         stride = min(stride, time)
@@ -139,7 +139,7 @@ def concatenate(first: Episodes, second: Episodes) -> Episodes:
 
 @runtime_checkable
 class Collect(Protocol):
-    """Plays episodes; all that a learner knows of the world."""
+    """Plays episodes; all that a learner sees of the world."""
 
     @property
     def num_tasks(self) -> int:

@@ -1,6 +1,7 @@
-"""Environments that others wrote, in processes of their own. The one place that uses Gymnasium.
+"""Environments that others wrote, in processes of their own.
 
-Nothing here imports JAX: a worker is up in the time that its environments take to import.
+Only this package and `maesn.gym` use Gymnasium. Nothing here imports JAX: a worker is up in the
+time that its environments take to import.
 """
 
 from importlib.util import find_spec

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from maesn.foreign.interface import Interface, InterfaceError, describe
 from maesn.foreign.observations import fault
 
-# Names under which environments tell of success; the first is Gymnasium's goal environments'.
+# Names under which environments report success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
 # Numbers beyond it are infinite in the single precision of the policies. Of double precision, to
 # which numbers that it is compared with are raised: in half precision it would be infinite itself.
@@ -36,8 +36,8 @@ class HostedError(Exception):
 class HostedEnvironment:
     """An environment that plays one episode after the other, of whatever task.
 
-    After its end, an episode keeps its last reading and earns nothing, while others go on: the
-    environment is not asked again before it is reset.
+    After its end, an episode keeps its last reading with reward 0, while others go on. Its
+    environment is not stepped again before it is reset.
 
     Args:
         make_env: the user's; called with a task and the kind of reward. It is called once if what

@@ -1,9 +1,8 @@
 """Processes that host environments, seen from the process that learns.
 
-Gymnasium's own `AsyncVectorEnv` starts a process for every environment, cannot let one rest that
-has ended while others go on, and does not tell which one raised or hangs. Here a process hosts a
-share of the environments, so that hundreds of episodes are played by as many processes as there
-are CPUs.
+Gymnasium's own `AsyncVectorEnv` starts a process for every environment, steps environments that
+have ended, and does not report which one raised or hangs. Here a process hosts a share of the
+environments, so that hundreds of episodes are played by as many processes as there are CPUs.
 """
 
 import contextlib

@@ -75,7 +75,7 @@ def _end_group_after(connection_over: threading.Event) -> None:
     """End what the environments have started; a `sys.exit` of their own keeps its exit code.
 
     The parent does it as well, unless it is being killed. Its descriptors are closed then while it
-    still counts as the parent, so that `os.getppid` would not tell.
+    still counts as the parent, so that `os.getppid` would not notice.
     """
     if connection_over.is_set():
         for stream in (sys.stdout, sys.stderr):

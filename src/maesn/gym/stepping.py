@@ -38,7 +38,7 @@ class Transition(NamedTuple):
     glimpse: Glimpse
     reward: Float[np.ndarray, " episode"]
     goal_reward: Float[np.ndarray, " episode"]
-    """The part of `reward` that is paid for the goal; the rest are control costs and the like."""
+    """The part of `reward` that depends on the goal; the rest are control costs and the like."""
     terminated: Bool[np.ndarray, " episode"]
     truncated: Bool[np.ndarray, " episode"]
 
@@ -155,8 +155,8 @@ class Stepper:
             ended: episodes that are over. What happens to them means nothing.
 
         Raises:
-            EpisodeError: the physics of an episode blew up, or it sees or is paid what is no
-                number.
+            EpisodeError: the physics of an episode blew up, or an observation or a reward is not
+                finite.
         """
         before, action = self._readings, action.astype(np.float32)
         control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
@@ -167,7 +167,7 @@ class Stepper:
         judged = _judge(self.env, before, action, self._readings, self._present)
         glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
-        # What is seen at an end by nature may be anything: nobody acts on it.
+        # An observation at an end by nature may be anything: nobody acts on it.
         self._refuse("observation", np.isfinite(glimpse[0]).all(1) | ended | terminated)
         self._refuse("reward", np.isfinite(total) | ended)
         self._steps += 1

@@ -124,7 +124,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
             glimpse = self._stepper.begin(
                 np.flatnonzero(over), self._streams, self._stepper.choose()
             )
-        reward, goal = (np.where(over, 0.0, paid) for paid in (after.reward, after.goal_reward))
+        reward, goal = (np.where(over, 0.0, x) for x in (after.reward, after.goal_reward))
         terminated, truncated = after.terminated & ~over, after.truncated & ~over
         self._ended = terminated | truncated
         information = self._information(glimpse) | _columns(goal_reward=goal)
@@ -180,7 +180,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def _columns(**columns: np.ndarray) -> dict[str, Any]:
-    """Return information as Gymnasium wants it: each entry with a mask of whom it belongs to."""
+    """Return information as Gymnasium wants it: with a mask of the episodes that have it."""
     masks = {f"_{name}": np.ones(len(column), bool) for name, column in columns.items()}
     return columns | masks
 

@@ -183,7 +183,7 @@ class ProximalStep(AbstractPolicyStep):
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[Float[Array, ""], ProximalInfo]:
-        """Return L, and what is to be known of it.
+        """Return L, and what is logged of it.
 
         Args:
             new: distributions that vary, `[trial time action]`.

@@ -72,7 +72,9 @@ def join_episodes(episodes: Sequence[Episodes]) -> Trials:
         for one in episodes
     ]
     joined = jax.tree.map(lambda *arrays: jnp.concatenate(arrays, axis=1), *flat)
-    return _join(joined, episodes[0].z.reshape(-1, episodes[0].z.shape[-1]))
+    z = episodes[0].z
+    # Not -1 for the number of trials: z may have no components.
+    return _join(joined, z.reshape(z.shape[0] * z.shape[1], z.shape[2]))
 
 
 def trials_of(agent: Agent, episodes: Episodes) -> Trials:

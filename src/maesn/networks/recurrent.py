@@ -30,22 +30,22 @@ class RecurrentNetwork(eqx.Module):
         return jnp.zeros(self.gru.hidden_size)
 
     def __call__(
-        self, x: Float[Array, " inputs"], hidden: Float[Array, " hidden"]
+        self, x: Float[Array, " inputs"], recurrent_state: Float[Array, " hidden"]
     ) -> tuple[Float[Array, " outputs"], Float[Array, " hidden"]]:
         """Return y and h' of one step."""
         encoded = self._encode(x)
-        hidden = self.gru(encoded, hidden)
-        return self.readout(jnp.concatenate([encoded, hidden])), hidden
+        after = self.gru(encoded, recurrent_state)
+        return self.readout(jnp.concatenate([encoded, after])), after
 
     def unroll(
         self,
         x: Float[Array, "time inputs"],
         valid: Bool[Array, " time"],
-        hidden: Float[Array, " hidden"],
+        recurrent_state: Float[Array, " hidden"],
     ) -> tuple[Float[Array, "time outputs"], Float[Array, " hidden"]]:
         """Return y of every step, and the last h'; where `valid` is false, h is kept."""
         encoded = jax.vmap(self._encode)(x)
-        states, last = self.gru.unroll(encoded, valid, hidden)
+        states, last = self.gru.unroll(encoded, valid, recurrent_state)
         return jax.vmap(self.readout)(jnp.concatenate([encoded, states], axis=-1)), last
 
     def _encode(self, x: Float[Array, " inputs"]) -> Float[Array, " encoded"]:

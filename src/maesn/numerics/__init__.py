@@ -1,4 +1,4 @@
-"""Mathematics that knows neither reinforcement learning objects nor simulators."""
+"""Mathematics, without objects of reinforcement learning and without simulators."""
 
 from maesn.numerics.categorical import Categorical as Categorical
 from maesn.numerics.conjugate_gradient import CGSolution as CGSolution

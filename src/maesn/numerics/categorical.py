@@ -10,7 +10,7 @@ from maesn.numerics.distribution import AbstractDistribution
 class Categorical(AbstractDistribution):
     """One choice k in [1, K] with probability p_k = exp(l_k) / Σ_j exp(l_j).
 
-    Events are one-hot vectors, so that what learns from actions need not know which kind they are.
+    Events are one-hot vectors, so that learners treat both kinds of actions alike.
     The coordinates are the logits l; adding a number to all of them changes nothing.
 
     Attributes:
@@ -30,7 +30,7 @@ class Categorical(AbstractDistribution):
         return jax.nn.softmax(self.logits)
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch choice"]:
-        """Draw one choice for every entry of the batch, as a one-hot vector."""
+        """Draw one choice for each distribution of the batch, as a one-hot vector."""
         return self.sample_from_noise(self.noise(key, self.logits.shape))
 
     @staticmethod

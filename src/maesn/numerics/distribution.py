@@ -19,7 +19,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def sample(self, key: PRNGKeyArray) -> Shaped[Array, "*sample"]:
-        """Draw one event x ~ p for every entry of the batch: what belongs to `noise(key, ...)`."""
+        """Draw one event x ~ p for each distribution of the batch, from `noise(key, ...)`."""
 
     @staticmethod
     @abstractmethod

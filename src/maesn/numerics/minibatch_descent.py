@@ -57,7 +57,7 @@ class MinibatchDescent(eqx.Module):
             key: draws the minibatches.
             parameters: where to start.
             opt_state: of `init` or of an earlier run.
-            loss: of parameters and a minibatch; returns with it what else is to be known.
+            loss: of parameters and a minibatch; returns extras beside it.
             data: a pytree whose arrays have a common leading axis of samples.
 
         Raises:

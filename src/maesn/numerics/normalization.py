@@ -1,4 +1,4 @@
-"""Normalisation of observations by the mean and variance of all that was seen in training.
+"""Normalisation of observations by the mean and variance of all observations in training.
 
 The statistics belong to no gradient: they stay as they are while a learner steps, and afterwards
 take in what it has played. In a new task they are frozen, as adaptation is learned around them.
@@ -24,7 +24,7 @@ class ObservationStatistics(eqx.Module):
     def normalized(
         self, observation: Float[Array, "*steps observation"]
     ) -> Float[Array, "*steps observation"]:
-        """Return (o - mean) / sqrt(variance + epsilon); before anything was seen, o itself."""
+        """Return (o - mean) / sqrt(variance + epsilon); before any observation, o itself."""
         shifted = observation - jnp.broadcast_to(self.mean, observation.shape)
         return shifted / jnp.broadcast_to(self.scale, observation.shape)
 
@@ -63,7 +63,7 @@ class ObservationStatistics(eqx.Module):
 
 
 def no_observations(size: int) -> ObservationStatistics:
-    """Return the statistics before anything was seen: they change no observation.
+    """Return the statistics before any observation: they change nothing.
 
     Args:
         size: components of an observation.

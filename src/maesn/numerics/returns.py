@@ -79,8 +79,8 @@ def trial_advantages(
 
     As `generalized_advantages` with V_n = 0, but with gaps: an episode that ended early is
     followed by invalid steps, and then by the next episode. The recursion runs over the valid
-    steps as if they were neighbours. So what an early episode finds out is credited with what
-    later ones are paid, discounted by the steps between (Duan et al. 2016, section 2.2).
+    steps as if they were neighbours. So exploration in an early episode is credited with the
+    rewards of later ones, discounted by the steps between (Duan et al. 2016, section 2.2).
 
     Args:
         reward: r_t, t in [0, T-1], over all episodes of the trial.
@@ -97,8 +97,9 @@ def trial_advantages(
         following: tuple[Float[Array, ""], Float[Array, ""]], now: tuple[Array, Array, Array]
     ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]:
         next_value, next_advantage = following
-        paid, expected, is_valid = now
-        advantage = paid + discount * next_value - expected + discount * gae_lambda * next_advantage
+        gained, expected, is_valid = now
+        delta = gained + discount * next_value - expected
+        advantage = delta + discount * gae_lambda * next_advantage
         passed_on = (
             jnp.where(is_valid, expected, next_value),
             jnp.where(is_valid, advantage, next_advantage),
@@ -115,7 +116,7 @@ def masked_mean(
     valid: Bool[Array, "*shape"],
     axis: int | tuple[int, ...] | None = None,
 ) -> Float[Array, "*reduced"]:
-    """Mean of the valid entries, Σ_i m_i x_i / Σ_i m_i over the entries i of the reduced axes.
+    """Mean of the valid elements, Σ_i m_i x_i / Σ_i m_i over the elements i of the reduced axes.
 
     Args:
         values: x_i.
@@ -123,7 +124,7 @@ def masked_mean(
         axis: the axes that are reduced; all by default.
 
     Returns:
-        The mean; 0 where no entry is valid.
+        The mean; 0 where no element is valid.
     """
     total = jnp.sum(jnp.where(valid, values, 0.0), axis=axis)
     count = jnp.sum(valid, axis=axis, dtype=values.dtype)
@@ -135,11 +136,11 @@ def standardize(
     valid: Bool[Array, "*shape"],
     epsilon: float = 1e-8,
 ) -> Float[Array, "*shape"]:
-    """Shift and scale the valid entries to mean 0 and (population) standard deviation 1.
+    """Shift and scale the valid elements to mean 0 and (population) standard deviation 1.
 
-        y_i = (x_i - mean(x)) / (std(x) + ε),  mean and std over the valid entries
+        y_i = (x_i - mean(x)) / (std(x) + ε),  mean and std over the valid elements
 
-    If all valid entries are equal, every result is 0 up to rounding.
+    If all valid elements are equal, every result is 0 up to rounding.
 
     Args:
         values: x_i.

@@ -95,7 +95,7 @@ def _factorize(scaled: Float[Array, "feature feature"]) -> Float[Array, "feature
 
     Cholesky answers with NaN if rounding has made the matrix indefinite in spite of the jitter.
     Then the jitter is multiplied by the number of columns, which bounds the norm of a matrix whose
-    entries are all rounded by `_JITTER` ε.
+    elements are all rounded by `_JITTER` ε.
     """
     size = scaled.shape[0]
     jitter = _JITTER * float(np.finfo(scaled.dtype).eps)

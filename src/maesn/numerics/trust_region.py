@@ -19,7 +19,7 @@ CURVATURE_EPSILON = 1e-8
 
 
 class Candidate(NamedTuple):
-    """What is known of candidate parameters."""
+    """Loss and KL of candidate parameters."""
 
     loss: Float[Array, ""]
     kl: Float[Array, ""]

@@ -1,4 +1,4 @@
-"""Physics: models, and the engines that move them. The one place that imports MuJoCo."""
+"""Physics: models, and the engines that move them. Nothing else imports MuJoCo."""
 
 # First, as it imports MuJoCo even where MUJOCO_GL names a library that is missing.
 from maesn.physics.graphics import RenderingError as RenderingError

@@ -32,8 +32,8 @@ def model_digest(model: str | os.PathLike[str]) -> str:
         if file.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             content = _canonical(content.decode())
             named = _named_files(content, folders)
-            places = [found.parent / folder / name for name in named for folder in sorted(folders)]
-            met += [place for place in places if place.is_file() and place not in met]
+            paths = [found.parent / folder / name for name in named for folder in sorted(folders)]
+            met += [path for path in paths if path.is_file() and path not in met]
         contents.append(content)
     return _joined(contents)
 

@@ -203,7 +203,7 @@ def import_mjx() -> ModuleType:
 
 @contextlib.contextmanager
 def _own_rules() -> Iterator[None]:
-    """Trace MJX by the rules that it is written for.
+    """Run MJX by the rules that it is written for.
 
     JAX's default matrix product on graphics cards has 10 bits of mantissa (TF32), which is no
     precision to solve for contact forces with.

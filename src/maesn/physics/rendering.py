@@ -55,8 +55,8 @@ def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos
     for state in qpos:
         data.qpos[:] = state
         mujoco.mj_kinematics(compiled, data)
-        place = data.geom_xpos[moves, :2]
-        boxes.append([(place - reach).min(axis=0), (place + reach).max(axis=0)])
+        position = data.geom_xpos[moves, :2]
+        boxes.append([(position - reach).min(axis=0), (position + reach).max(axis=0)])
     lower, upper = np.min(boxes, axis=0)[0].tolist(), np.max(boxes, axis=0)[1].tolist()
     return View(tuple(lower), tuple(upper))
 
@@ -99,10 +99,10 @@ class Renderer:
 
         Args:
             qpos: generalised positions.
-            goal: place of the goal on the floor in metres.
+            goal: its position on the floor in metres.
             radius: of the goal region in metres.
-            judged: place of what is to reach the goal; a thin line shows the way that is left.
-            trail: places on the floor, in metres, that are joined by a line; None for no line.
+            judged: position of what has to reach the goal; a thin line joins the two.
+            trail: positions on the floor, in metres, that are joined by a line; None for no line.
         """
         if not self._close.alive:
             raise RuntimeError("the renderer is closed: make a new one")
@@ -177,9 +177,9 @@ class _GoalMarker:
         _shape(scene, disc, (radius, radius, 0.001), (*goal, 0.001), _REGION_COLOUR)
 
 
-def _shape(scene: Any, kind: Any, size: Any, place: Any, colour: Any) -> Any:
+def _shape(scene: Any, kind: Any, size: Any, position: Any, colour: Any) -> Any:
     geom = scene.geoms[scene.ngeom]
-    values = (np.array(value, np.float64) for value in (size, place, np.eye(3).ravel()))
+    values = (np.array(value, np.float64) for value in (size, position, np.eye(3).ravel()))
     mujoco.mjv_initGeom(geom, kind, *values, np.array(colour, np.float32))
     scene.ngeom += 1
     return geom

@@ -1,4 +1,4 @@
-"""The usual policy without memory for each kind of actions."""
+"""The usual feed-forward policy for each kind of actions."""
 
 from maesn.axes import ActionKind
 from maesn.policies.base import AbstractPolicySettings

@@ -4,9 +4,9 @@ A tensor is named by its path in the tree, such as `parameters/policy/mlp/layers
 be read from NumPy and PyTorch without this library. The format holds numbers and strings alone, so
 loading a checkpoint can execute nothing.
 
-Safetensors recognises a file that was cut short, but not a flipped bit. So the metadata carry a
-SHA-256 of names, types, shapes, values and the other metadata. It stands inside the file and not
-beside it: one rename then puts both in place, and a copied checkpoint keeps it.
+Safetensors recognises a file that was cut short, but not a flipped bit. So the metadata hold a
+SHA-256 of names, types, shapes, values and the other metadata. It is inside the file and not beside
+it: one rename then replaces both, and a copied checkpoint keeps it.
 """
 
 import dataclasses

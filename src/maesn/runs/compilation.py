@@ -1,9 +1,7 @@
 """Compiled programs: where they are kept between processes, and what they cost."""
 
-import math
 import os
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,8 +11,8 @@ import jax.monitoring
 # Moves the compilation cache; empty, 0 or off: no cache.
 CACHE_VARIABLE = "MAESN_CACHE"
 
-# All durations that JAX reports of a compilation begin like this.
-_COMPILE_EVENTS = "/jax/core/compile/"
+# JAX's name of the time that XLA takes; tracing in Python is not in it.
+_COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
@@ -56,14 +54,13 @@ def enable_compilation_cache() -> Path | None:
     return directory
 
 
-# When this process has compiled so far: pairs of beginning and end, in seconds.
-_compiled: list[tuple[float, float]] = []
+# How long each compilation of this process took, in seconds.
+_durations: list[float] = []
 
 
 def _listen(event: str, duration_secs: float, **_: str | int) -> None:
-    if event.startswith(_COMPILE_EVENTS):
-        now = time.perf_counter()
-        _compiled.append((now - duration_secs, now))
+    if event == _COMPILED:
+        _durations.append(duration_secs)
 
 
 # Once for the process: the older JAX versions have no public way to take a listener back.
@@ -71,26 +68,14 @@ jax.monitoring.register_event_duration_secs_listener(_listen)
 
 
 class CompileClock:
-    """Tells how long this process has compiled while the clock was entered.
-
-    What several threads compile at the same time counts once.
-    """
+    """Measures how long XLA compiled while the clock was entered: `seconds`."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
     def __enter__(self) -> "CompileClock":
-        self._before = len(_compiled)
+        self._before = len(_durations)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.seconds = covered(_compiled[self._before :])
-
-
-def covered(spans: list[tuple[float, float]]) -> float:
-    """Return how long some of the spans lasted, each a beginning and an end."""
-    total, reached = 0.0, -math.inf
-    for begin, end in sorted(spans):
-        total += max(0.0, end - max(begin, reached))
-        reached = max(reached, end)
-    return total
+        self.seconds = sum(_durations[self._before :])

@@ -23,8 +23,8 @@ METRICS = "metrics.jsonl"
 TIMING = "timing.jsonl"
 TENSORBOARD = "tensorboard"
 
-# Entries that are known under another name on a TensorBoard. Others with a path in their name
-# keep it, and the rest goes to `charts/`.
+# Numbers that have another name on a TensorBoard. Others with a path in their name keep it, and the
+# rest goes to `charts/`.
 _TAGS = {
     "return_before": "returns/before",
     "return_after": "returns/after",
@@ -42,7 +42,7 @@ class Progress(NamedTuple):
     iteration: int
     """Iterations so far, this one included."""
     info: dict[str, float]
-    """What the learner says of it, by path: `return_after`, `trust_region/kl`, ..."""
+    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
     seconds: float
     """Wall time of the iteration, compilation included."""
     compile_seconds: float
@@ -52,8 +52,8 @@ class Progress(NamedTuple):
     environment_steps: int
     """Control steps so far."""
 
-    def told(self, name: str) -> float | None:
-        """Return the entry of `info` with that last part of its path, whatever step it is of."""
+    def find(self, name: str) -> float | None:
+        """Return the number in `info` whose path ends so; None if there is none."""
         found = [value for path, value in self.info.items() if path.split("/")[-1] == name]
         return found[0] if found else None
 
@@ -87,7 +87,7 @@ class JsonLines:
             )
 
     def append(self, record: Mapping[str, Any]) -> None:
-        """Write one line. What is not finite becomes null, for JSON has no word for it."""
+        """Write one line. Numbers that are not finite become null: JSON has none."""
         finite = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in record.items()
@@ -110,21 +110,21 @@ class JsonLines:
 class EventLog:
     """Events for TensorBoard, written at once and in this thread.
 
-    `tensorboardX.SummaryWriter` would hand them to a thread of its own. If that one dies, of a full
-    disk for example, the next event waits for it for ever.
+    `tensorboardX.SummaryWriter` writes in a thread of its own. If that thread dies, for example
+    because the disk is full, the next event waits for it for ever.
     """
 
     def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
         self._directory = directory
-        # TensorBoard looks for "tfevents". The iteration tells processes apart that begin within
-        # the same second.
+        # TensorBoard looks for "tfevents". The iteration keeps the names of processes apart that
+        # begin within the same second.
         name = f"events.out.tfevents.{int(time.time())}.{socket.gethostname()}.{iteration}"
         with explained("write", directory):
             directory.mkdir(exist_ok=True)
             self._records = RecordWriter(str(directory / name))
         self._write(Event(file_version="brain.Event:2"))
         if iteration:
-            # Tells TensorBoard to hide what an earlier process wrote of later steps.
+            # Makes TensorBoard hide what an earlier process wrote of later steps.
             start = SessionLog(status=SessionLog.START)
             self._write(Event(step=environment_steps + 1, session_log=start))
 
@@ -167,8 +167,8 @@ class RunLog:
             self._events = EventLog(directory / TENSORBOARD, iteration, environment_steps)
             stack.callback(self._events.close)
             self.cut(iteration)
-            # Closes what was opened, now if something failed and later if not; and all of it, even
-            # if a file cannot be closed.
+            # `close` closes all files, even if one of them cannot be. If something failed above,
+            # leaving this block has closed them already.
             self._closing = stack.pop_all()
 
     def cut(self, iteration: int) -> None:

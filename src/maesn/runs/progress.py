@@ -36,7 +36,7 @@ def train_live(
         The last iteration; None if there was nothing left to do.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C was pressed; the state is saved, and the user has been told.
+        KeyboardInterrupt: Ctrl-C was pressed; the state is saved, and a line says so.
         RunError: as for `train`.
         EpisodeError: as for `train`.
     """
@@ -60,16 +60,16 @@ def train_live(
 
 
 def describe(progress: Progress) -> str:
-    """Return one iteration in a line of text, with what its learner has to tell."""
+    """Return one iteration in a line of text."""
     info = progress.info
     parts = []
     if "return_before" in info and "return_after" in info:
         parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
     if "success_after" in info:
         parts.append(f"success {info['success_after']:.0%}")
-    kl = progress.told("kl")
+    kl = progress.find("kl")
     if kl is not None:
-        rejected = progress.told("accepted") == 0.0
+        rejected = progress.find("accepted") == 0.0
         parts.append("step rejected" if rejected else f"KL {kl:.4f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")
     if progress.compile_seconds > 1:

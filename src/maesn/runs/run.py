@@ -32,8 +32,6 @@ from maesn.runs.config import (
 from maesn.runs.log import METRICS
 from maesn.runs.shipped import find_run
 from maesn.runs.starting import (
-    check_batch,
-    check_env,
     check_policy,
     iteration_key,
     untrained_state,
@@ -48,7 +46,7 @@ from maesn.runs.task_sources import (
     save_tasks,
 )
 from maesn.storage import new_directory, read_json_lines, refusals
-from maesn.worlds import AbstractWorld, EngineName, make_world
+from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
 CHECKPOINTS = "checkpoints"
 
@@ -107,10 +105,11 @@ class Run:
         # Before anything is written: the engine may lack something, the environment contradict
         # itself, or the batches be too small.
         run.world().close()
-        check_env(run.env(), tasks)
+        with refusals():
+            check_env_contract(run.env(), tasks[0])
+            learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
             warn_of_known_tests(family, tasks)
-        check_batch(learner, settings.episodes_per_task)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
@@ -278,5 +277,5 @@ class Run:
         """Return what `untrained_state` makes a state of."""
         rows = len(self.training_tasks) if num_tasks is None else num_tasks
         env, tasks = self.env(), self.training_tasks
-        told = jax.eval_shape(env.describe, tasks[0]).size
-        return self.learner, env, self.settings.seed, rows, told
+        description_size = jax.eval_shape(env.describe, tasks[0]).size
+        return self.learner, env, self.settings.seed, rows, description_size

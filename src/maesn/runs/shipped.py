@@ -1,7 +1,7 @@
 """Policies that come with the library, each a run directory of its last checkpoint alone.
 
-A command takes the name of one in the place of a directory. What is installed is read and never
-written to: a command that leaves files works in a copy in the current folder.
+Commands take the name of such a policy instead of a directory. The installed directory is only
+read: a command that leaves files works in a copy in the current folder.
 """
 
 import shutil
@@ -17,7 +17,7 @@ _PREFIX = "maesn-"
 
 def policy_names() -> list[str]:
     """Return the names of the policies that come with the library."""
-    return sorted(entry.name for entry in TRAINED.iterdir() if entry.is_dir())
+    return sorted(path.name for path in TRAINED.iterdir() if path.is_dir())
 
 
 def find_run(run: str | Path) -> Path:

@@ -11,8 +11,7 @@ from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL, AbstractPolicy
-from maesn.storage import RunError
-from maesn.worlds import EnvContractError, check_env_contract
+from maesn.storage import RunError, refusals
 
 # An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
 # instead would yield the keys of iterations 0 and 1 a second time.
@@ -37,11 +36,16 @@ def untrained_state(
     return _init(learner, key, *sizes)
 
 
+@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
+def _init(learner: AbstractMetaLearner[Any, Any], key: Key, *sizes: int) -> Any:
+    return learner.init(key, *sizes)
+
+
 def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
     """Refuse policies that cannot play in an environment.
 
     Raises:
-        RunError: their actions are of another kind, or they read a reward that is not paid.
+        RunError: their actions are of another kind, or they read a reward that is not there.
     """
     policy = learner.player(state)
     check_shown(policy, env)
@@ -62,22 +66,8 @@ def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
     Raises:
         RunError: it does.
     """
-    try:
+    with refusals():
         env.check_shown(policy.observed_reward)
-    except ValueError as error:
-        raise RunError(str(error)) from error
-
-
-def check_env(env: AnyEnv, tasks: TaskSet) -> None:
-    """Refuse an environment that is not what it says; see `maesn.worlds.check_env_contract`.
-
-    Raises:
-        RunError: it is not.
-    """
-    try:
-        check_env_contract(env, tasks[0])
-    except EnvContractError as error:
-        raise RunError(str(error)) from error
 
 
 def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:
@@ -88,28 +78,3 @@ def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:
             "the same whatever its stream, so a result on them says nothing of new tasks.",
             stacklevel=3,
         )
-
-
-def check_batch(learner: AbstractMetaLearner[Any, Any], episodes_per_task: int) -> None:
-    """Refuse a number of episodes per task that a method cannot learn from.
-
-    Raises:
-        RunError: there are too few.
-    """
-    try:
-        learner.check_batch(episodes_per_task)
-    except ValueError as error:
-        raise RunError(str(error)) from error
-
-
-@eqx.filter_jit
-def _init(
-    learner: AbstractMetaLearner[Any, Any],
-    key: Key,
-    observation_size: int,
-    action_size: int,
-    num_tasks: int,
-    description_size: int,
-) -> Any:
-    # One program instead of many small ones takes half the time to compile.
-    return learner.init(key, observation_size, action_size, num_tasks, description_size)

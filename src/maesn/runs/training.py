@@ -115,7 +115,7 @@ class _Training:
         """Write a checkpoint unless it is there already."""
         if self._saved == self.checkpoint.iteration:
             return
-        # The log first: a checkpoint promises that all before it is written down.
+        # The log first: whoever finds a checkpoint can rely on the log up to it.
         self._log.sync()
         self._run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
         self._saved = self.checkpoint.iteration
@@ -129,7 +129,7 @@ class _Training:
         """Say that a step was not finite, and give up after several in a row."""
         broken = [name for name, value in progress.info.items() if not math.isfinite(value)]
         tasks = int(progress.info.get("nonfinite_tasks", 0))
-        accepted = bool(progress.told("accepted"))
+        accepted = bool(progress.find("accepted"))
         if accepted or not (broken or tasks):
             self._nonfinite = 0
             return

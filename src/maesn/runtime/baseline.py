@@ -29,8 +29,8 @@ def episode_advantages(
         A_e = (G_{e,0} - V(o_{e,0}) - mean) / (std + 1e-8),  e in [1, E]
 
     with V fitted by ridge regression of the discounted returns on `features`, over all steps of
-    all episodes; mean and std run over the E episodes. Where all episodes are paid the same there
-    is nothing to learn, and A is 0.
+    all episodes; mean and std run over the E episodes. Where all episodes have the same rewards
+    there is nothing to learn, and A is 0.
 
     Args:
         observations: o_t of each episode, t in [0, T_e - 1], `[time, observation]` each.
@@ -51,7 +51,7 @@ def episode_advantages(
 
 
 def _rewards_differ(rewards: Sequence[FloatArray]) -> bool:
-    """Whether some episode is paid differently from the first one; a short one is paid 0 later."""
+    """Whether some episode's rewards differ from the first one's; short ones have 0 later."""
     longest = max(len(reward) for reward in rewards)
     padded = [np.pad(reward, (0, longest - len(reward))) for reward in rewards]
     return any(np.any(reward != padded[0]) for reward in padded)

@@ -1,4 +1,4 @@
-"""What a robot remembers of its episodes."""
+"""Episodes as a robot records them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -54,7 +54,7 @@ class RunningEpisode:
         return len(self.actions)
 
     def add(self, observation: FloatArray, action: FloatArray, control: FloatArray) -> None:
-        """Remember one step."""
+        """Record one step."""
         self.observations.append(observation)
         self.actions.append(action)
         self.controls.append(control)

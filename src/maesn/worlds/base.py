@@ -1,9 +1,9 @@
-"""What a rollout drives: many episodes of a family at once.
+"""Worlds: many episodes of a family at once.
 
-A world joins an environment (pure functions of one episode), a finite set of tasks, and something
-that moves states. It plays a whole batch when it is given a policy to ask, and hands back what
-was read and done at every step. Rewards, observations and masks are not its business: they are
-pure functions of the readings, computed once for the whole batch by `maesn.worlds.collector`.
+A world joins an environment (pure functions of one episode), a finite set of tasks, and an engine
+that moves states. It plays a whole batch of episodes with given policies, and returns readings and
+actions of every step. Rewards, observations and masks are pure functions of the readings:
+`maesn.worlds.collector` computes them once for the whole batch.
 """
 
 from abc import ABC, abstractmethod
@@ -31,7 +31,7 @@ class Actors(eqx.Module):
     description: Float[Array, "task episode description"]
     z: Float[Array, "task episode z"]
     action_noise: Float[Array, "time task episode action"]
-    """What makes the actions random, drawn for all steps at once."""
+    """Behind the random actions, drawn for all steps at once."""
     trial_state: TrialState
     """Where the trials go on, `[task, episode, ...]`."""
 
@@ -62,14 +62,14 @@ class Moment(NamedTuple):
 
 @runtime_checkable
 class Act(Protocol):
-    """Asks the policies of a batch of episodes for one step."""
+    """Decides one step of a batch of episodes by their policies."""
 
     def __call__(self, actors: Actors, moment: Moment) -> Decision:
         """Return what each episode does next."""
 
 
 class Trajectory(NamedTuple):
-    """What was read and done, time first."""
+    """Readings and actions of all episodes, time first."""
 
     readings: Readings | HostReadings
     """`[time_plus_1, simulation, ...]` each."""

@@ -106,7 +106,7 @@ class Collector:
         env.check_shown(agents.policy.observed_reward)
 
     def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
-        """Raise an error if something is not finite, about what went wrong first."""
+        """Raise an error if something is not finite, about the earliest step."""
         found = [
             (step, task_slot, episode, name)
             for name, mask in finite._asdict().items()
@@ -186,7 +186,7 @@ class Collector:
         return Decision(_join_batch_axes(control), *others)
 
     def _assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
-        """Turn what was read and done into episodes; also say in which steps what is finite."""
+        """Turn readings and actions into episodes; also say what is finite in which steps."""
         shape = actors.z.shape[:2]
         readings = jax.tree.map(
             lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
@@ -195,10 +195,10 @@ class Collector:
         action, behaviour = jax.tree.map(
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
-        shown = actors.agents.policy.observed_reward
-        judge = jax.vmap(jax.vmap(partial(self._judge, shown), in_axes=(0, 0, None)))
+        received = actors.agents.policy.observed_reward
+        judge = jax.vmap(jax.vmap(partial(self._judge, received), in_axes=(0, 0, None)))
         observation, reward, observed, solved, ended = judge(readings, action, actors.tasks)
-        terminated = jax.vmap(jax.vmap(partial(_ends_by_nature, self.world.env)))(readings)
+        terminated = jax.vmap(jax.vmap(partial(_terminates, self.world.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
         after = jax.vmap(jax.vmap(TrialState.after))
         episodes = Episodes(
@@ -229,7 +229,7 @@ class Collector:
 
     def _judge(
         self,
-        shown: ObservedReward,
+        received: ObservedReward,
         readings: Readings,
         action: Float[Array, "time action"],
         task: Any,
@@ -237,8 +237,8 @@ class Collector:
         """Evaluate the environment along one episode.
 
         Returns:
-            Observations `[time_plus_1, observation]`, rewards as they are paid and as they are
-            shown `[time]`, whether each state lies in the goal region and whether the episode has
+            Observations `[time_plus_1, observation]`, rewards, and rewards as the policy receives
+            them `[time]`, whether each state lies in the goal region and whether the episode has
             ended at or before it `[time_plus_1]`.
         """
         env = self.world.env
@@ -246,7 +246,7 @@ class Collector:
         after = jax.tree.map(lambda x: x[1:], readings)
         observation = jax.vmap(lambda r: _observe(env, r, task))(readings)
         reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
-        observed = jax.vmap(lambda r, a, n: env.observed_reward(shown, r, a, n, task))(
+        observed = jax.vmap(lambda r, a, n: env.observed_reward(received, r, a, n, task))(
             before, action, after
         )
         solved = jax.vmap(lambda r: env.solved(r, task))(readings)
@@ -255,7 +255,7 @@ class Collector:
 
 
 class _Finite(NamedTuple):
-    """Which steps are finite, or over; what depends on what, in this order."""
+    """Which steps are finite, or invalid. Each field depends on those before it."""
 
     observation: Bool[Array, "task episode time"]
     action: Bool[Array, "task episode time"]
@@ -267,12 +267,12 @@ def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " obser
 
 
 def _ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether an episode ends in this state, by nature or by its world's own clock."""
+    """Whether an episode ends in this state, by the task's rules or by its world's own clock."""
     return env.terminated(readings) | env.truncated(readings)
 
 
-def _ends_by_nature(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether an episode of states `[time_plus_1]` is ended by nature: what comes first counts."""
+def _terminates(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether the first end of an episode of states `[time_plus_1]` is by the task's rules."""
     first = jnp.argmax(jax.vmap(partial(_ends, env))(readings))
     return env.terminated(jax.tree.map(lambda x: x[first], readings))
 

@@ -1,4 +1,4 @@
-"""Whether an environment is what it announces, before it is played."""
+"""Whether an environment's functions fit what it declares, before it is played."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,28 +18,26 @@ from maesn.physics import field_values, load_model, resting_readings
 
 
 class EnvContractError(ValueError):
-    """An environment is not what it says; the message names it, and what does not fit."""
+    """A function of an environment does not fit what it declares; the message names both."""
 
 
 def check_env_contract(env: AnyEnv, task: Any) -> None:
-    """Refuse an environment whose functions return other shapes than it announces.
+    """Refuse an environment whose functions return other shapes than it declares.
 
-    Or one that reads or sets what MuJoCo does not have.
-
-    JAX works out the shapes; no episode is played. Foreign environments are looked at where they
-    are hosted, in `maesn.foreign`. What a function raises is passed on.
+    Readings and model fields that MuJoCo does not have are refused as well. JAX works out the
+    shapes; no episode is played. Environments of others are checked in `maesn.foreign`, where they
+    are hosted. What a function raises is passed on.
 
     Args:
-        env: of whatever family.
+        env: of any family.
         task: one of its tasks.
 
     Raises:
-        EnvContractError: a function returns something that does not fit, or there is no field of
-            a name; the message names it.
+        EnvContractError: a function returns another shape, or there is no field of a name.
     """
     if not isinstance(env, AbstractSimulatedEnv):
         return
-    for function, found, wanted in _promises(env, task):
+    for function, found, wanted in _declared(env, task):
         shapes = jax.tree.map(jnp.shape, found)
         if shapes != wanted:
             raise EnvContractError(
@@ -47,7 +45,7 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
             )
 
 
-def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, Any, Any]]:
+def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield a function's name, what it returns, and the shapes that it should have."""
     task = jax.tree.map(jnp.asarray, task)
     start = jax.eval_shape(env.start, jax.random.key(0), task)
@@ -65,11 +63,11 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
         yield "model_fields", start.model_fields, jax.tree.map(jnp.shape, fields)
         yield "control", control, (model.nu,)
-    told = jax.eval_shape(env.instruction, task)
-    yield "instruction", told, (told.size,)
+    instruction = jax.eval_shape(env.instruction, task)
+    yield "instruction", instruction, (instruction.size,)
     seen = jax.eval_shape(env.observe, readings)
-    yield "observe", seen, (env.observation_size - told.size,)
-    yield from _judgements(env, readings, action, task)
+    yield "observe", seen, (env.observation_size - instruction.size,)
+    yield from _outcomes(env, readings, action, task)
     if env.planar:
         yield "position", jax.eval_shape(env.position, seen), (2,)
         yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
@@ -78,18 +76,18 @@ def _promises(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
 
 @contextmanager
 def _naming(env: AnyEnv) -> Iterator[None]:
-    """Name the environment in what is said of the names that it uses."""
+    """Name the environment in messages about the names that it uses."""
     try:
         yield
     except ValueError as error:
         raise EnvContractError(f"`{env.name}`: {error}.") from error
 
 
-def _judgements(
+def _outcomes(
     env: AbstractSimulatedEnv[Any], readings: Any, action: Array, task: Any
 ) -> Iterator[tuple[str, Any, Any]]:
-    paid = jax.eval_shape(env.reward, readings, action, readings, task)
-    yield "reward", jax.tree.leaves(paid), [(), ()]  # its two parts
+    reward = jax.eval_shape(env.reward, readings, action, readings, task)
+    yield "reward", jax.tree.leaves(reward), [(), ()]  # its two parts
     for name in ("terminated", "truncated"):
         yield name, jax.eval_shape(getattr(env, name), readings), ()
     yield "solved", jax.eval_shape(env.solved, readings, task), ()

@@ -24,7 +24,7 @@ from maesn.worlds.host import play_on_host
 
 
 def default_num_workers() -> int:
-    """Return the number of CPUs that this process may use, where the system tells."""
+    """Return the number of CPUs that this process may use, where the system says."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -29,15 +29,15 @@ class Scene:
         height: of the pictures, in pixels.
 
     Raises:
-        RenderingError: the system has no library to draw with, or the environment no place in a
-            picture.
+        RenderingError: the system has no library to draw with, or the environment no planar
+            position.
     """
 
     def __init__(self, env: AnyEnv, view: View, width: int = 320, height: int = 240) -> None:
         if not env.planar:
             raise RenderingError(
                 f"`{env.name}` cannot be drawn: it does not say where in a plane its agent "
-                "(`position`) and the goal of a task (`goal`) are; give both if they have a place."
+                "(`position`) and the goal of a task (`goal`) are; define both if there are such."
             )
         self.env = env
         self._renderer = Renderer(_model(env), view, width, height)
@@ -53,10 +53,10 @@ class Scene:
         Args:
             readings: of that state.
             task: whose goal is shown, and the way to it that is left.
-            trail: places, in metres, that are joined by a line; None for no line.
+            trail: positions, in metres, that are joined by a line; None for no line.
         """
-        place, judged, goal = jax.tree.map(np.asarray, _marks(self.env, readings, task))
-        pose = readings["qpos"] if isinstance(self.env, AbstractMujocoEnv) else place
+        position, judged, goal = jax.tree.map(np.asarray, _marks(self.env, readings, task))
+        pose = readings["qpos"] if isinstance(self.env, AbstractMujocoEnv) else position
         return self._renderer.draw(np.asarray(pose), goal, self.env.sparse_radius, judged, trail)
 
     def close(self) -> None:
@@ -66,18 +66,18 @@ class Scene:
 
 def places(env: AnyEnv, readings: Readings | HostReadings) -> Float[np.ndarray, "state 2"]:
     """Return where the agent is in each state, in metres, from readings `[state, ...]`."""
-    return np.asarray(_places(env, readings))
+    return np.asarray(_positions(env, readings))
 
 
 @partial(jax.jit, static_argnums=0)
-def _places(env: AnyEnv, readings: dict[str, Array]) -> Float[Array, "state 2"]:
+def _positions(env: AnyEnv, readings: dict[str, Array]) -> Float[Array, "state 2"]:
     return jax.vmap(lambda state: env.position(env.observe(state)))(readings)
 
 
 @partial(jax.jit, static_argnums=0)
 def _marks(env: AnyEnv, readings: dict[str, Array], task: Any) -> tuple[Array, Array, Array]:
-    place = env.position(env.observe(readings))
-    return place, env.judged_position(readings, task), env.goal(jax.tree.map(jnp.asarray, task))
+    position = env.position(env.observe(readings))
+    return position, env.judged_position(readings, task), env.goal(jax.tree.map(jnp.asarray, task))
 
 
 def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View:

@@ -1,7 +1,7 @@
 """Simulators of any environment: its states, moved by one control step at a time.
 
-A world plays whole episodes. Whoever steps an environment from outside, as a Gymnasium environment
-is stepped, needs the same motion in single steps.
+A world plays whole episodes. A Gymnasium environment is stepped from outside and needs the same
+motion in single steps.
 """
 
 from collections.abc import Callable

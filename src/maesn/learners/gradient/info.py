@@ -1,4 +1,4 @@
-"""What a human wants to know of one meta-iteration."""
+"""What happened in one meta-iteration, for logs and people."""
 
 from typing import Any
 
@@ -17,8 +17,8 @@ from maesn.numerics.trust_region import TrustRegionInfo
 class GroupShares(eqx.Module):
     """Shares of the squared length of the outer step that fall on each group; they sum to 1.
 
-    Directions in which the policy has no curvature are held by damping alone, so it is worth a
-    look which group the step spends itself on.
+    Directions in which the policy has no curvature are held by damping alone. The shares show
+    whether the step spends itself on them.
     """
 
     policy: Float[Array, ""]
@@ -27,7 +27,7 @@ class GroupShares(eqx.Module):
 
 
 class GradientInfo(eqx.Module):
-    """What a human wants to know of one meta-iteration: scalars only."""
+    """What happened in one meta-iteration: scalars only."""
 
     return_before: Float[Array, ""]
     """Mean undiscounted return before the inner updates."""

@@ -38,7 +38,7 @@ class RecurrentMetaState(eqx.Module):
 
 
 class RecurrentInfo(eqx.Module):
-    """What a human wants to know of one meta-iteration: scalars only."""
+    """What happened in one meta-iteration: scalars only."""
 
     return_before: Float[Array, ""]
     """Mean undiscounted return of the first episodes of the trials."""

@@ -108,7 +108,7 @@ def _moments_after(
 
 
 def _mean_and_std(moments: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return 0 and 1 before any return is known."""
+    """Return 0 and 1 before the first fit."""
     weight = jnp.where(moments[0] > 0, moments[0], 1.0)
     mean, square = moments[1] / weight, moments[2] / weight
     std = jnp.sqrt(jnp.maximum(square - mean**2, SMALLEST_STD**2))

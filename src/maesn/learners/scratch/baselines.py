@@ -1,6 +1,6 @@
-"""The floor of every comparison: agents that do nothing, or anything, and learn nothing.
+"""Baselines: agents that do nothing, or anything, and learn nothing.
 
-What a method reaches is judged by where it stands between them and an oracle.
+A method is judged by where it stands between them and an oracle.
 """
 
 import math
@@ -46,11 +46,10 @@ class FixedPolicy(AbstractFastLearner[None]):
 def baselines(
     observation_size: int, action_size: int, action_kind: ActionKind
 ) -> dict[str, FixedPolicy]:
-    """Return the agents of which the better one is the floor, by name.
+    """Return the baselines by name; the better one is the reference of a comparison.
 
     * zero action: a = 0, to the least standard deviation that a policy has (a millionth);
-    * random actions: a ~ N(0, I) at every step, the distribution that a fresh policy has at
-      observations to which it has no opinion yet;
+    * random actions: a ~ N(0, I) at every step, close to what an untrained policy does;
     * random choices, where actions are discrete and there is no zero: each with the same
       probability.
 
@@ -72,6 +71,6 @@ def baselines(
 def _blind(
     settings: AbstractPolicySettings, observation_size: int, action_size: int
 ) -> AbstractPolicy:
-    """Return a policy of which all numbers are 0: it sees nothing, and a Gaussian's std is 1."""
+    """Return a policy whose weights are all 0: it sees nothing, and a Gaussian's std is 1."""
     key = jax.random.key(0)
     return jax.tree.map(jnp.zeros_like, settings.init(key, observation_size, action_size, 0))

@@ -1,4 +1,4 @@
-"""A bonus for what an agent finds out, around any learner.
+"""A curiosity bonus around any learner.
 
 The learner is handed its episodes with the bonus added to their rewards, and learns from the sum.
 """
@@ -55,8 +55,8 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     """Components of an observation."""
     action_size: int
     """Components of an action, or number of choices."""
-    known: CuriosityState | None = None
-    """What the models know at the start; None for nothing."""
+    trained: CuriosityState | None = None
+    """A model that all tasks' models begin with; None for untrained ones."""
 
     def __check_init__(self) -> None:
         can = self.learner.capabilities
@@ -94,8 +94,8 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
     def _fresh(self, key: Key) -> CuriosityState:
-        if self.known is not None:
-            return self.curiosity.start(self.known)
+        if self.trained is not None:
+            return self.curiosity.start(self.trained)
         return self.curiosity.init(key, self.observation_size, self.action_size)
 
     @eqx.filter_jit
@@ -134,7 +134,7 @@ class BonusMetaState(eqx.Module):
 
 
 class BonusInfo(eqx.Module):
-    """What a person wants to know of the bonus of one meta-iteration."""
+    """The bonus of one meta-iteration."""
 
     bonus: Float[Array, ""]
     """Mean bonus of an episode in the last collection."""
@@ -143,10 +143,10 @@ class BonusInfo(eqx.Module):
 
 
 class BonusMetaInfo(eqx.Module, Generic[Info]):
-    """What a person wants to know of one meta-iteration with a bonus."""
+    """What happened in one meta-iteration with a bonus."""
 
     learner: Info
-    """What the learner says of its step, with returns that are without bonus."""
+    """Of the learner's step, but with returns without bonus."""
     curiosity: BonusInfo
 
 
@@ -203,7 +203,7 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         return named | {"curiosity": info.curiosity}
 
     def fast_learner(self, state: BonusMetaState) -> AbstractFastLearner[Any]:
-        """Return the learner of new tasks; its models begin with what this one knows.
+        """Return the learner of new tasks; its models begin as the model of the training tasks.
 
         A learner whose updates do not depend on rewards has no use for a bonus, and comes as it is.
         """
@@ -215,7 +215,7 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
             curiosity=self.curiosity,
             observation_size=network.output_size,
             action_size=network.input_size - network.output_size,
-            known=state.curiosity,
+            trained=state.curiosity,
         )
 
     def step(

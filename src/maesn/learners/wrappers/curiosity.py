@@ -2,7 +2,7 @@
 
 A Bayesian neural network models p(s' | s, a). The bonus of a transition is the information that it
 brings about the network's weights, KL(posterior after it || posterior before it). Nothing here
-knows a task or a learner: `maesn.learners.wrappers.bonus` adds the bonus to the rewards of any.
+depends on a task or a learner: `maesn.learners.wrappers.bonus` adds the bonus for any of them.
 
 Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration" (2016),
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
@@ -29,7 +29,7 @@ CHUNK_SIZE = 256
 
 
 class CuriosityState(eqx.Module):
-    """What one model knows: arrays only."""
+    """One model and what it learns from: arrays only."""
 
     network: BayesianNetwork
     opt_state: Any
@@ -96,20 +96,19 @@ class CuriosityBonus(eqx.Module):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
 
     def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
-        """Return a model that knows nothing; raises `ValueError` if there is nothing to predict."""
+        """Return an untrained model; raises `ValueError` if there is nothing to predict."""
         check_observed(observation_size)
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
         network = init_bayesian_network(key, sizes, self.prior_std)
         pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
         return self._begin(network, pool, jnp.zeros((), bool))
 
-    def start(self, known: CuriosityState) -> CuriosityState:
-        """Return a state that begins with what another one knows: its network and its pool.
+    def start(self, trained: CuriosityState) -> CuriosityState:
+        """Return a state that begins with the network and the pool of another one.
 
-        The network's inputs and outputs are in units of the pool's moments: it means nothing
-        without them.
+        The network's inputs and outputs are in units of the pool's moments, so both go together.
         """
-        return self._begin(known.network, known.pool, known.has_learned)
+        return self._begin(trained.network, trained.pool, trained.has_learned)
 
     def _begin(
         self, network: BayesianNetwork, pool: Ring, has_learned: Bool[Array, ""]
@@ -136,11 +135,11 @@ class CuriosityBonus(eqx.Module):
             episodes: of any number of tasks, if their dynamics are the same.
         """
         pool_key, noise_key = jax.random.split(key)
-        seen = transitions(episodes)
-        pool = state.pool.extend(*self._draw_additions(pool_key, seen))
-        gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), seen)
-        median = jnp.nanmedian(jnp.where(seen.valid, gain, jnp.nan))
-        counts = state.has_learned & seen.valid.any()
+        played = transitions(episodes)
+        pool = state.pool.extend(*self._draw_additions(pool_key, played))
+        gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), played)
+        median = jnp.nanmedian(jnp.where(played.valid, gain, jnp.nan))
+        counts = state.has_learned & played.valid.any()
         medians = state.medians.extend(median[None, None], counts[None])
         # 0 if there are none.
         typical = medians.moments()[0][0]
@@ -148,22 +147,22 @@ class CuriosityBonus(eqx.Module):
         return replace(state, pool=pool, medians=medians), bonus.reshape(episodes.valid.shape)
 
     def information_gains(
-        self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
+        self, key: Key, network: BayesianNetwork, scale: Scale, played: Transitions
     ) -> Float[Array, " transition"]:
         """Return the information gain of each transition, in nats for a step of size 1.
 
-        All transitions are judged with the same draws of the network: what they differ by is then
-        not the draws. The size of the step cancels in the bonus.
+        All transitions are judged with the same draws of the network, so that their gains do not
+        differ by the draws. The size of the step cancels in the bonus.
         """
         noise = jax.random.normal(key, (self.samples, network.noise_size))
 
         def gain(transition: tuple[Array, Array]) -> Float[Array, ""]:
             row, valid = transition
-            known = jnp.where(valid, row, scale.mean)
-            gradient = jax.grad(self.surprise)(network, scale(known), noise)
+            finite = jnp.where(valid, row, scale.mean)
+            gradient = jax.grad(self.surprise)(network, scale(finite), noise)
             return jnp.where(valid, network.information_gain(gradient), 0.0)
 
-        return jax.lax.map(gain, tuple(seen), batch_size=CHUNK_SIZE)
+        return jax.lax.map(gain, tuple(played), batch_size=CHUNK_SIZE)
 
     def surprise(
         self,
@@ -225,7 +224,7 @@ class CuriosityBonus(eqx.Module):
         has_learned = jnp.ones_like(state.has_learned)
         return replace(state, network=network, opt_state=opt_state, has_learned=has_learned)
 
-    def _draw_additions(self, key: Key, seen: Transitions) -> Transitions:
-        number = seen.valid.shape[0]
+    def _draw_additions(self, key: Key, played: Transitions) -> Transitions:
+        number = played.valid.shape[0]
         chosen = jax.random.permutation(key, number)[: self.pool_additions]
-        return Transitions(seen.rows[chosen], seen.valid[chosen])
+        return Transitions(played.rows[chosen], played.valid[chosen])
