@@ -9,7 +9,7 @@ import pytest
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
-from maesn.learners.wrappers.bonus import BonusInfo
+from maesn.learners.wrappers.meta_bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -30,9 +30,9 @@ def agents_of(shares_policy: bool) -> Agents:
 
 
 def mean_action(agent: Agent, observation: jax.Array, scale: jax.Array) -> jax.Array:
-    told = PolicyInput(observation, jnp.zeros(ACTION), jnp.zeros(()), jnp.zeros((), bool))
+    received = PolicyInput(observation, jnp.zeros(ACTION), jnp.zeros(()), jnp.zeros((), bool))
     distribution, _ = agent.policy(
-        agent.perceive(told), agent.context.mean, agent.policy.initial_recurrent_state()
+        agent.perceive(received), agent.context.mean, agent.policy.initial_recurrent_state()
     )
     return scale * distribution.mean
 

@@ -61,7 +61,7 @@ def test_the_bandit_pays_as_often_as_its_arms_say() -> None:
     env, task = Bandit(), jnp.asarray([0.9, 0.3, 0.0, 1.0, 0.5])
     arm = jnp.eye(5)[1]
 
-    def paid(key: jax.Array) -> jax.Array:
+    def total(key: jax.Array) -> jax.Array:
         qpos, qvel = env.initial(key, task)
         readings, total = {"qpos": qpos, "qvel": qvel}, jnp.zeros(())
         for _ in range(env.horizon):
@@ -70,7 +70,7 @@ def test_the_bandit_pays_as_often_as_its_arms_say() -> None:
             readings = after
         return total
 
-    totals = np.asarray(jax.vmap(paid)(jax.random.split(jax.random.key(0), 2000)))
+    totals = np.asarray(jax.vmap(total)(jax.random.split(jax.random.key(0), 2000)))
     assert totals.mean() / env.horizon == pytest.approx(0.3, abs=0.013)
     # And independently: the sum is binomial, not all or nothing.
     assert totals.var() == pytest.approx(10 * 0.3 * 0.7, rel=0.15)
@@ -87,7 +87,7 @@ def test_the_published_policy_is_within_a_seventh_of_the_optimum(benchmark: Modu
 
 
 def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
-    """2 arms, 5 pulls. Pulling blindly is paid 2.5, the optimum is 2.889; two thirds of the gap
+    """2 arms, 5 pulls. Pulling blindly returns 2.5, the optimum is 2.889; two thirds of the gap
     have to be closed within seconds. The standard error of 10,000 trials is 0.014."""
     env, stream = Bandit(horizon=5, action_size=2), np.random.default_rng(0)
     training, test = (

@@ -1,4 +1,4 @@
-"""Curiosity composed with learners: who is paid, who learns, and that nothing else changes."""
+"""A curiosity bonus around learners: what they learn from, and that nothing else changes."""
 
 from dataclasses import replace
 from typing import Any
@@ -65,16 +65,16 @@ def heard(curiosity: CuriosityBonus, batches: list[Episodes]) -> Any:
 
 def test_a_fast_learner_is_handed_reward_and_bonus() -> None:
     plain = replace(linear_episodes(0, (TASKS, 4), 5), reward=jnp.full((TASKS, 4, 5), 2.0))
-    first, paid = heard(replace(SMALL, weight=0.5), [plain, plain]).learner
+    first, second = heard(replace(SMALL, weight=0.5), [plain, plain]).learner
     # Until they have learned from something, the models are not asked.
     np.testing.assert_array_equal(first.reward, plain.reward)
-    bonus = np.asarray(paid.reward - plain.reward)
+    bonus = np.asarray(second.reward - plain.reward)
     assert np.all(bonus > 0)
-    # In each task the typical transition is paid the weight.
+    # In each task the bonus of the typical transition is the weight.
     np.testing.assert_allclose(np.median(bonus, axis=(1, 2)), 0.5, rtol=1e-5)
     # What the policy was shown while it played, and what is reported, stay as they were.
-    np.testing.assert_array_equal(paid.observed_reward, plain.reward)
-    np.testing.assert_array_equal(paid.goal_reward, plain.goal_reward)
+    np.testing.assert_array_equal(second.observed_reward, plain.reward)
+    np.testing.assert_array_equal(second.goal_reward, plain.goal_reward)
 
 
 def test_every_task_has_a_model_of_its_own() -> None:
@@ -101,7 +101,7 @@ def tiny(**settings: Any) -> Any:
     return maesn(policy=GaussianMLP((4,)), meta_batch_size=2, **settings)
 
 
-def test_a_curious_meta_learner_is_one_setting(collect: Collector) -> None:
+def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
     learner = BonusMetaLearner(tiny(), replace(SMALL, weight=10.0))
     state = learner.init(jax.random.key(0), 2, 2, 5)
     accepted = []
@@ -135,15 +135,15 @@ def test_a_curious_meta_learner_is_one_setting(collect: Collector) -> None:
     ],
     ids=["maesn", "more batches", "latent_space", "rl2"],
 )
-def test_without_a_bonus_a_curious_meta_learner_is_the_learner_itself(
+def test_with_a_weight_of_0_it_is_the_learner_itself(
     alone: AbstractMetaLearner, collect: Collector
 ) -> None:
-    curious = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
+    wrapped = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
     key = jax.random.key(7)
-    state = curious.init(jax.random.key(0), 2, 2, 5)
+    state = wrapped.init(jax.random.key(0), 2, 2, 5)
     learner_key = jax.random.split(key, 3)[0]
     after, info = alone.step(learner_key, state.learner, collect)
-    together, said = curious.step(key, state, collect)
+    together, said = wrapped.step(key, state, collect)
     for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
         np.testing.assert_array_equal(one, other)
     for name in ("return_before", "return_after"):
@@ -151,7 +151,7 @@ def test_without_a_bonus_a_curious_meta_learner_is_the_learner_itself(
         assert float(getattr(said.learner, name)) == pytest.approx(wanted, rel=1e-5)
 
 
-def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
+def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
     learner = BonusMetaLearner(tiny(), SMALL)
     state, _ = learner.step(jax.random.key(1), learner.init(jax.random.key(0), 2, 2, 5), collect)
     fast = learner.fast_learner(state)
@@ -168,7 +168,7 @@ def test_what_is_known_of_the_dynamics_passes_on_to_new_tasks(collect: Collector
     assert np.all(outcome.contexts.mean[:, 1] != 0)
 
 
-def test_who_does_not_learn_from_reward_is_paid_no_bonus() -> None:
+def test_a_learner_that_does_not_learn_from_reward_gets_no_bonus() -> None:
     learner = METHODS["oracle+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
     fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5, 2))
     assert isinstance(fast, GradientFastLearner)
@@ -197,23 +197,23 @@ def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
     state = learner.init(jax.random.key(0), 2, 2, 5)
     knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
     fast = learner.fast_learner(replace(state, curiosity=knows))
-    curious = inside(fast, lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
-    assert curious.learner.learner is fast.learner
+    wrapped = inside(fast, lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    assert wrapped.learner.learner is fast.learner
 
     def moves(tuned: AbstractFastLearner) -> bool:
         state = tuned.init(keys(TASKS))
         start = tuned.agents(state)
         played = replace(collect(keys(TASKS), start, jnp.arange(TASKS)), observed_reward=None)
-        unpaid = replace(played, reward=jnp.zeros_like(played.reward))
-        after = tuned.agents(tuned.update(state, unpaid))
+        no_reward = replace(played, reward=jnp.zeros_like(played.reward))
+        after = tuned.agents(tuned.update(state, no_reward))
         leaves = map(jax.tree.leaves, (start.policy, after.policy))
         return any((one != other).any() for one, other in zip(*leaves, strict=True))
 
-    assert moves(curious)
-    assert not moves(curious.learner)
+    assert moves(wrapped)
+    assert not moves(wrapped.learner)
 
 
-def test_curious_methods_have_names() -> None:
+def test_methods_with_a_bonus_have_names() -> None:
     assert set(METHODS) == set(PRESETS) | {f"{name}+curiosity" for name in PRESETS}
     for name, preset in METHODS.items():
         assert method_name(preset()) == name
@@ -226,16 +226,16 @@ def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None
     playing = Collector(make_world(env, tasks), 6)
     options = {"policy": GaussianMLP((16,))}
     eager = CuriosityBonus(updates=60, pool_additions=100, samples=4)
-    paid, stays = {}, {}
-    for name, curious in (("trpo", {}), ("vime", {"curiosity": eager})):
-        learner = SCRATCH[name](1, 1, **options, **curious)
+    found, stays = {}, {}
+    for name, wrapped in (("trpo", {}), ("vime", {"curiosity": eager})):
+        learner = SCRATCH[name](1, 1, **options, **wrapped)
         state = learner.init(keys(TASKS))
         for update in range(16):
             episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
             state = learner.update(state, episodes)
-        paid[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
+        found[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
         policies = (learner.agents(s).policy for s in (learner.init(keys(TASKS)), state))
         leaves = zip(*map(jax.tree.leaves, policies), strict=True)
         stays[name] = all(np.array_equal(one, other) for one, other in leaves)
     assert stays == {"trpo": True, "vime": False}
-    assert paid == {"trpo": [False] * TASKS, "vime": [True] * TASKS}
+    assert found == {"trpo": [False] * TASKS, "vime": [True] * TASKS}

@@ -1,4 +1,4 @@
-"""Curiosity: what is learned of the dynamics, and what is paid for it."""
+"""Curiosity: what the model learns of the dynamics, and the bonus for it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The oracle: it is told the task, learns what to do with that, and adapts nothing."""
+"""The oracle: it is given the task, learns what to do with that, and adapts nothing."""
 
 from pathlib import Path
 
@@ -42,11 +42,11 @@ def test_the_context_of_an_oracle_is_neither_random_nor_learned_nor_penalised() 
     learned = context.init(jax.random.key(0), num_tasks=5, description_size=3)
     assert jax.tree.leaves(learned) == []
     assert (learned.size, learned.noise_size, learned.description_size) == (3, 0, 3)
-    told = jnp.asarray([1.0, -2.0, 0.5])
-    np.testing.assert_array_equal(learned.draw(jnp.zeros(0), told), told)
+    description = jnp.asarray([1.0, -2.0, 0.5])
+    np.testing.assert_array_equal(learned.draw(jnp.zeros(0), description), description)
     assert context.start(learned, jnp.asarray([1])) == context.start_new(learned, 2) == learned
     drawn = jnp.ones((2, 3))
-    np.testing.assert_array_equal(context.inner_draw(learned, drawn[0], told), told)
+    np.testing.assert_array_equal(context.inner_draw(learned, drawn[0], description), description)
     assert context.draw_loss(learned, drawn, jnp.ones(2)) == context.penalty(learned) == 0.0
 
 
@@ -54,10 +54,10 @@ def test_the_context_of_an_oracle_is_neither_random_nor_learned_nor_penalised() 
 def test_descriptions_tell_all_tasks_apart(name: str) -> None:
     family = (FAMILIES | PROBES)[name]
     env, tasks = family.make_env(), family.task_set("test", 20)
-    told = np.asarray(jax.vmap(env.describe)(jax.tree.map(jnp.asarray, tasks.tasks)))
-    assert told.ndim == 2
-    assert np.isfinite(told).all()
-    different = {tuple(row) for row in told}
+    description = np.asarray(jax.vmap(env.describe)(jax.tree.map(jnp.asarray, tasks.tasks)))
+    assert description.ndim == 2
+    assert np.isfinite(description).all()
+    different = {tuple(row) for row in description}
     leaves = [np.asarray(leaf).reshape(20, -1) for leaf in jax.tree.leaves(tasks.tasks)]
     assert len(different) == len(np.unique(np.concatenate(leaves, axis=1), axis=0))
 
@@ -65,12 +65,12 @@ def test_descriptions_tell_all_tasks_apart(name: str) -> None:
 def test_an_oracle_of_block_pushing_is_told_the_block_and_the_goal() -> None:
     task = BlockPushTask(jnp.asarray(3), jnp.asarray([0.8, -0.25]), jnp.zeros((5, 2)))
     for variant in ("reference", "paper"):
-        told = FAMILIES["blockpush"].make_env(variant=variant).describe(task)
-        np.testing.assert_array_equal(told, np.float32([0, 0, 0, 1, 0, 0.8, -0.25]))
+        description = FAMILIES["blockpush"].make_env(variant=variant).describe(task)
+        np.testing.assert_array_equal(description, np.float32([0, 0, 0, 1, 0, 0.8, -0.25]))
 
 
 def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
-    # Without being told, -0.595 is the best there is (`maesn.envs.target_probes`); told, 0.
+    # Without the task, -0.595 is the best there is (`maesn.envs.target_probes`); with it, 0.
     env, tasks = hidden_target.make_env(), hidden_target.task_set("training", 20)
     learner = oracle(policy=GaussianMLP((16,)), meta_batch_size=10)
     state = learner.init(jax.random.key(0), env.observation_size, env.action_size, 20, 2)

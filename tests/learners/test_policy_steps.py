@@ -69,13 +69,13 @@ def test_the_loss_is_the_formula() -> None:
     trials, advantages = random_trials()
     logits = moved_logits(trials)
     step = ProximalStep(CLIP, ENTROPY)
-    loss, told = step.loss(
+    loss, info = step.loss(
         Categorical(jnp.asarray(logits, float)), trials, jnp.asarray(advantages, float)
     )
     expected, clipped = reference_loss(logits, trials, advantages)
     assert 0.1 < clipped < 0.9
     assert float(loss) == pytest.approx(expected, rel=1e-5)
-    assert float(told.clipped) == pytest.approx(clipped)
+    assert float(info.clipped) == pytest.approx(clipped)
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
@@ -132,13 +132,13 @@ def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionSte
     policy = small_policy()
     trials, advantages = own_trials(policy)
     state = step.init(policy)
-    improved, _, told = step(jax.random.key(0), policy, state, trials, advantages)
+    improved, _, info = step(jax.random.key(0), policy, state, trials, advantages)
     before, after = (p.log_prob(trials.action) for p in
                      (trials.behaviour, trials.distributions(improved)))  # fmt: skip
     gain = np.where(trials.valid, (after - before) * advantages, 0.0).sum()
     assert gain > 0.01
-    assert bool(told.accepted)
-    assert 0 < float(told.kl) < 0.05
+    assert bool(info.accepted)
+    assert 0 < float(info.kl) < 0.05
 
 
 @pytest.mark.parametrize(
@@ -150,8 +150,8 @@ def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) ->
     trials, advantages = own_trials(policy)
     broken = advantages.at[2, 0].set(jnp.nan)
     state = step.init(policy)
-    kept, after, told = step(jax.random.key(0), policy, state, trials, broken)
-    assert not bool(told.accepted)
+    kept, after, info = step(jax.random.key(0), policy, state, trials, broken)
+    assert not bool(info.accepted)
     jax.tree.map(np.testing.assert_array_equal, (kept, after), (policy, state))
 
 

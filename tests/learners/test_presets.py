@@ -283,7 +283,7 @@ def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> No
         PRESETS["maesn"](**{setting: value})
 
 
-@pytest.mark.parametrize("context", [NoContext(), OracleContext()], ids=["none", "told"])
+@pytest.mark.parametrize("context", [NoContext(), OracleContext()], ids=["none", "oracle"])
 def test_a_context_in_which_nothing_moves_is_given_no_steps(
     context: AbstractContextSettings,
 ) -> None:

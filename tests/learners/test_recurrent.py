@@ -140,8 +140,8 @@ def trials_of_unequal_length() -> Trials:
     return join_episodes(collect.played)
 
 
-def test_the_value_function_learns_what_is_paid() -> None:
-    """On episodes that are paid 1 a step, the trial's returns are known from the time alone."""
+def test_the_value_function_learns_returns() -> None:
+    """With a reward of 1 a step, a trial's returns follow from the time alone."""
     value = RecurrentValue((), 8, (8,), MinibatchDescent(1e-2, epochs=150, minibatches=1))
     trials = trials_of_unequal_length()
     length = trials.valid.shape[1]
@@ -171,10 +171,10 @@ def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was(
 
 @pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])
 def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> None:
-    """A hidden side is paid at an episode's last step alone, 1 or 0, and nothing else is told.
+    """The reward of a hidden side is 1 or 0 at an episode's last step; the agent sees nothing else.
 
-    Without memory across episodes the second is paid 1/2 at best, as the first is. With it, what
-    the first was paid says where to go.
+    Without a state across episodes the second returns 1/2 at best, as the first does. With it, the
+    reward of the first says where to go.
     """
     env = HiddenSide(horizon=1, reward_kind="sparse")
     tasks = TaskSet(np.float32([-1.0, 1.0] * 20))
@@ -225,7 +225,10 @@ def test_method_names() -> None:
         ({"trial_episodes": 0}, "`trial_episodes` must be at least 1, got 0"),
         ({"discount": 1.5}, r"`discount` must lie in \[0, 1\], got 1.5"),
         ({"gae_lambda": -0.5}, r"`gae_lambda` must lie in \[0, 1\], got -0.5"),
-        ({"policy": GaussianMLP()}, "`trial_episodes` is 2, but a policy of `GaussianMLP` rememb"),
+        (
+            {"policy": GaussianMLP()},
+            "`trial_episodes` is 2, but a policy of `GaussianMLP` is not rec",
+        ),
     ],
 )
 def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
@@ -238,10 +241,10 @@ def test_too_few_tasks_are_refused() -> None:
         rl2().init(jax.random.key(0), 1, 1, TASKS)
 
 
-def test_thinned_curvature_is_refused_where_there_is_memory() -> None:
+def test_thinned_curvature_is_refused_for_recurrent_policies() -> None:
     slots = maesn()
-    with pytest.raises(ValueError, match="`curvature_stride` is 20, but a policy with memory"):
+    with pytest.raises(ValueError, match="`curvature_stride` is 20, but a recurrent policy"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent())
     strides = {"curvature_stride": 1, "hessian_stride": 4}
-    with pytest.raises(ValueError, match="`hessian_stride` is 4, but a policy with memory"):
+    with pytest.raises(ValueError, match="`hessian_stride` is 4, but a recurrent policy"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent(), **strides)

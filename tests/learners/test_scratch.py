@@ -74,7 +74,7 @@ GOAL, MEAN, STD, NUMBER = 0.7, 0.2, 0.5, 40_000
 
 
 def quadratic_bandit() -> tuple[Agents, Episodes]:
-    """One action per episode, drawn from N(mean, std²) and paid -(a - goal)²; nothing is seen."""
+    """One action per episode, drawn from N(mean, std²); the reward is -(a - goal)²."""
     action = MEAN + STD * jax.random.normal(jax.random.key(0), (1, NUMBER, 1, 1))
     distribution = DiagonalGaussian(
         jnp.full(action.shape, MEAN), jnp.full(action.shape, np.log(STD))
@@ -82,8 +82,8 @@ def quadratic_bandit() -> tuple[Agents, Episodes]:
     episodes = episodes_of(np.zeros((1, NUMBER, 2, 1)), action, behaviour=distribution)
     layer = Linear(jnp.zeros((1, 1, 1)), jnp.full((1, 1), MEAN))
     policy = GaussianMLPPolicy(MLP((layer,)), jnp.full((1, 1), np.log(STD)))
-    paid = replace(episodes, reward=-((action[..., 0] - GOAL) ** 2))
-    return Agents(policy, Nothing(), shares_policy=False), paid
+    rewarded = replace(episodes, reward=-((action[..., 0] - GOAL) ** 2))
+    return Agents(policy, Nothing(), shares_policy=False), rewarded
 
 
 def moved_by(rule: GradientStep | TrustRegionStep) -> np.ndarray:
@@ -177,8 +177,8 @@ def test_equal_pay_moves_who_drifts(name: str, drifts: bool, collect: Collector)
     learner = small(name)
     state = learner.init(keys(5))
     played = collect(keys(5), learner.agents(state), jnp.arange(5))
-    for paid, moves in ((0.0, False), (-1.0, drifts)):
-        equal = replace(played, reward=jnp.full_like(played.reward, paid))
+    for rewarded, moves in ((0.0, False), (-1.0, drifts)):
+        equal = replace(played, reward=jnp.full_like(played.reward, rewarded))
         after = learner.update(state, equal)
         old, new = (jax.vmap(flat)(one.agents.policy) for one in (state, after))
         np.testing.assert_array_equal(jnp.any(old != new, axis=1), moves)

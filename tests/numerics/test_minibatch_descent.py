@@ -47,8 +47,8 @@ def test_every_sample_is_used_once_in_a_pass() -> None:
     """The mean over minibatches of a batch's sum is the sum of all over their number."""
     descent = MinibatchDescent(epochs=3, minibatches=2)
     x = jnp.zeros(2)
-    _, _, told = descent.run(jax.random.key(0), x, descent.init(x), loss, jnp.asarray(TARGETS))
-    assert float(told) == pytest.approx(TARGETS.sum() / 2)
+    _, _, last = descent.run(jax.random.key(0), x, descent.init(x), loss, jnp.asarray(TARGETS))
+    assert float(last) == pytest.approx(TARGETS.sum() / 2)
 
 
 def test_too_few_samples_are_refused() -> None:

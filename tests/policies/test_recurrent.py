@@ -75,8 +75,8 @@ def test_everything_that_is_told_is_remembered(changed: str) -> None:
     inputs, context = random_inputs(), jnp.zeros((EPISODES, CONTEXT))
     valid = jnp.ones((EPISODES, STEPS), bool)
 
-    def means(told: PolicyInput) -> np.ndarray:
-        along, _ = policy.unroll(told, valid, context, fresh_memory(policy))
+    def means(inputs: PolicyInput) -> np.ndarray:
+        along, _ = policy.unroll(inputs, valid, context, fresh_memory(policy))
         assert isinstance(along, DiagonalGaussian)
         return np.asarray(along.mean)
 
@@ -134,7 +134,7 @@ for wrong in ({"action_kind": "both"}, {"observed_reward": "no"}):
     )
     assert done.stdout.splitlines() == [
         "`action_kind` must be 'continuous' or 'discrete', got 'both'.",
-        "`observed_reward` must be 'paid' or 'sparse', got 'no'.",
+        "`observed_reward` must be 'own' or 'sparse', got 'no'.",
     ]
 
 

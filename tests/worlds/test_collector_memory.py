@@ -1,4 +1,4 @@
-"""What a policy with memory is told at each step, and what becomes of its memory."""
+"""What a recurrent policy receives at each step, and how its state goes on."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +20,7 @@ HORIZON, EPISODES = 8, 3
 
 
 class Witness(AbstractPolicy):
-    """Writes what it is told into the distribution of its actions, and counts its steps."""
+    """Writes its inputs into the distribution of its actions, and counts its steps."""
 
     def __call__(
         self, policy_input: PolicyInput, context: jnp.ndarray, carry: RecurrentState
@@ -33,7 +33,7 @@ class Witness(AbstractPolicy):
         return jnp.zeros(())
 
 
-# The last two are paid for the difference of two states, so they notice a wrong previous one.
+# The last two reward the difference of two states, so they notice a wrong previous one.
 @pytest.fixture(scope="module", params=["point", "wheeled", "hidden_end", "cart"])
 def collect(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Collector:
     cart = cart_on(tmp_path_factory.mktemp("model"), MOTOR)
@@ -64,68 +64,68 @@ def shifted(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros_like(values[..., :1]), values[..., :-1]], axis=-1)
 
 
-def test_the_previous_reward_and_action_are_told(first: Episodes) -> None:
-    told = np.asarray(first.behaviour.mean)
-    paid = shifted(np.asarray(first.reward))
-    np.testing.assert_allclose(told[..., 0], paid, rtol=1e-5, atol=1e-7)
-    np.testing.assert_array_equal(told[..., 1], shifted(np.asarray(first.action[..., 0])))
+def test_the_previous_reward_and_action_are_received(first: Episodes) -> None:
+    received = np.asarray(first.behaviour.mean)
+    rewards = shifted(np.asarray(first.reward))
+    np.testing.assert_allclose(received[..., 0], rewards, rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(received[..., 1], shifted(np.asarray(first.action[..., 0])))
 
 
-def test_the_start_of_an_episode_is_told(first: Episodes) -> None:
+def test_the_start_of_an_episode_is_received(first: Episodes) -> None:
     starts = np.arange(HORIZON) == 0
     expected = np.broadcast_to(starts, (2, EPISODES, HORIZON))
     np.testing.assert_array_equal(first.behaviour.log_std[..., 1], expected)
 
 
-def test_memory_goes_from_step_to_step(first: Episodes) -> None:
+def test_the_state_goes_from_step_to_step(first: Episodes) -> None:
     counts = np.broadcast_to(np.arange(HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(first.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
     np.testing.assert_array_equal(hidden(first), np.full((2, EPISODES), HORIZON))
 
 
-def test_memory_goes_from_episode_to_episode_if_it_is_passed_on(
+def test_the_state_goes_from_episode_to_episode_if_agents_have_it(
     collect: Collector, first: Episodes
 ) -> None:
     second = collect(keys(2, 1), witnesses(collect, first.trial_end), jnp.array([0, 1]))
     counts = np.broadcast_to(np.arange(HORIZON, 2 * HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(second.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
     np.testing.assert_array_equal(hidden(second), np.full((2, EPISODES), 2 * HORIZON))
-    # What was done and paid last is told at the start of the next episode, and that it starts.
-    told = np.asarray(second.behaviour.mean[:, :, 0])
-    np.testing.assert_allclose(told[..., 0], first.reward[..., -1], rtol=1e-5, atol=1e-7)
-    np.testing.assert_array_equal(told[..., 1], first.action[..., -1, 0])
+    # The next episode begins with the last action and reward, and with the mark of a start.
+    received = np.asarray(second.behaviour.mean[:, :, 0])
+    np.testing.assert_allclose(received[..., 0], first.reward[..., -1], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(received[..., 1], first.action[..., -1, 0])
     np.testing.assert_array_equal(second.behaviour.log_std[:, :, 0, 1], np.ones((2, EPISODES)))
 
 
-def test_memory_starts_afresh_otherwise(collect: Collector, first: Episodes) -> None:
+def test_otherwise_trials_begin_anew(collect: Collector, first: Episodes) -> None:
     again = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
     assert_same(again.trial_end, first.trial_end)
 
 
-def test_what_is_recorded_is_what_the_policy_was_told(collect: Collector, first: Episodes) -> None:
+def test_what_is_recorded_is_what_the_policy_received(collect: Collector, first: Episodes) -> None:
     """Replaying the inputs gives the distributions that were played, also in the next episode."""
     second = collect(keys(2, 1), witnesses(collect, first.trial_end), jnp.array([0, 1]))
     for episodes in (first, second):
         inputs = episodes.policy_inputs()
-        told = np.stack([inputs.previous_reward, inputs.previous_action[..., 0]], axis=-1)
-        np.testing.assert_allclose(told, episodes.behaviour.mean, rtol=1e-5, atol=1e-7)
+        received = np.stack([inputs.previous_reward, inputs.previous_action[..., 0]], axis=-1)
+        np.testing.assert_allclose(received, episodes.behaviour.mean, rtol=1e-5, atol=1e-7)
         np.testing.assert_array_equal(inputs.episode_start, episodes.behaviour.log_std[..., 1])
 
 
-def test_a_dead_episode_is_not_remembered() -> None:
-    """Episodes of 3 and 5 steps: memory, action and reward are those of the last step alive."""
+def test_steps_after_the_end_leave_nothing_behind() -> None:
+    """Episodes of 3 and 5 steps: state, action and reward are those of the last step alive."""
     lifetimes = np.float32([3, 5])
     world = make_world(HiddenEnd(horizon=HORIZON, action_size=2), TaskSet(lifetimes))
     collect = Collector(world, EPISODES)
     episodes = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
     assert np.isnan(np.asarray(episodes.reward)).any()
-    memory = episodes.trial_end
-    assert memory is not None
+    end = episodes.trial_end
+    assert end is not None
     steps = lifetimes.astype(int)
-    np.testing.assert_array_equal(memory.recurrent_state, np.tile(steps[:, None], (1, EPISODES)))
-    np.testing.assert_array_equal(memory.reward, np.ones((2, EPISODES)))
+    np.testing.assert_array_equal(end.recurrent_state, np.tile(steps[:, None], (1, EPISODES)))
+    np.testing.assert_array_equal(end.reward, np.ones((2, EPISODES)))
     for slot, last in enumerate(steps - 1):
-        np.testing.assert_array_equal(memory.action[slot], episodes.action[slot, :, last])
+        np.testing.assert_array_equal(end.action[slot], episodes.action[slot, :, last])
 
 
 def hidden(episodes: Episodes) -> np.ndarray:

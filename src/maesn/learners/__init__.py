@@ -47,7 +47,7 @@ from maesn.learners.scratch.policy_gradient import reinforce as reinforce
 from maesn.learners.scratch.policy_gradient import trpo as trpo
 from maesn.learners.scratch.policy_gradient import vime as vime
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
-from maesn.learners.wrappers.bonus import BonusMetaLearner as BonusMetaLearner
 from maesn.learners.wrappers.bonus import inside as inside
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
+from maesn.learners.wrappers.meta_bonus import BonusMetaLearner as BonusMetaLearner

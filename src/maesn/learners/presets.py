@@ -13,7 +13,7 @@ from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
-from maesn.learners.wrappers.bonus import BonusMetaLearner
+from maesn.learners.wrappers.meta_bonus import BonusMetaLearner
 from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
