@@ -11,7 +11,7 @@ TEST_READY := $(VENV)/.ready-to-test
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo check test test-long test-external fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -24,6 +24,9 @@ check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under
 
 test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
+
+test-long: $(TEST_READY) ## Run the tests that take minutes: shipped policies return what they did
+	@$(BIN)/python -m pytest --quiet --tb=short tests/long
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
 EXTERNAL := .venv-external

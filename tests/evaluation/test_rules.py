@@ -184,7 +184,10 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     with pytest.raises(ValueError, match="`full_steps` must be at least 1, got 0"):
         GradientRule(full_steps=0)
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), tiny_settings())
-    for added, reason in ((ThenTrpo(), "`learner` must not be"), (VimeBonus(), "`learner` must learn")):
+    for added, reason in (
+        (ThenTrpo(), "`learner` must not be"),
+        (VimeBonus(), "`learner` must learn"),
+    ):
         with pytest.raises(RunError, match=f"`rl2` cannot be adapted like this: {reason}"):
             api.adapt(recurrent, wrappers=(added,), episodes=550)
     with pytest.raises(RunError, match="`episodes` must be more than `after`, got 500 and 500"):
