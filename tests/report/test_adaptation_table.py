@@ -82,8 +82,8 @@ def test_tables_of_two_files_of_tasks_with_one_name_are_told_apart() -> None:
     path = table_path(Path("run"), "elsewhere/test.npz", "sparse")
     assert path.name == "file-test-sparse.csv"
     first, second = (
-        table_path(Path("run"), f"{place}/test.npz", "sparse", digest=digest)
-        for place, digest in (("here", "0a1b"), ("there", "2c3d"))
+        table_path(Path("run"), f"{folder}/test.npz", "sparse", digest=digest)
+        for folder, digest in (("here", "0a1b"), ("there", "2c3d"))
     )
     assert (first.name, second.name) == ("file-test-0a1b-sparse.csv", "file-test-2c3d-sparse.csv")
 

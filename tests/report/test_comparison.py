@@ -48,9 +48,9 @@ def test_baseline_and_oracle_are_means_over_the_tasks_that_are_scored() -> None:
     uneven = dataclasses.replace(
         constant(0.0), mean_return=np.array([[-300.0]] * 4 + [[-100.0]] * 4)
     )
-    told = dataclasses.replace(comparison(), oracle=named("oracle", uneven))
-    assert told.bounds(8) == (-400.0, -200.0)
-    assert told.bounds(4) == (-400.0, -300.0)
+    compared = dataclasses.replace(comparison(), oracle=named("oracle", uneven))
+    assert compared.bounds(8) == (-400.0, -200.0)
+    assert compared.bounds(4) == (-400.0, -300.0)
 
 
 def test_without_an_oracle_above_the_baseline_there_is_no_score_and_it_is_said_why() -> None:
@@ -69,11 +69,11 @@ def test_methods_without_a_score_are_named_where_others_have_one() -> None:
         constant(0.0), mean_return=np.array([[-400.0]] * 4 + [[-100.0]] * 4)
     )
     lines = named("maesn", adaptation_table()), named("vime", adaptation_table(4))
-    told = dataclasses.replace(comparison(*lines), oracle=named("oracle", uneven))
-    everything, first, _ = (table.to_markdown() for table in summary_tables(told))
+    compared = dataclasses.replace(comparison(*lines), oracle=named("oracle", uneven))
+    everything, first, _ = (table.to_markdown() for table in summary_tables(compared))
     assert "No score of VIME: on these tasks" in everything
     assert "No score: the oracle's mean return -400.0 is not above" in first
-    scores = {row["method"] for row in tidy_rows(told) if row["score"] == ""}
+    scores = {row["method"] for row in tidy_rows(compared) if row["score"] == ""}
     assert scores == {"vime"}
 
 

@@ -1,4 +1,4 @@
-"""The look of figures: told apart without colour, and nobody else's settings touched."""
+"""The look of figures: different without colour, and nobody else's settings touched."""
 
 import itertools
 from pathlib import Path

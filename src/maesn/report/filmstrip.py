@@ -101,11 +101,11 @@ def _compose(title: str, rows: Sequence[Row], index: int) -> Image.Image:
 
 
 def _draw_cell(
-    sheet: Image.Image, draw: ImageDraw.ImageDraw, cell: Cell, index: int, place: tuple[int, int]
+    sheet: Image.Image, draw: ImageDraw.ImageDraw, cell: Cell, index: int, corner: tuple[int, int]
 ) -> None:
     picture = cell.pictures[index]
-    (left, top), (height, width, _) = place, picture.shape
-    sheet.paste(Image.fromarray(picture), place)
+    (left, top), (height, width, _) = corner, picture.shape
+    sheet.paste(Image.fromarray(picture), corner)
     if cell.success:
         box = (left, top, left + width - 1, top + height - 1)
         draw.rectangle(box, outline=BLUISH_GREEN, width=_BORDER)
@@ -115,17 +115,17 @@ def _draw_cell(
 
 def _write(
     draw: ImageDraw.ImageDraw,
-    place: tuple[int, int],
+    corner: tuple[int, int],
     text: str,
     size: int,
     colour: str,
     right: int,
 ) -> None:
     """Write a line, smaller if it would reach beyond `right`."""
-    room = right - place[0]
-    while size > 1 and _font(size).getlength(text) > room:
+    width = right - corner[0]
+    while size > 1 and _font(size).getlength(text) > width:
         size -= 1
-    draw.text(place, text, fill=colour, font=_font(size))
+    draw.text(corner, text, fill=colour, font=_font(size))
 
 
 @cache

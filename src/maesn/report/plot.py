@@ -62,9 +62,9 @@ def plot_run_directories(
     worlds = group_worlds([read_run(path) for path in distinct.values()])
     written: list[Path] = []
     for name, runs in worlds.items():
-        place, series = out / name if len(worlds) > 1 else out, group_series(runs)
+        directory, series = out / name if len(worlds) > 1 else out, group_series(runs)
         for plot in (_plot_learning, _plot_adaptation, _plot_exploration, _plot_latents):
-            written += plot(series, place, say)
+            written += plot(series, directory, say)
     return written
 
 
@@ -169,14 +169,14 @@ def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
 def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:
     files = [file for run in runs for name, file in run.tables().items() if name.changed]
     if files:
-        places = ", ".join(f"`{file}`" for file in files)
+        paths = ", ".join(f"`{file}`" for file in files)
         say(
             "Not drawn, because the rule or the radius was changed in the new tasks or the engine "
-            f"asked for by name: {places}."
+            f"asked for by name: {paths}."
         )
 
 
 def _say_missing(runs: Iterable[RecordedRun], what: str, command: str, say: Say) -> None:
-    places = ", ".join(f"`{run.path}`" for run in runs)
-    if places:
-        say(f"No {what} in {places}: {command}.")
+    paths = ", ".join(f"`{run.path}`" for run in runs)
+    if paths:
+        say(f"No {what} in {paths}: {command}.")

@@ -155,9 +155,9 @@ def _score(x: np.ndarray, oracle: np.ndarray, *baselines: np.ndarray) -> np.ndar
 
 def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
     """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
-    rows, places = seeds.astype(int), tasks.astype(int)
     # Of the flattened values: much faster than two indices.
-    chosen = rows[..., :, None] * values.shape[-1] + places[..., None, :]
+    seeds, tasks = seeds.astype(int)[..., :, None], tasks.astype(int)[..., None, :]
+    chosen = seeds * values.shape[-1] + tasks
     return np.take(values.reshape(len(values), -1), chosen, axis=-1)
 
 

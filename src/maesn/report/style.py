@@ -1,4 +1,4 @@
-"""How every figure looks, in one place: colours, sizes, files.
+"""How every figure looks: colours, sizes, files.
 
 Figures are drawn at the width at which they are printed, so that 8 points stay 8 points. Methods
 differ in colour (Okabe and Ito, "Color universal design", 2008: distinguishable with every common

@@ -44,7 +44,7 @@ def table_path(
             `from-UPDATE-` before TASKS.
         changed: what differs from the usual rule, radius or engine, with a hyphen before it; stands
             behind the reward.
-        digest: of a file's tasks; stands behind STEM, so that two files of one name are told apart.
+        digest: of a file's tasks; stands behind STEM, so that two files of one name differ.
     """
     name = tasks
     if tasks not in _TASK_SETS:

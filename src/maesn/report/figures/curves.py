@@ -23,13 +23,13 @@ _LEGEND_LINE = 0.145  # inches
 _LINE_CHARACTERS = 110  # of a note across two columns
 _HANDLE_CHARACTERS = 10  # as wide as a legend's sample line and the gap beside it
 
-Places = Real[np.ndarray, " point"]
+Coordinates = Real[np.ndarray, " point"]
 Values = Float[np.ndarray, " point"]
 
 
 def draw_curve(
     axes: Axes,
-    x: Places,
+    x: Coordinates,
     y: Values,
     ends: tuple[Values, Values],
     style: MethodStyle,
@@ -51,7 +51,7 @@ def draw_curve(
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
 
 
-def draw_line(axes: Axes, x: Places, line: Line, measure: str, addition: str = "") -> str:
+def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: str = "") -> str:
     """Draw the mean of a measure with its intervals, and return what the intervals resample.
 
     What meta-training has not prepared a method for is faint.

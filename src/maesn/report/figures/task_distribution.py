@@ -34,9 +34,9 @@ def plot_task_distribution(exploration: RecordedExploration) -> Figure:
         "training tasks": (exploration.training_landmarks, VERMILLION),
         "tasks adapted to": (exploration.landmarks, BLUE),
     }
-    places = [array for array, _ in landmarks.values() if array is not None]
+    positions = [array for array, _ in landmarks.values() if array is not None]
     starts = exploration.prior_paths[:, 0]
-    limits = shared_limits([middle[None], goals, training, starts, *places], radius)
+    limits = shared_limits([middle[None], goals, training, starts, *positions], radius)
     figure = new_figure(ONE_COLUMN, (ONE_COLUMN - _BESIDE) * limits.aspect + _SURROUNDINGS)
     axes = figure.subplots()
     axes.plot(
@@ -80,9 +80,9 @@ def _draw_landmarks(
     axes: Axes, landmarks: Float[np.ndarray, "task landmark 2"], label: str, colour: str
 ) -> None:
     """Draw each object once: several tasks may share a layout."""
-    places = np.unique(landmarks.reshape(-1, 2), axis=0)
+    positions = np.unique(landmarks.reshape(-1, 2), axis=0)
     axes.plot(
-        *places.T,
+        *positions.T,
         "s",
         color=colour,
         fillstyle="none",
