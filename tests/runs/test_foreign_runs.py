@@ -100,17 +100,15 @@ def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> No
         new_run(tmp_path / "run", family)
 
 
-def test_a_reward_that_is_not_paid_cannot_be_read(tmp_path: Path) -> None:
-    """An environment pays one reward at a time: trained on the dense one, no sparse one is seen."""
+def test_a_reward_that_is_not_given_cannot_be_read(tmp_path: Path) -> None:
+    """An environment gives one reward at a time: the dense one in training, and no sparse one."""
     directory = tmp_path / "run"
     reader = rl2(policy=Recurrent(hidden_size=4, readout_sizes=(4,), observed_reward="sparse"))
     family = gymnasium_family("walk", make_walker, draw_walks, horizon=HORIZON)
-    with pytest.raises(
-        RunError, match="pays the dense reward alone, but the policy reads the sparse"
-    ):
+    with pytest.raises(RunError, match="gives the dense reward alone, but the policy reads the"):
         Run.create(directory, reader, tiny_settings(), family=family)
     assert not directory.exists()
-    paid = tiny_settings(reward="sparse")
-    assert Run.create(directory, reader, paid, family=family).learner == reader
-    with pytest.raises(RunError, match="reads the sparse one: give --reward sparse, or a policy"):
+    given = tiny_settings(reward="sparse")
+    assert Run.create(directory, reader, given, family=family).learner == reader
+    with pytest.raises(RunError, match="reads the sparse one: set `reward` to sparse, or"):
         adapt(directory, reward="dense", episodes=0, episodes_per_update=1, family=family)

@@ -1,4 +1,4 @@
-"""Runs of the method with memory: trained, resumed, adapted; and what cannot be done with them."""
+"""Runs of the recurrent method: trained, resumed, adapted; and what cannot be done with them."""
 
 import csv
 from pathlib import Path
@@ -65,7 +65,7 @@ def test_latents_are_no_start_and_there_is_nothing_to_export(trained: Path, tmp_
         "mean": np.zeros((1, 100, 2)), "log_std": np.zeros((1, 100, 2)), "first_update": 0,
     }  # fmt: skip
     write_arrays(tmp_path / "old.latents.npz", latents)
-    with pytest.raises(RunError, match="this run's method has no latents"):
+    with pytest.raises(RunError, match="cannot be a start: the latents in it are not all"):
         api.adapt(trained, start=tmp_path / "old.latents.npz")
     with pytest.raises(RunError, match="cannot be exported"):
         api.export(trained, tmp_path / "policy.npz")

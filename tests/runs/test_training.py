@@ -18,8 +18,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.runs.training import TrainingError, train
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 @pytest.fixture
 def whole(tmp_path: Path) -> tuple[bytes, dict[str, bytes]]:
@@ -30,6 +28,7 @@ def whole(tmp_path: Path) -> tuple[bytes, dict[str, bytes]]:
 def test_what_is_left_behind(tmp_path: Path) -> None:
     run = create(tmp_path / "run", iterations=5)
     seen = list(train(run))
+    assert run.metrics() == metrics(run)
     assert [progress.iteration for progress in seen] == [1, 2, 3, 4, 5]
     assert [line["iteration"] for line in metrics(run)] == [1, 2, 3, 4, 5]
     assert [path.stem[-2:] for path in run.checkpoints()] == ["00", "02", "04", "05"]
