@@ -15,8 +15,6 @@ from maesn.envs import FAMILIES, PROBES, AnyEnv, Point
 from maesn.experience.episodes import Episodes
 from maesn.policies import GaussianMLPPolicy
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 EVERY = FAMILIES | PROBES
 # The rewards of these depend on the goal's distance while it is far, in the reference.
 REVEALING = {"ant", "blockpush"}

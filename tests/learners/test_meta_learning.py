@@ -20,7 +20,6 @@ from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 TASKS, EPISODES, SIGMAS = 20, 20, 5
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,6 @@ from maesn.runs.changes import change_run, parse_changes
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 def test_a_change_takes_effect_from_the_latest_checkpoint_on(tmp_path: Path) -> None:
     run = finish(create(tmp_path / "run"), iterations=2)

@@ -15,8 +15,6 @@ from maesn.runs.beginning import begun_state
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 def save_changed(run: Run, change: float) -> Any:
     """Pretend that a run has learned something."""

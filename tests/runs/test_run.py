@@ -29,7 +29,6 @@ from maesn.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
 
 POINT = FAMILIES["point"]
-pytestmark = pytest.mark.usefixtures("quick_compiler")
 
 
 def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:

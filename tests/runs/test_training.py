@@ -18,8 +18,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.runs.training import TrainingError, train
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 
 @pytest.fixture
 def whole(tmp_path: Path) -> tuple[bytes, dict[str, bytes]]:

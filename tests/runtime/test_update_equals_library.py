@@ -23,8 +23,6 @@ from maesn.runtime import Latent as RuntimeLatent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 NUM_TASKS = 3
 NUM_EPISODES = 20
 TOLERANCE = 1e-5
