@@ -15,7 +15,7 @@ from pathlib import Path
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["MPLBACKEND"] = "Agg"
 # Tests compile far more than they compute. Compiling takes half as long without optimisations, and
-# half of that without XLA's fusion emitters. What is compiled runs slower, so production keeps both.
+# half of that without XLA's fusion emitters. What is compiled runs slower: production keeps both.
 # One module for the code generator instead of 32, and no stack of calls with every operation, save
 # a few percent more.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
