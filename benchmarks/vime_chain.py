@@ -102,8 +102,8 @@ def main(settings: Settings) -> None:
 def summarise(rows: list[dict[str, str | int | float]], settings: Settings) -> None:
     """Print what the seeds of each method come to."""
     print(
-        f"\nsparse chain, reward {settings.reward_elsewhere:g} elsewhere, {settings.updates} updates of "
-        f"{settings.episodes_per_task} episodes"
+        f"\nsparse chain, reward {settings.reward_elsewhere:g} elsewhere, "
+        f"{settings.updates} updates of {settings.episodes_per_task} episodes"
     )
     for name in METHODS:
         mine = [row for row in rows if row["method"] == name]

@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import GradientRule
-
 from maesn.report.line import Line
 from maesn.report.tables import markdown_row
 from maesn.studies.checks import Changes
