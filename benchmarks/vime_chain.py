@@ -85,7 +85,7 @@ def main(settings: Settings) -> None:
             outcome = adapt(
                 learner(name, settings),
                 collect,
-                updates=settings.updates,
+                episodes=settings.updates * settings.episodes_per_task,
                 seed=seed,
             )
             rows.append(row(name, seed, outcome.curves))
