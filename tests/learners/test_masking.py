@@ -64,8 +64,8 @@ class Spoiled(PreparedCollect):
     reward: float | None = None
     action: float | None = None
 
-    def __call__(self, *arguments: Any) -> Episodes:
-        episodes = super().__call__(*arguments)
+    def __call__(self, *arguments: Any, **named: Any) -> Episodes:
+        episodes = super().__call__(*arguments, **named)
         if len(self.asked) - 1 != self.phase:
             return episodes
         if self.reward is not None:
@@ -120,7 +120,7 @@ def test_only_the_latents_of_the_tasks_that_played_move() -> None:
     after, _ = step(collect, before)
     left_out = np.setdiff1d(np.arange(ROWS), collect.index[0])
     assert len(left_out) == ROWS - META_BATCH
-    old, new = before.context_table, after.parameters.context
+    old, new = before.context_table, after.parameters.context_table
     assert bits((new.mean[left_out], new.log_std[left_out])) == bits(
         (old.mean[left_out], old.log_std[left_out])
     )

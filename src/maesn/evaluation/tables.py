@@ -26,13 +26,16 @@ from maesn.storage import (
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
-    See `table_path`. Behind the reward stand rule and wrappers, the sparse radius and the engine,
-    each where it is not the usual one: tables of different kinds never share a file, and so never a
-    figure.
+    See `table_path`. Behind the reward stand rule and wrappers, the number of tasks, the sparse
+    radius and the engine, each where it is not the usual one: tables of different kinds never share
+    a file, and so never a figure.
     """
-    radius = evaluation.sparse_radius
-    changed = evaluation.suffix + ("" if radius is None else f"-radius-{radius:g}")
-    changed += "" if evaluation.engine is None else f"-on-{evaluation.engine}"
+    parts = {
+        f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
+        f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
+        f"-on-{evaluation.engine}": evaluation.engine,
+    }
+    changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
     return table_path(
         directory, evaluation.tasks, evaluation.reward, first_update=first_update, changed=changed
     )

@@ -115,6 +115,7 @@ def line_of_runs(
         RunError: rule and method do not fit.
     """
     learners, trial_episodes, training_steps = [], None, 0
+    of_all_tasks = dataclasses.replace(evaluation, num_tasks=None)
     for run in runs:
         trained = run.latest()
         training_steps = max(training_steps, trained.environment_steps)
@@ -128,7 +129,7 @@ def line_of_runs(
                 seed=run.settings.seed,
                 learner=learner,
                 record=world.record(identity_of_run(run), evaluation),
-                earlier=adaptation_file(run.directory, evaluation),
+                earlier=adaptation_file(run.directory, of_all_tasks),
             )
         )
     drawn = _changed(style, evaluation) if evaluation.label else style
