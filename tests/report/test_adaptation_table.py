@@ -140,7 +140,7 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     reach = table.prior_reach
     assert reach is not None
     assert (reach.share, reach.num_tasks) == (1 / (NUM_TASKS - 1), NUM_TASKS - 1)
-    rest = table.select(~table.is_solved_at_reset)
+    rest = table.part(~table.is_solved_at_reset)
     assert (rest.num_tasks, rest.is_solved_at_reset.any()) == (NUM_TASKS - 1, False)
     np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
     everything = replace(table, solved_at_reset=np.ones_like(rates))

@@ -20,7 +20,12 @@ from synthetic_runs import (
     latents,
 )
 
-from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
+from maesn.report.figures.exploration import (
+    ExplorationPanel,
+    plot_exploration,
+    plot_structured_noise,
+    plot_task_distribution,
+)
 from maesn.report.figures.latents import plot_latents
 from maesn.report.figures.plane import (
     direction_scale,
@@ -28,8 +33,6 @@ from maesn.report.figures.plane import (
     final_positions,
     shared_limits,
 )
-from maesn.report.figures.structured_noise import plot_structured_noise
-from maesn.report.figures.task_distribution import plot_task_distribution
 from maesn.report.style import METHOD_STYLES
 
 

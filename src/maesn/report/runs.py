@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.report.reading import Latents, read_adaptation, read_latents, read_record
-from maesn.report.table_files import TableName, table_name
+from maesn.report.reading import read_adaptation, read_record, remedy
+from maesn.report.table_files import TableName, latents_file, table_name
 from maesn.storage import RunError, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -18,6 +18,21 @@ Positions = Float[np.ndarray, "episode time_plus_1 2"]
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 _METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
 _EXPLORE_REMEDY = "delete it, and `maesn plot DIR` records it again"
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
+
+    mean: Float[np.ndarray, "task update z"]
+    log_std: Float[np.ndarray, "task update z"]
+    first_update: int = 0
+    """Number of updates that lie before the first column."""
+
+    @property
+    def last_update(self) -> int:
+        """Number of updates that lie before the last column."""
+        return self.first_update + int(self.mean.shape[1]) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +80,13 @@ class RecordedRun:
         return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
-        """Return the latents of the same adaptation; None if the method has none."""
-        file = self.tables().get(TableName(tasks, reward))
-        return None if file is None else read_latents(file)
+        """Return the latents of the same adaptation; None if there are none."""
+        table = self.tables().get(TableName(tasks, reward))
+        if table is None or not latents_file(table).exists():
+            return None
+        adapted = read_adaptation(table)
+        sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
+        return read_record(Latents, latents_file(table), remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:

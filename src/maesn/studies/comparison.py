@@ -10,10 +10,10 @@ from typing import Any
 from maesn.api import changed
 from maesn.envs import Variant
 from maesn.evaluation.evaluation import Evaluation
+from maesn.report.adaptation_table import Line
 from maesn.report.comparison import Comparison, write_tidy_table
 from maesn.report.comparison_tables import write_summary
-from maesn.report.figures.comparison import plot_comparison
-from maesn.report.line import Line
+from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series

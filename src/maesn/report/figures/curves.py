@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from maesn.report.line import Line, note_on_judging
+from maesn.report.adaptation_table import Line, note_on_judging
 from maesn.report.statistics import mean_intervals
 from maesn.report.style import NOTE_SIZE, MethodStyle
 
@@ -64,19 +64,14 @@ def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: st
         addition: what the legend adds to the method's label.
     """
     intervals = mean_intervals(line.measure(measure))
-    mean, low, high = (
-        np.array([getattr(interval, name) for interval in intervals])
-        for name in ("mean", "low", "high")
-    )
+    mean, low, high = np.array([(one.mean, one.low, one.high) for one in intervals]).T
     style = replace(line.style, label=line.label + addition)
-    end = len(x) if line.first_beyond is None else max(line.first_beyond, 1)
+    end = len(x) if line.table.first_beyond is None else max(line.table.first_beyond, 1)
     draw_curve(axes, x[:end], mean[:end], (low[:end], high[:end]), style, len(line.seeds))
     if end < len(x):
-        faint = slice(end - 1, None)
-        axes.plot(x[faint], mean[faint], color=style.colour, linestyle=":", alpha=_FAINT)
-        axes.fill_between(
-            x[faint], low[faint], high[faint], color=style.colour, alpha=_FAINT / 4, linewidth=0
-        )
+        x, mean, low, high = (values[end - 1 :] for values in (x, mean, low, high))
+        axes.plot(x, mean, color=style.colour, linestyle=":", alpha=_FAINT)
+        axes.fill_between(x, low, high, color=style.colour, alpha=_FAINT / 4, linewidth=0)
     return intervals[0].label
 
 
@@ -100,9 +95,10 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
     *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
     bands = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
     faint = [
-        f"{line.label}, faint: beyond the {line.trial_episodes} episodes that it was trained for"
+        f"{line.label}, faint: beyond the {line.table.trial_episodes} episodes that it was trained "
+        "for"
         for line in lines
-        if line.first_beyond is not None
+        if line.table.first_beyond is not None
     ]
     bands.append(f"{'other bands' if bands else 'bands'}: {rule}")
     return [*bands, note_on_judging(lines), *faint]
