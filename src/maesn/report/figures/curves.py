@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from maesn.report.adaptation_table import Line, note_on_judging
 from maesn.report.statistics import mean_intervals
-from maesn.report.style import NOTE_SIZE, MethodStyle
+from maesn.report.style import MethodStyle
 
 _NUM_MARKERS = 6
 _BAND_OPACITY = 0.18
@@ -107,12 +107,12 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
 def explain(
     figure: Figure, axes: Axes, notes: Sequence[str], line_characters: int = _LINE_CHARACTERS
 ) -> None:
-    """Put notes and the legend of one panel below all panels; the figure grows by their height.
+    """Put notes, and the legend of one panel, below all panels; the figure grows by their height.
 
     Args:
         figure: to write in.
         axes: the panel of which the legend is.
-        notes: what else is to be said, a line each.
+        notes: a line each.
         line_characters: as many fit across the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
@@ -120,7 +120,6 @@ def explain(
     columns = max(1, min(len(labels), _LEGEND_COLUMNS, fitting))
     note = "\n".join(textwrap.fill(line, line_characters) for line in notes)
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=note)
-    legend.get_title().set_fontsize(NOTE_SIZE)
     legend.get_title().set_multialignment("center")
     lines = math.ceil(len(labels) / columns) + note.count("\n") + 1
     figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * lines)
