@@ -190,11 +190,6 @@ def test_latents_that_went_on_have_another_beginning() -> None:
     assert [one.get_title() for one in axes] == ["after 1 update", "after 4 updates"]
 
 
-def test_one_component_makes_no_ellipse() -> None:
-    with pytest.raises(ValueError, match=r"`latents` must have at least 2 components .* got 1"):
-        plot_latents(latents(num_components=1))
-
-
 def test_structured_noise() -> None:
     figure = plot_structured_noise(exploration())
     drawn, sampled, fixed, bar = figure.axes
@@ -211,8 +206,3 @@ def test_structured_noise() -> None:
 
 def test_structured_noise_without_known_latents_has_two_panels() -> None:
     assert len(plot_structured_noise(replace(exploration(), prior_latents=None)).axes) == 3
-
-
-def test_structured_noise_needs_a_latent() -> None:
-    with pytest.raises(ValueError, match=r"`exploration.fixed_paths` must be given"):
-        plot_structured_noise(exploration(has_latents=False))

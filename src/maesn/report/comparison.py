@@ -56,12 +56,8 @@ class Comparison:
 
             score = (return - baseline) / (oracle - baseline)
 
-        Baseline and oracle are means over the same tasks, at the same reward: 0 is the score of
-        learning nothing, 1 that of being given the task.
-
-        Args:
-            returns: mean undiscounted returns.
-            num_tasks: they are of the first so many tasks.
+        Baseline and oracle are means over the first `num_tasks` tasks, those of the returns, at the
+        same reward: 0 is the score of learning nothing, 1 that of being given the task.
         """
         baseline, oracle = self.bounds(num_tasks)
         if oracle is None or oracle <= baseline:
@@ -77,12 +73,12 @@ class Comparison:
                 "oracle)."
             )
         baseline, oracle = self.bounds(self.oracle.num_tasks)
-        if oracle is not None and oracle <= baseline:
-            return (
-                f"No score: the oracle's mean return {oracle:.1f} is not above the baseline's "
-                f"{baseline:.1f}; train it for longer."
-            )
-        return ""
+        if oracle is None or oracle > baseline:
+            return ""
+        return (
+            f"No score: the oracle's mean return {oracle:.1f} is not above the baseline's "
+            f"{baseline:.1f}; train it for longer."
+        )
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
@@ -130,11 +126,7 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 
 def write_tidy_table(comparison: Comparison, path: Path) -> None:
-    """Write the tidy table as a `.csv` file.
-
-    Raises:
-        RunError: it cannot be written.
-    """
+    """Write the tidy table as a `.csv` file; a `RunError` says why it cannot be written."""
     rows, text = list(tidy_rows(comparison)), io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -3,7 +3,6 @@
 from itertools import combinations
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 
 from maesn.report.adaptation_table import Line, note_on_judging
@@ -31,7 +30,6 @@ _SCORE_INTERVAL = (
     "The score's interval draws the same tasks for method, baseline and oracle; there is none if "
     "in some of the draws the oracle is not above the baseline."
 )
-_MILLION = 1e6
 _PROBABILITY = Unit("probability", digits=2)
 
 
@@ -55,11 +53,7 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
 
 
 def write_summary(comparison: Comparison, path: Path) -> None:
-    """Write the tables as Markdown.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write the tables as Markdown; a `RunError` says why they cannot be written."""
     texts = [table.to_markdown() for table in summary_tables(comparison)]
     write_whole(path, "\n".join(texts).encode())
 
@@ -70,20 +64,25 @@ def print_summary(comparison: Comparison, console: Console | None = None) -> Non
 
 
 def _ends(comparison: Comparison, addition: str = "") -> TextTable:
-    first = comparison.lines[0].table
+    first, lines = comparison.lines[0].table, comparison.lines
     intervals: list[Interval] = []
     rows = [_end(comparison, line, intervals) for line in comparison.everyone]
     is_trained = any(line.training_steps is not None for line in comparison.everyone)
+    scoreless = [row["method"] for row in rows[: len(lines)] if not row["score"]]
     notes = [
         f"Mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points.",
-        f"Methods {note_on_judging(comparison.lines)}.",
+        f"Methods {note_on_judging(lines)}.",
         f"In brackets: {labels_of(intervals)}.",
         "Trained on: environment steps of meta-training." if is_trained else "",
         note_on_solved(comparison.is_solved_at_reset),
-        *(_beyond(line) for line in comparison.lines),
+        *map(_beyond, lines),
         comparison.why_no_score or _SCORE_INTERVAL,
-        "" if comparison.why_no_score else _scoreless(comparison),
     ]
+    if scoreless and not comparison.why_no_score:
+        notes.append(
+            f"No score of {', '.join(scoreless)}: on these tasks the oracle is not above the "
+            "baseline."
+        )
     return TextTable(
         f"After each method's last update, in {first.tasks} tasks{addition}",
         tuple(rows[0]),
@@ -101,7 +100,7 @@ def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[
     intervals += [returns, middle]
     return {
         "method": line.label,
-        "trained on": "" if steps is None else f"{steps / _MILLION:.3g} M",
+        "trained on": "" if steps is None else f"{steps / 1e6:.3g} M",
         "seeds": str(len(line.seeds)),
         "tasks": str(line.num_tasks),
         "updates": str(line.table.updates[-1]),
@@ -115,26 +114,14 @@ def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[
 
 def _score(comparison: Comparison, line: Line) -> str:
     """Return the score of the last point with its interval; empty if there is no score."""
-    if comparison.oracle is None or not _has_score(comparison, line):
+    last, oracle = line.measure("mean_return")[..., -1], comparison.oracle
+    if oracle is None or comparison.score(last, line.num_tasks) is None:
         return ""
-    oracle, *baselines = (
+    ceiling, *baselines = (
         one.measure("mean_return")[:, : line.num_tasks, 0]
-        for one in (comparison.oracle, *comparison.baselines)
+        for one in (oracle, *comparison.baselines)
     )
-    last = line.measure("mean_return")[..., -1]
-    return _SCORE.ends(score_interval(last, baselines, oracle))
-
-
-def _has_score(comparison: Comparison, line: Line) -> bool:
-    return comparison.score(np.zeros(1), line.num_tasks) is not None
-
-
-def _scoreless(comparison: Comparison) -> str:
-    """Name the methods that have no score where others have one; empty if there are none."""
-    labels = [line.label for line in comparison.lines if not _has_score(comparison, line)]
-    if not labels:
-        return ""
-    return f"No score of {', '.join(labels)}: on these tasks the oracle is not above the baseline."
+    return _SCORE.ends(score_interval(last, baselines, ceiling))
 
 
 def _beyond(line: Line) -> str:

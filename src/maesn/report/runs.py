@@ -1,7 +1,7 @@
 """Run directories, as far as figures and tables need them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +60,6 @@ class RecordedRun:
         """Seed of the run."""
         return int(self.settings["seed"])
 
-    @property
-    def trial_episodes(self) -> int | None:
-        """Number of episodes that meta-training has prepared for; None if there is no limit."""
-        # A learner with a bonus holds the learner that it adds the bonus to.
-        number = self.learner.get("learner", self.learner).get("trial_episodes")
-        return number if isinstance(number, int) else None
-
     def tables(self) -> dict[TableName, Path]:
         """Return the tables that `maesn adapt` has left, by what their names say."""
         files = sorted((self.path / "adaptation").glob("*.csv"))
@@ -75,9 +68,7 @@ class RecordedRun:
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the usual adaptation to a task set with a reward; None if there is none."""
         file = self.tables().get(TableName(tasks, reward))
-        if file is None:
-            return None
-        return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
+        return None if file is None else read_adaptation(file)
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
         """Return the latents of the same adaptation; None if there are none."""
@@ -132,19 +123,19 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-    names = ("iteration", "return_before", "return_after", "success_after")
-    curve = LearningCurve(*(np.array([_metric(line, name) for line in lines]) for name in names))
+    columns = []
+    for field in fields(LearningCurve):
+        values = [line.get(field.name) for line in lines]
+        columns.append(
+            np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
+        )
+    curve = LearningCurve(*columns)
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
             f"{_METRICS_REMEDY}."
         )
     return curve
-
-
-def _metric(line: Mapping[str, Any], name: str) -> float:
-    value = line.get(name)
-    return float(value) if isinstance(value, int | float) else np.nan
 
 
 @dataclass(frozen=True)

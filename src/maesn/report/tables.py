@@ -107,10 +107,8 @@ def summary_tables(
 ) -> list[TextTable]:
     """Summarise adaptation to all tasks and, where some are solved at reset, to the others alone.
 
-    Args:
-        tables: one per seed of the same method, adapted to the same tasks.
-        title: of the tables.
-        brief: half the widths of the intervals instead of their ends, to fit into 80 columns.
+    There is one table per seed of the same method, adapted to the same tasks. Summaries that are
+    `brief` have half the widths of the intervals instead of their ends, to fit into 80 columns.
     """
     summaries = [_summary_table(tables, title, brief=brief)]
     unsolved = ~solved_at_reset(tables)
@@ -145,12 +143,9 @@ def difference_table(
     others: Mapping[str, Sequence[AdaptationTable]],
     title: str,
 ) -> TextTable:
-    """Compare methods with a reference on the same tasks: method minus reference, paired.
+    """Compare last updates with a reference on the same tasks: method minus reference, paired.
 
-    Args:
-        reference: one table per seed.
-        others: for each method's name, one table per seed; its last update is compared.
-        title: of the table.
+    There is one table per seed, of the reference and of each method by its name.
     """
     rows, intervals = [], []
     for name, tables in others.items():
@@ -176,10 +171,6 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
 
     Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
     tasks no episode reached the goal.
-
-    Args:
-        path: of the table.
-        console: where it goes; None for standard output.
 
     Raises:
         RunError: the file is missing or broken.

@@ -24,11 +24,8 @@ def plot_adaptation_curves(
 ) -> Figure:
     """Draw the paper's "Learning progress on novel tasks": return, success and time at the goal.
 
-    A published curve is a thin dashed line of its method's colour, as far as our updates go.
-
-    Args:
-        lines: what to draw, all on the same tasks and reward.
-        published: what the paper shows for lines, by their names.
+    All lines are on the same tasks and reward. A published curve, by the name of its line, is thin,
+    dashed, of its method's colour, and goes as far as our updates go.
     """
     figure = new_figure(TWO_COLUMNS, 2.35)
     panels = figure.subplots(1, 3, width_ratios=_WIDTHS)

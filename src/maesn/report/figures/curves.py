@@ -56,12 +56,7 @@ def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: st
 
     What meta-training has not prepared a method for is faint.
 
-    Args:
-        axes: to draw in.
-        x: where each column of the line's tables stands.
-        line: a method.
-        measure: one of `MEASURES`.
-        addition: what the legend adds to the method's label.
+    Each column of the line's tables stands at its `x`. The legend puts `addition` behind the label.
     """
     intervals = mean_intervals(line.measure(measure))
     mean, low, high = np.array([(one.mean, one.low, one.high) for one in intervals]).T
@@ -85,9 +80,7 @@ def percent_axis(axes: Axes, label: str) -> None:
 def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]:
     """Say what the bands are, which episodes are judged, and what is faint.
 
-    Args:
-        lines: that are drawn.
-        labels: what the band of each line resamples, by the line's label.
+    `labels` says by the line's label what its band resamples.
     """
     members: dict[str, list[str]] = {}
     for name, label in labels.items():
@@ -107,14 +100,7 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
 def explain(
     figure: Figure, axes: Axes, notes: Sequence[str], line_characters: int = _LINE_CHARACTERS
 ) -> None:
-    """Put notes, and the legend of one panel, below all panels; the figure grows by their height.
-
-    Args:
-        figure: to write in.
-        axes: the panel of which the legend is.
-        notes: a line each.
-        line_characters: as many fit across the figure.
-    """
+    """Put notes and the legend of one panel below all panels; the figure grows by their height."""
     handles, labels = axes.get_legend_handles_labels()
     fitting = line_characters // (max(map(len, labels)) + _HANDLE_CHARACTERS)
     columns = max(1, min(len(labels), _LEGEND_COLUMNS, fitting))

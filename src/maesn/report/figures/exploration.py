@@ -107,10 +107,7 @@ def _mark(
 def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
-    The untrained policy is that of the first run.
-
-    Args:
-        explorers: one panel each, in one world.
+    The untrained policy is that of the first run. All are in one world.
     """
     first = explorers[0].exploration
     paths = [one.exploration.prior_paths for one in explorers]
@@ -151,13 +148,9 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
 
     Colours are the direction in which an episode ends. If the drawn latents are known and have two
     components at least, a panel before them shows which latent went where.
-
-    Raises:
-        ValueError: if the exploration has no `fixed_paths`.
     """
     sampled, fixed = exploration.prior_paths, exploration.fixed_paths
-    if fixed is None:
-        raise ValueError("`exploration.fixed_paths` must be given, got None: no latents to fix.")
+    assert fixed is not None  # methods without latents have no such figure
     limits = shared_limits([exploration.goals, sampled, fixed], exploration.sparse_radius)
     scale = direction_scale(exploration.goals)
     ends = {"z sampled from the prior": sampled, "z fixed": fixed}

@@ -29,19 +29,8 @@ def plot_latents(latents: Latents, goals: Float[np.ndarray, "task 2"] | None = N
 
     The prior N(0, I) is a dashed circle of radius 1. Of more than two components, those whose means
     spread most after adaptation are drawn.
-
-    Args:
-        latents: of all updates; at least two components.
-        goals: goal of each task; its direction then is the colour of its ellipse.
-
-    Raises:
-        ValueError: if a latent has fewer than two components.
+    The direction of a task's goal, where it is known, is the colour of its ellipse.
     """
-    num_tasks, _, num_components = latents.mean.shape
-    if num_components < 2:
-        raise ValueError(
-            f"`latents` must have at least 2 components to draw ellipses, got {num_components}."
-        )
     chosen = np.sort(np.argsort(-latents.mean[:, -1].var(0), kind="stable")[:2])
     mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
     std = np.exp(log_std)
@@ -49,7 +38,7 @@ def plot_latents(latents: Latents, goals: Float[np.ndarray, "task 2"] | None = N
     figure = new_figure(TWO_COLUMNS, _PANEL_WIDTH * limits.aspect + _SURROUNDINGS)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     scale = None if goals is None else direction_scale(goals)
-    colours = np.tile(to_rgba(BLUE), (num_tasks, 1))
+    colours = np.tile(to_rgba(BLUE), (len(mean), 1))
     if scale is not None and goals is not None:
         colours = np.asarray(scale.to_rgba(directions(goals)))
     for column, update in enumerate((latents.first_update, latents.last_update)):

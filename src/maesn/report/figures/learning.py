@@ -47,11 +47,7 @@ def plot_learning_curves(trained: Sequence[Trained], reward: str) -> Figure:
 
     A line is the moving average of the mean over seeds; its band is the range of the seeds' own
     moving averages, because three seeds are too few for an interval. A single seed has no band, but
-    its raw values behind the line.
-
-    Args:
-        trained: what to draw; seeds are drawn as far as all of a method got.
-        reward: that was trained on, "dense" or "sparse", for the axis.
+    its raw values behind the line. Seeds are drawn as far as all of a method got.
     """
     figure = new_figure(TWO_COLUMNS, 2.05)
     panels = figure.subplots(1, 3)
