@@ -116,8 +116,7 @@ class AdaptationTable:
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""
-        curves: Curves = getattr(self, name)
-        return curves
+        return np.asarray(getattr(self, name))
 
     def part(
         self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)

@@ -4,6 +4,7 @@ What a figure shows is in `maesn.report.figures`; here is what it is drawn from 
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -57,11 +58,8 @@ def plot_run_directories(
     """
     if not directories:
         raise RunError("Expected at least one run directory in `directories`, got none.")
-    console = Console() if console is None else console
-
-    def say(sentence: str) -> None:
-        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
-
+    console = console or Console()
+    say = partial(console.print, markup=False, highlight=False, soft_wrap=True)
     distinct: dict[Path, Path] = {}
     for path in directories:
         distinct.setdefault(path.resolve(), path)

@@ -123,13 +123,12 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-    columns = []
-    for field in fields(LearningCurve):
-        values = [line.get(field.name) for line in lines]
-        columns.append(
-            np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
-        )
-    curve = LearningCurve(*columns)
+
+    def column(name: str) -> np.ndarray:
+        values = (line.get(name) for line in lines)
+        return np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
+
+    curve = LearningCurve(*(column(field.name) for field in fields(LearningCurve)))
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "

@@ -66,7 +66,8 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
         RunError: if two runs have the same settings, the seed included.
     """
     experiments: defaultdict[str, list[RecordedRun]] = defaultdict(list)
-    for run in sorted(runs, key=_method_order):
+    order = {method: position for position, method in enumerate(METHOD_STYLES)}
+    for run in sorted(runs, key=lambda run: order.get(run.method, len(order))):
         experiments[_text(_experiment(run))].append(run)
     for members in experiments.values():
         _check_seeds_differ(members)
@@ -81,11 +82,6 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
         label = style.label + _differences(members[0], firsts)
         series.append(Series(name, replace(style, label=label), tuple(members)))
     return series
-
-
-def _method_order(run: RecordedRun) -> int:
-    known = list(METHOD_STYLES)
-    return known.index(run.method) if run.method in known else len(known)
 
 
 def _experiment(run: RecordedRun) -> dict[str, Any]:

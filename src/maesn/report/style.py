@@ -10,6 +10,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import TypeAlias
 
@@ -81,15 +82,13 @@ _SPARE = (
 def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
     """Return a style for each line of a figure; the first of a method gets the method's own."""
     styles: list[MethodStyle] = []
-    spare = 0
+    spare = cycle(_SPARE)
     for position, method in enumerate(methods):
         own = METHOD_STYLES.get(method)
         if own is not None and method not in methods[:position]:
             styles.append(own)
-            continue
-        label = own.label if own is not None else method
-        styles.append(replace(_SPARE[spare % len(_SPARE)], label=label))
-        spare += 1
+        else:
+            styles.append(replace(next(spare), label=method if own is None else own.label))
     return styles
 
 
