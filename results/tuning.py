@@ -23,11 +23,11 @@ import tyro
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import GradientRule
-from maesn.report.line import Line
+from maesn.report.adaptation_table import Line
 from maesn.report.tables import markdown_row
-from maesn.studies.checks import Changes
-from maesn.studies.comparison import WorldSettings, compare
+from maesn.studies.comparison import Changes, compare
 from maesn.studies.lines import Scratch
+from maesn.studies.world import WorldSettings
 
 STEPPING = ("maesn", "latent_space", "maml", "maml_bias", "maml_bias_only")
 PACES = {
@@ -101,7 +101,8 @@ def chosen(ends: dict[str, np.ndarray]) -> str:
 
 def last_prepared(line: Line) -> int:
     """Return the last update, of methods with memory the last that they were trained for."""
-    return len(line.tables[0].updates) - 1 if line.first_beyond is None else line.first_beyond - 1
+    beyond = line.table.first_beyond
+    return len(line.table.updates) - 1 if beyond is None else beyond - 1
 
 
 def rows(method: str, lines: dict[str, Line]) -> Iterator[str]:
@@ -116,7 +117,7 @@ def rows(method: str, lines: dict[str, Line]) -> Iterator[str]:
             f"`{method}`",
             f"**{name}**" if name == kept else name,
             len(end),
-            line.tables[0].updates[last[name]],
+            line.table.updates[last[name]],
             f"{end.mean():.1f} ± {error:.1f}",
             f"{success:.1f}",
         )

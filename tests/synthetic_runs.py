@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from maesn.report.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable
-from maesn.report.line import Line
-from maesn.report.reading import Latents
-from maesn.report.runs import LearningCurve, RecordedExploration, RecordedRun
+from maesn.report.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable, Line
+from maesn.report.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
 from maesn.report.series import Series, group_series
 from maesn.report.style import METHOD_STYLES, MethodStyle
 

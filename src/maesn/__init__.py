@@ -84,10 +84,10 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.storage import RunError as RunError
     from maesn.studies.ablation import Ablation as Ablation
     from maesn.studies.ablation import ablate as ablate
-    from maesn.studies.checks import Changes as Changes
-    from maesn.studies.comparison import WorldSettings as WorldSettings
+    from maesn.studies.comparison import Changes as Changes
     from maesn.studies.comparison import compare as compare
     from maesn.studies.lines import Scratch as Scratch
+    from maesn.studies.world import WorldSettings as WorldSettings
     from maesn.worlds import EpisodeError as EpisodeError
     from maesn.worlds import make_world as make_world
     from maesn.worlds.collector import Collector as Collector
@@ -186,12 +186,12 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "Ablation",
         "ablate",
     ),
-    "maesn.studies.checks": ("Changes",),
     "maesn.studies.comparison": (
-        "WorldSettings",
+        "Changes",
         "compare",
     ),
     "maesn.studies.lines": ("Scratch",),
+    "maesn.studies.world": ("WorldSettings",),
     "maesn.worlds": (
         "EpisodeError",
         "make_world",

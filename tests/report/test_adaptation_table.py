@@ -78,14 +78,9 @@ def test_the_path_of_a_table_says_what_its_name_says() -> None:
     assert table_name(other) == TableName("from-10-ood", "dense", "-on-mjx")
 
 
-def test_tables_of_two_files_of_tasks_with_one_name_are_told_apart() -> None:
+def test_the_table_of_a_file_of_tasks_has_its_stem() -> None:
     path = table_path(Path("run"), "elsewhere/test.npz", "sparse")
     assert path.name == "file-test-sparse.csv"
-    first, second = (
-        table_path(Path("run"), f"{folder}/test.npz", "sparse", digest=digest)
-        for folder, digest in (("here", "0a1b"), ("there", "2c3d"))
-    )
-    assert (first.name, second.name) == ("file-test-0a1b-sparse.csv", "file-test-2c3d-sparse.csv")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +135,7 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     reach = table.prior_reach
     assert reach is not None
     assert (reach.share, reach.num_tasks) == (1 / (NUM_TASKS - 1), NUM_TASKS - 1)
-    rest = table.select(~table.is_solved_at_reset)
+    rest = table.part(~table.is_solved_at_reset)
     assert (rest.num_tasks, rest.is_solved_at_reset.any()) == (NUM_TASKS - 1, False)
     np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
     everything = replace(table, solved_at_reset=np.ones_like(rates))

@@ -12,11 +12,10 @@ from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named
 
-from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.adaptation_table import AdaptationTable, Line
 from maesn.report.comparison import Comparison, tidy_rows, write_tidy_table
 from maesn.report.comparison_tables import print_summary, summary_tables, write_summary
-from maesn.report.figures.comparison import plot_comparison
-from maesn.report.line import Line
+from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.style import METHOD_STYLES, ONE_COLUMN
 from maesn.storage import RunError
 
@@ -226,7 +225,7 @@ def test_memory_beyond_its_trials_is_faint_and_short_updates_are_seen(tmp_path: 
     remembered = dataclasses.replace(adaptation_table(), episodes=counts, trial_episodes=2)
     memory = named("rl2", remembered)
     # The first two episodes are what it was trained for: those before which it knows 0 and 1.
-    assert memory.first_beyond == 2
+    assert memory.table.first_beyond == 2
     assert dataclasses.replace(remembered, trial_episodes=9).first_beyond is None
     ends, beats = (table.notes for table in summary_tables(comparison(memory, memory)))
     prepared = remembered.mean_return[:, 1].mean()

@@ -11,10 +11,9 @@ from matplotlib.figure import Figure
 from synthetic_runs import adaptation_table, learning_curve
 from synthetic_runs import line as method
 
-from maesn.report.adaptation_table import DEPLOY
+from maesn.report.adaptation_table import DEPLOY, Line
 from maesn.report.figures.adaptation import plot_adaptation_curves
 from maesn.report.figures.learning import Trained, moving_mean, plot_learning_curves
-from maesn.report.line import Line
 from maesn.report.published import published_curve
 from maesn.report.statistics import mean_interval
 from maesn.report.style import METHOD_STYLES

@@ -20,7 +20,12 @@ from synthetic_runs import (
     latents,
 )
 
-from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
+from maesn.report.figures.exploration import (
+    ExplorationPanel,
+    plot_exploration,
+    plot_structured_noise,
+    plot_task_distribution,
+)
 from maesn.report.figures.latents import plot_latents
 from maesn.report.figures.plane import (
     direction_scale,
@@ -28,8 +33,6 @@ from maesn.report.figures.plane import (
     final_positions,
     shared_limits,
 )
-from maesn.report.figures.structured_noise import plot_structured_noise
-from maesn.report.figures.task_distribution import plot_task_distribution
 from maesn.report.style import METHOD_STYLES
 
 
@@ -187,11 +190,6 @@ def test_latents_that_went_on_have_another_beginning() -> None:
     assert [one.get_title() for one in axes] == ["after 1 update", "after 4 updates"]
 
 
-def test_one_component_makes_no_ellipse() -> None:
-    with pytest.raises(ValueError, match=r"`latents` must have at least 2 components .* got 1"):
-        plot_latents(latents(num_components=1))
-
-
 def test_structured_noise() -> None:
     figure = plot_structured_noise(exploration())
     drawn, sampled, fixed, bar = figure.axes
@@ -208,8 +206,3 @@ def test_structured_noise() -> None:
 
 def test_structured_noise_without_known_latents_has_two_panels() -> None:
     assert len(plot_structured_noise(replace(exploration(), prior_latents=None)).axes) == 3
-
-
-def test_structured_noise_needs_a_latent() -> None:
-    with pytest.raises(ValueError, match=r"`exploration.fixed_paths` must be given"):
-        plot_structured_noise(exploration(has_latents=False))

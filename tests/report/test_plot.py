@@ -12,7 +12,7 @@ from rich.console import Console
 from synthetic_runs import write_run
 
 from maesn.report.plot import plot_run_directories
-from maesn.report.reading import Latents
+from maesn.report.runs import Latents
 from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}

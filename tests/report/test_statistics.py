@@ -141,11 +141,6 @@ def test_other_tasks_cannot_be_paired() -> None:
         difference_interval(draw(1, 10), draw(1, 9))
 
 
-def test_no_tasks_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"`values` must hold at least one seed and one task"):
-        mean_interval(np.zeros((1, 0)))
-
-
 def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> None:
     values = np.random.default_rng(0).permutation([*range(1, 8), 1e6]).reshape(2, 4)
     interval = interquartile_mean_interval(values)

@@ -25,9 +25,9 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 from maesn.studies import curves, lines
-from maesn.studies.checks import Changes
-from maesn.studies.comparison import WorldSettings, compare, comparison_world, silent
+from maesn.studies.comparison import Changes, compare, silent
 from maesn.studies.lines import Scratch
+from maesn.studies.world import WorldSettings, comparison_world
 
 FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
@@ -146,7 +146,7 @@ def test_tables_of_adapt_are_used_where_they_fit(
         for name in own.record:
             other = {"episodes": 9, "num_tasks": 101}.get(name, "something else")
             asked = dataclasses.replace(own, record={**own.record, name: other})
-            assert not curves._fits(asked)
+            assert not curves._fits(asked.record, asked.earlier)
         table.unlink()
         # Played anew, in chunks of another size: the same but for rounding.
         fresh = read_adaptation(curves.curves_of(own, world, tmp_path, silent))

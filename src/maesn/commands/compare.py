@@ -12,9 +12,9 @@ from maesn.evaluation.naming import rule_from_text
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.storage import RunError
-from maesn.studies.checks import Changes
-from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, WorldSettings, compare
+from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, Changes, compare
 from maesn.studies.lines import Scratch
+from maesn.studies.world import WorldSettings
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Adaptation curves of one run."""
+"""Adaptation curves: the table of one run, and the line of a method with all its seeds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from maesn.report.style import MethodStyle
 from maesn.storage import RunError
 
 Curves = Float[np.ndarray, "task update"]
@@ -115,12 +116,18 @@ class AdaptationTable:
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""
-        curves: Curves = getattr(self, name)
-        return curves
+        return np.asarray(getattr(self, name))
 
-    def select(self, tasks: Bool[np.ndarray, " task"]) -> "AdaptationTable":
-        """Return the table of some of the tasks."""
-        return self._part(tasks, slice(None))
+    def part(
+        self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
+    ) -> "AdaptationTable":
+        """Return the table of some of the tasks and updates."""
+        curves: dict[str, Any] = {
+            name: x[tasks][:, columns] for name, x in vars(self).items() if np.ndim(x) == 2
+        }
+        return replace(
+            self, updates=self.updates[columns], episodes=self.episodes[columns], **curves
+        )
 
     def first_part(self, num_tasks: int, updates: int) -> "AdaptationTable":
         """Return the table of the first so many tasks and updates.
@@ -134,12 +141,7 @@ class AdaptationTable:
                 f"{self.num_tasks} tasks with updates {self.updates[0]} to {self.updates[-1]}; "
                 "delete the table and compare again."
             )
-        return self._part(slice(num_tasks), slice(updates + 1))
-
-    def _part(self, tasks: slice | Bool[np.ndarray, " task"], columns: slice) -> "AdaptationTable":
-        names = (*MEASURES, "solved_at_reset", "explored_success_rate")
-        part: dict[str, Any] = {name: getattr(self, name)[tasks][:, columns] for name in names}
-        return replace(self, updates=self.updates[columns], episodes=self.episodes[columns], **part)
+        return self.part(slice(num_tasks), slice(updates + 1))
 
 
 def stack_seeds(
@@ -158,3 +160,56 @@ def stack_seeds(
             "run `maesn adapt` with the same `--tasks` and `--episodes` for each."
         )
     return np.stack([table.measure(measure) for table in tables])
+
+
+def solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " task"]:
+    """Return which tasks some episode of some run starts in the goal region of."""
+    return np.asarray(np.any([table.is_solved_at_reset for table in tables], axis=0))
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a figure: one method, adapted to the same tasks with every seed."""
+
+    name: str
+    """For file names."""
+    style: MethodStyle
+    seeds: tuple[int, ...]
+    tables: tuple[AdaptationTable, ...]
+    """One per seed, all of the same tasks and with as many updates."""
+    training_steps: int | None = None
+    """Environment steps of meta-training; None without any."""
+
+    @property
+    def label(self) -> str:
+        """How figures and tables call the method."""
+        return self.style.label
+
+    @property
+    def table(self) -> AdaptationTable:
+        """The first seed's table; its tasks, updates and budgets are those of all seeds."""
+        return self.tables[0]
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks; in a comparison the first ones of all."""
+        return self.table.num_tasks
+
+    def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:
+        """Return one measure of all seeds."""
+        return stack_seeds(self.tables, name)
+
+    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Line":
+        """Return the line over those of the comparison's tasks that are chosen."""
+        tables = tuple(table.part(chosen[: self.num_tasks]) for table in self.tables)
+        return replace(self, tables=tables)
+
+
+def note_on_judging(lines: Sequence[Line]) -> str:
+    """Say which episodes the lines are judged on, by name where lines differ in it."""
+    judged: dict[str, list[str]] = {}
+    for line in lines:
+        judged.setdefault(JUDGED[line.table.purpose], []).append(line.label)
+    if len(judged) == 1:
+        return next(iter(judged))
+    return "; ".join(f"{', '.join(labels)}: {how}" for how, labels in judged.items())

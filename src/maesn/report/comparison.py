@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from maesn.report.line import Line
+from maesn.report.adaptation_table import Line, solved_at_reset
 from maesn.storage import write_whole
 
 
@@ -34,8 +34,7 @@ class Comparison:
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
         """Which tasks some episode starts in the goal region of."""
-        flags = [table.is_solved_at_reset for line in self.baselines for table in line.tables]
-        return np.asarray(np.any(flags, axis=0))
+        return solved_at_reset([table for line in self.baselines for table in line.tables])
 
     def steps(self, line: Line) -> Int[np.ndarray, " update"]:
         """Return the environment steps per task that a method has learned from by each update.
@@ -43,7 +42,7 @@ class Comparison:
         Episodes that end early are counted with their full time, so that one number holds for all
         tasks.
         """
-        return line.tables[0].episodes * self.horizon
+        return line.table.episodes * self.horizon
 
     def bounds(self, num_tasks: int) -> tuple[float, float | None]:
         """Return the mean returns of baseline and oracle over the first so many tasks."""
@@ -57,12 +56,8 @@ class Comparison:
 
             score = (return - baseline) / (oracle - baseline)
 
-        Baseline and oracle are means over the same tasks, at the same reward: 0 is the score of
-        learning nothing, 1 that of being given the task.
-
-        Args:
-            returns: mean undiscounted returns.
-            num_tasks: they are of the first so many tasks.
+        Baseline and oracle are means over the first `num_tasks` tasks, those of the returns, at the
+        same reward: 0 is the score of learning nothing, 1 that of being given the task.
         """
         baseline, oracle = self.bounds(num_tasks)
         if oracle is None or oracle <= baseline:
@@ -78,12 +73,12 @@ class Comparison:
                 "oracle)."
             )
         baseline, oracle = self.bounds(self.oracle.num_tasks)
-        if oracle is not None and oracle <= baseline:
-            return (
-                f"No score: the oracle's mean return {oracle:.1f} is not above the baseline's "
-                f"{baseline:.1f}; train it for longer."
-            )
-        return ""
+        if oracle is None or oracle > baseline:
+            return ""
+        return (
+            f"No score: the oracle's mean return {oracle:.1f} is not above the baseline's "
+            f"{baseline:.1f}; train it for longer."
+        )
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
@@ -116,6 +111,7 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         for seed, table in zip(line.seeds, line.tables, strict=True):
             scores = comparison.score(table.mean_return, line.num_tasks)
             for task, column in np.ndindex(table.mean_return.shape):
+                measures = ("mean_return", "goal_return", "success_rate")
                 yield {
                     "method": line.name,
                     "seed": seed,
@@ -123,20 +119,14 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                     "update": table.updates[column],
                     "purpose": table.purpose,
                     "steps": steps[column],
-                    "mean_return": np.float32(table.mean_return[task, column]),
-                    "goal_return": np.float32(table.goal_return[task, column]),
-                    "success_rate": np.float32(table.success_rate[task, column]),
+                    **{name: np.float32(table.measure(name)[task, column]) for name in measures},
                     "score": "" if scores is None else np.float32(scores[task, column]),
                     "solved_at_reset": int(solved[task]),
                 }
 
 
 def write_tidy_table(comparison: Comparison, path: Path) -> None:
-    """Write the tidy table as a `.csv` file.
-
-    Raises:
-        RunError: it cannot be written.
-    """
+    """Write the tidy table as a `.csv` file; a `RunError` says why it cannot be written."""
     rows, text = list(tidy_rows(comparison)), io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -3,11 +3,10 @@
 from itertools import combinations
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 
+from maesn.report.adaptation_table import Line, note_on_judging
 from maesn.report.comparison import Comparison
-from maesn.report.line import Line, note_on_judging
 from maesn.report.statistics import (
     Interval,
     improvement_interval,
@@ -31,7 +30,6 @@ _SCORE_INTERVAL = (
     "The score's interval draws the same tasks for method, baseline and oracle; there is none if "
     "in some of the draws the oracle is not above the baseline."
 )
-_MILLION = 1e6
 _PROBABILITY = Unit("probability", digits=2)
 
 
@@ -55,113 +53,87 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
 
 
 def write_summary(comparison: Comparison, path: Path) -> None:
-    """Write the tables as Markdown.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write the tables as Markdown; a `RunError` says why they cannot be written."""
     texts = [table.to_markdown() for table in summary_tables(comparison)]
     write_whole(path, "\n".join(texts).encode())
 
 
 def print_summary(comparison: Comparison, console: Console | None = None) -> None:
-    """Show the tables in the terminal.
-
-    Args:
-        comparison: what to show.
-        console: where; None for standard output.
-    """
-    print_tables(summary_tables(comparison), Console() if console is None else console)
+    """Show the tables in the terminal, by default on standard output."""
+    print_tables(summary_tables(comparison), console)
 
 
 def _ends(comparison: Comparison, addition: str = "") -> TextTable:
-    first = comparison.lines[0].tables[0]
+    first, lines = comparison.lines[0].table, comparison.lines
     intervals: list[Interval] = []
     rows = [_end(comparison, line, intervals) for line in comparison.everyone]
     is_trained = any(line.training_steps is not None for line in comparison.everyone)
+    scoreless = [row["method"] for row in rows[: len(lines)] if not row["score"]]
     notes = [
         f"Mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points.",
-        f"Methods {note_on_judging(comparison.lines)}.",
+        f"Methods {note_on_judging(lines)}.",
         f"In brackets: {labels_of(intervals)}.",
         "Trained on: environment steps of meta-training." if is_trained else "",
         note_on_solved(comparison.is_solved_at_reset),
-        *(_beyond(line) for line in comparison.lines if line.first_beyond is not None),
+        *map(_beyond, lines),
         comparison.why_no_score or _SCORE_INTERVAL,
-        "" if comparison.why_no_score else _scoreless(comparison),
     ]
+    if scoreless and not comparison.why_no_score:
+        notes.append(
+            f"No score of {', '.join(scoreless)}: on these tasks the oracle is not above the "
+            "baseline."
+        )
     return TextTable(
         f"After each method's last update, in {first.tasks} tasks{addition}",
-        (
-            "method",
-            "trained on",
-            "seeds",
-            "tasks",
-            "updates",
-            "steps",
-            "return",
-            "IQM",
-            "reaches goal (%)",
-            "score",
-        ),
-        tuple(rows),
+        tuple(rows[0]),
+        tuple(tuple(row.values()) for row in rows),
         tuple(filter(None, notes)),
         is_named=True,
     )
 
 
-def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> tuple[str, ...]:
-    """Return one method's row, and append the intervals of its returns."""
-    last = line.measure("mean_return")[..., -1]
+def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[str, str]:
+    """Return one method's row by headings, and append the intervals of its returns."""
+    last, steps = line.measure("mean_return")[..., -1], line.training_steps
     returns, middle = mean_interval(last), interquartile_mean_interval(last)
     success = mean_interval(line.measure("success_rate")[..., -1])
     intervals += [returns, middle]
-    return (
-        line.label,
-        "" if line.training_steps is None else f"{line.training_steps / _MILLION:.3g} M",
-        str(len(line.seeds)),
-        str(line.num_tasks),
-        str(int(line.tables[0].updates[-1])),
-        f"{int(comparison.steps(line)[-1]):,}",
-        UNITS["mean_return"].ends(returns),
-        UNITS["mean_return"].ends(middle),
-        UNITS["success_rate"].ends(success),
-        _score(comparison, line),
-    )
+    return {
+        "method": line.label,
+        "trained on": "" if steps is None else f"{steps / 1e6:.3g} M",
+        "seeds": str(len(line.seeds)),
+        "tasks": str(line.num_tasks),
+        "updates": str(line.table.updates[-1]),
+        "steps": f"{comparison.steps(line)[-1]:,}",
+        "return": UNITS["mean_return"].ends(returns),
+        "IQM": UNITS["mean_return"].ends(middle),
+        "reaches goal (%)": UNITS["success_rate"].ends(success),
+        "score": _score(comparison, line),
+    }
 
 
 def _score(comparison: Comparison, line: Line) -> str:
     """Return the score of the last point with its interval; empty if there is no score."""
-    if comparison.oracle is None or not _has_score(comparison, line):
+    last, oracle = line.measure("mean_return")[..., -1], comparison.oracle
+    if oracle is None or comparison.score(last, line.num_tasks) is None:
         return ""
-    oracle, *baselines = (
+    ceiling, *baselines = (
         one.measure("mean_return")[:, : line.num_tasks, 0]
-        for one in (comparison.oracle, *comparison.baselines)
+        for one in (oracle, *comparison.baselines)
     )
-    last = line.measure("mean_return")[..., -1]
-    return _SCORE.ends(score_interval(last, baselines, oracle))
-
-
-def _has_score(comparison: Comparison, line: Line) -> bool:
-    return comparison.score(np.zeros(1), line.num_tasks) is not None
-
-
-def _scoreless(comparison: Comparison) -> str:
-    """Name the methods that have no score where others have one; empty if there are none."""
-    labels = [line.label for line in comparison.lines if not _has_score(comparison, line)]
-    if not labels:
-        return ""
-    return f"No score of {', '.join(labels)}: on these tasks the oracle is not above the baseline."
+    return _SCORE.ends(score_interval(last, baselines, ceiling))
 
 
 def _beyond(line: Line) -> str:
-    """Say where a method ends within what it was trained for."""
-    assert line.first_beyond is not None
-    last = line.first_beyond - 1
+    """Say where a method ends within what it was trained for; empty if all of it is within."""
+    if line.table.first_beyond is None:
+        return ""
+    last = line.table.first_beyond - 1
     prepared = mean_interval(line.measure("mean_return")[..., last])
     return (
-        f"{line.label} was trained for trials of {line.trial_episodes} episodes, and is beyond "
-        f"them from update {last + 1} on: after update {last}, the last that it was trained for, "
-        f"its return is {UNITS['mean_return'].ends(prepared)}."
+        f"{line.label} was trained for trials of {line.table.trial_episodes} episodes, and is "
+        f"beyond them from update {last + 1} on: after update {last}, the last that it was trained "
+        f"for, its return is {UNITS['mean_return'].ends(prepared)}."
     )
 
 
@@ -172,18 +144,16 @@ def _improvements(comparison: Comparison) -> TextTable:
         both = min(line.num_tasks for line in pair)
         ends = [line.measure("mean_return")[:, :both, -1] for line in pair]
         intervals.append(improvement_interval(*ends))
-        rows.append((pair[0].label, pair[1].label, _PROBABILITY.ends(intervals[-1])))
+        rows.append((*(line.label for line in pair), _PROBABILITY.ends(intervals[-1])))
+    beyond = [
+        f"{line.label}: after update {line.table.updates[-1]}, beyond its trials."
+        for line in comparison.lines
+        if line.table.first_beyond is not None
+    ]
     return TextTable(
         "Probability that the first method's last point is above the second's in a task",
         ("first", "second", "probability"),
         tuple(rows),
-        (
-            f"In brackets: {labels_of(intervals)}. A tie counts as half a win.",
-            *(
-                f"{line.label}: after update {int(line.tables[0].updates[-1])}, beyond its trials."
-                for line in comparison.lines
-                if line.first_beyond is not None
-            ),
-        ),
+        (f"In brackets: {labels_of(intervals)}. A tie counts as half a win.", *beyond),
         is_named=True,
     )

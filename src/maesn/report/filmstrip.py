@@ -47,10 +47,8 @@ class Row:
 def film(title: str, rows: Sequence[Row], milliseconds: int) -> bytes:
     """Return an animated GIF in which all cells move at once, and which repeats for ever.
 
-    Args:
-        title: above everything.
-        rows: at least one, of at least one cell each.
-        milliseconds: how long each picture is shown; the last one stays longer.
+    Each picture is shown for so many milliseconds; the last one stays longer. There is at least one
+    row, of at least one cell.
     """
     count = len(rows[0].cells[0].pictures)
     still = _compose(title, rows, count - 1)

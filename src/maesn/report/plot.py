@@ -3,18 +3,23 @@
 What a figure shows is in `maesn.report.figures`; here is what it is drawn from and where it goes.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from maesn.report.figures.adaptation import plot_adaptation_curves
-from maesn.report.figures.exploration import ExplorationPanel, plot_exploration
+from maesn.report.figures.exploration import (
+    ExplorationPanel,
+    plot_exploration,
+    plot_structured_noise,
+    plot_task_distribution,
+)
 from maesn.report.figures.latents import plot_latents
 from maesn.report.figures.learning import Trained, plot_learning_curves
-from maesn.report.figures.structured_noise import plot_structured_noise
-from maesn.report.figures.task_distribution import plot_task_distribution
 from maesn.report.published import comparable_curve
 from maesn.report.runs import RecordedRun, read_exploration, read_learning_curve, read_run
 from maesn.report.series import Series, group_series, group_worlds
@@ -26,6 +31,8 @@ _RECORDING = "`maesn plot DIR` records them, if the family says where agent and 
 _RECORDED_TASKS = "test"  # the tasks whose goals an exploration records
 
 Say: TypeAlias = Callable[[str], None]
+Figures: TypeAlias = Iterator[tuple[str, Figure]]
+"""File names without suffix, and what they show."""
 
 
 def plot_run_directories(
@@ -51,24 +58,22 @@ def plot_run_directories(
     """
     if not directories:
         raise RunError("Expected at least one run directory in `directories`, got none.")
-    console = Console() if console is None else console
-
-    def say(sentence: str) -> None:
-        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
-
+    console = console or Console()
+    say = partial(console.print, markup=False, highlight=False, soft_wrap=True)
     distinct: dict[Path, Path] = {}
     for path in directories:
         distinct.setdefault(path.resolve(), path)
     worlds = group_worlds([read_run(path) for path in distinct.values()])
     written: list[Path] = []
-    for name, runs in worlds.items():
-        directory, series = out / name if len(worlds) > 1 else out, group_series(runs)
-        for plot in (_plot_learning, _plot_adaptation, _plot_exploration, _plot_latents):
-            written += plot(series, directory, say)
+    for world, runs in worlds.items():
+        directory, series = out / world if len(worlds) > 1 else out, group_series(runs)
+        for figures_of in (_learning, _adaptation, _exploration, _latents):
+            for name, figure in figures_of(series, say):
+                written += save_figure(figure, directory, name)
     return written
 
 
-def _plot_learning(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
+def _learning(series: Sequence[Series], say: Say) -> Figures:
     """Draw one figure per training reward; returns of two rewards have no common axis."""
     trained: dict[str, list[Trained]] = {}
     missing: list[RecordedRun] = []
@@ -80,32 +85,25 @@ def _plot_learning(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
             reward = str(one.runs[0].settings.get("reward", "dense"))
             trained.setdefault(reward, []).append(Trained(one.style, finished))
     _say_missing(missing, "metrics", "`maesn train` or `maesn resume DIR` writes them", say)
-    written: list[Path] = []
     for reward, lines in trained.items():
-        figure = plot_learning_curves(lines, reward)
-        written += save_figure(figure, out, f"learning-curves-{reward}")
-    return written
+        yield f"learning-curves-{reward}", plot_learning_curves(lines, reward)
 
 
-def _plot_adaptation(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
+def _adaptation(series: Sequence[Series], say: Say) -> Figures:
     """Draw one figure per task set and reward that some run was adapted to."""
     runs = [run for one in series for run in one.runs]
     sets = list(dict.fromkeys(pair for run in runs for pair in _adapted_sets(run)))
     if not sets:
         _say_missing(runs, "adaptation", "`maesn adapt DIR` writes it", say)
     _say_changed(runs, say)
-    written: list[Path] = []
     for tasks, reward in sets:
         lacking = [run for run in runs if (tasks, reward) not in _adapted_sets(run)]
         command = f"`maesn adapt DIR --tasks {tasks} --reward {reward}` writes it"
         _say_missing(lacking, f"adaptation to the {tasks} tasks with {reward} reward", command, say)
         adapted = [(one, line) for one in series if (line := one.adapted(tasks, reward))]
-        published = {
-            line.name: comparable_curve(one.runs[0], line.tables[0]) for one, line in adapted
-        }
+        published = {line.name: comparable_curve(one.runs[0], line.table) for one, line in adapted}
         figure = plot_adaptation_curves([line for _, line in adapted], published)
-        written += save_figure(figure, out, f"adaptation-curves-{tasks}-{reward}")
-    return written
+        yield f"adaptation-curves-{tasks}-{reward}", figure
 
 
 def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
@@ -113,22 +111,20 @@ def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
     return [(name.tasks, name.reward) for name in run.tables() if not name.changed]
 
 
-def _plot_exploration(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
+def _exploration(series: Sequence[Series], say: Say) -> Figures:
     """Draw the tasks, what the prior explores, and what its latents contribute."""
     found = {one.name: _explorer(one, say) for one in series}
     explorers = {name: explorer for name, explorer in found.items() if explorer is not None}
     missing = [one.runs[0] for one in series if one.name not in explorers]
     _say_missing(missing, "exploration trajectories", _RECORDING, say)
     if not explorers:
-        return []
+        return
     first, *_ = panels = list(explorers.values())
-    written = save_figure(plot_task_distribution(first.exploration), out, "task-distribution")
-    written += save_figure(plot_exploration(panels), out, "exploration")
+    yield "task-distribution", plot_task_distribution(first.exploration)
+    yield "exploration", plot_exploration(panels)
     for name, explorer in explorers.items():
         if explorer.exploration.fixed_paths is not None:
-            figure = plot_structured_noise(explorer.exploration)
-            written += save_figure(figure, out, f"structured-noise-{name}")
-    return written
+            yield f"structured-noise-{name}", plot_structured_noise(explorer.exploration)
 
 
 def _explorer(series: Series, say: Say) -> ExplorationPanel | None:
@@ -148,9 +144,8 @@ def _explorer(series: Series, say: Say) -> ExplorationPanel | None:
     return None
 
 
-def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
+def _latents(series: Sequence[Series], _: Say) -> Figures:
     """Draw the latents of each method that has them, for each task set that it was adapted to."""
-    written: list[Path] = []
     for one in series:
         run = one.runs[0]
         exploration = read_exploration(run.path)
@@ -161,9 +156,7 @@ def _plot_latents(series: Sequence[Series], out: Path, say: Say) -> list[Path]:
             goals = None
             if exploration is not None and tasks == _RECORDED_TASKS:
                 goals = exploration.goals if len(exploration.goals) == len(latents.mean) else None
-            name = f"latents-{one.name}-{tasks}-{reward}"
-            written += save_figure(plot_latents(latents, goals), out, name)
-    return written
+            yield f"latents-{one.name}-{tasks}-{reward}", plot_latents(latents, goals)
 
 
 def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:

@@ -3,7 +3,6 @@
 import csv
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,19 +25,9 @@ _PUBLISHED_NAME = {
 }
 
 
-class _Protocol(NamedTuple):
-    """What the published returns depend on, beside the rewards of the reference code."""
-
-    sparse_radius: float
-    """Metres; also the family's own, that of a run without one."""
-    episodes_per_update: int
-
-
-_PROTOCOLS = {
-    "wheeled": _Protocol(0.8, 50),
-    "ant": _Protocol(0.8, 50),
-    "blockpush": _Protocol(0.2, 20),
-}
+# What the published returns depend on, beside the rewards of the reference code: the sparse radius
+# in metres (also the family's own, that of a run without one) and the episodes per update.
+_PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 
 
 @dataclass(frozen=True)
@@ -52,19 +41,15 @@ class PublishedCurve:
 
 
 def comparable_curve(run: RecordedRun, table: AdaptationTable) -> PublishedCurve | None:
-    """Return the published curve of a run's method; None if the run's returns mean another thing.
-
-    Args:
-        run: which was adapted.
-        table: its adaptation.
-    """
-    protocol = _PROTOCOLS.get(run.family)
+    """Return the published curve of a run's method; None if its table means another thing."""
+    if run.family not in _PROTOCOLS:
+        return None
+    radius, episodes = _PROTOCOLS[run.family]
     is_comparable = (
-        protocol is not None
-        and run.settings["variant"] == "reference"
-        and run.settings.get("sparse_radius") in (None, protocol.sparse_radius)
+        run.settings["variant"] == "reference"
+        and run.settings.get("sparse_radius") in (None, radius)
         and table.reward == "sparse"
-        and table.episodes_per_update == protocol.episodes_per_update
+        and table.episodes_per_update == episodes
     )
     return published_curve(run.family, run.method) if is_comparable else None
 

@@ -1,4 +1,4 @@
-"""Reading the files of an adaptation, and records of arrays."""
+"""Reading the table of an adaptation, and records of arrays."""
 
 import csv
 import dataclasses
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import Float
 
 from maesn.report.adaptation_table import (
     COLUMNS,
@@ -17,7 +16,7 @@ from maesn.report.adaptation_table import (
     AdaptationTable,
     Curves,
 )
-from maesn.report.table_files import latents_file, record_file, table_name
+from maesn.report.table_files import record_file, table_name
 from maesn.storage import RunError, read_arrays, read_json
 
 Record = TypeVar("Record")
@@ -38,10 +37,8 @@ def read_adaptation(path: Path) -> AdaptationTable:
     judged = _grids(columns, DEPLOY, path) if is_deployed else explored
     episodes = judged["episodes"]
     if judged["update"].shape != explored["update"].shape or (episodes != episodes[:1]).any():
-        raise RunError(
-            f"Expected the same `update` and `episodes` for every task and purpose in `{path}`, "
-            f"got different ones; {_remedy(path)}."
-        )
+        what = f"the same `update` and `episodes` for every task and purpose in `{path}`"
+        raise _broken(path, what, "different ones")
     name = table_name(path)
     return AdaptationTable(
         tasks=name.tasks,
@@ -59,12 +56,9 @@ def read_adaptation(path: Path) -> AdaptationTable:
 def _recorded(path: Path, name: str) -> int | None:
     """Return a number of the record beside a table; None if there is no record."""
     record = record_file(path)
-    value = read_json(record, _remedy(path)).get(name) if record.exists() else None
+    value = read_json(record, remedy(path)).get(name) if record.exists() else None
     if not isinstance(value, int | None):
-        raise RunError(
-            f"Expected a whole number or null for `{name}` in `{record}`, got {value!r}; "
-            f"{_remedy(path)}."
-        )
+        raise _broken(path, f"a whole number or null for `{name}` in `{record}`", repr(value))
     return value
 
 
@@ -75,13 +69,11 @@ def _read_columns(path: Path) -> dict[str, np.ndarray]:
             reader = csv.DictReader(file)
             rows, present = list(reader), reader.fieldnames or ()
     except (OSError, UnicodeError, csv.Error) as error:
-        raise RunError(f"Expected a table at `{path}`, got {error}; {_remedy(path)}.") from error
-    missing = [name for name in COLUMNS if name not in present]
-    if missing:
-        raise RunError(
-            f"Expected the column `{missing[0]}` in `{path}`, got "
-            f"{', '.join(present) or 'an empty file'}; {_remedy(path)}."
-        )
+        raise _broken(path, f"a table at `{path}`", error) from error
+    for name in COLUMNS:
+        if name not in present:
+            found = ", ".join(present) or "an empty file"
+            raise _broken(path, f"the column `{name}` in `{path}`", found)
     return {
         name: np.array([_value(name, row[name], path, line) for line, row in enumerate(rows, 2)])
         for name in COLUMNS
@@ -89,24 +81,19 @@ def _read_columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
-    where = f"`{name}` in `{path}`, line {line}"
+    where, found = f"for `{name}` in `{path}`, line {line}", text or "nothing"
     if name == "purpose":
-        if text not in (EXPLORE, DEPLOY):
-            raise RunError(
-                f"Expected {EXPLORE} or {DEPLOY} for {where}, got {text or 'nothing'}; "
-                f"{_remedy(path)}."
-            )
-        return text
+        if found not in (EXPLORE, DEPLOY):
+            raise _broken(path, f"{EXPLORE} or {DEPLOY} {where}", found)
+        return found
     try:
-        number = float(text or "")
+        number = float(found)
     except ValueError as error:
-        raise RunError(
-            f"Expected a number for {where}, got {text or 'nothing'}; {_remedy(path)}."
-        ) from error
+        raise _broken(path, f"a number {where}", found) from error
     if not np.isfinite(number):
         raise RunError(
-            f"Expected a finite number for {where}, got {text}; the adaptation of this task "
-            "failed, see what `maesn adapt` reports."
+            f"Expected a finite number {where}, got {text}; the adaptation of this task failed, "
+            "see what `maesn adapt` reports."
         )
     return number
 
@@ -117,49 +104,24 @@ def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[
     rows = {name: column[chosen] for name, column in columns.items() if name != "purpose"}
     order = np.lexsort((rows["update"], rows["task"]))
     updates, num_tasks = np.unique(rows["update"]), len(np.unique(rows["task"]))
-    expected = np.stack(
-        [np.repeat(np.arange(num_tasks), len(updates)), np.tile(updates, num_tasks)]
-    )
-    found = np.stack([rows["task"][order], rows["update"][order]])
+    expected = [np.repeat(np.arange(num_tasks), len(updates)), np.tile(updates, num_tasks)]
+    found = [rows["task"][order], rows["update"][order]]
     if not len(order) or not np.array_equal(found, expected) or (np.diff(updates) != 1).any():
-        raise RunError(
-            f"Expected one row of purpose {purpose} for each task and update in `{path}`, tasks 0 "
-            f"to {num_tasks - 1} and {len(updates)} updates, got {len(order)} rows; "
-            f"{_remedy(path)}."
+        what = (
+            f"one row of purpose {purpose} for each task and update in `{path}`, tasks 0 to "
+            f"{num_tasks - 1} and {len(updates)} updates"
         )
+        raise _broken(path, what, f"{len(order)} rows")
     return {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
 
 
-@dataclasses.dataclass(frozen=True)
-class Latents:
-    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
-
-    mean: Float[np.ndarray, "task update z"]
-    log_std: Float[np.ndarray, "task update z"]
-    first_update: int = 0
-    """Number of updates that lie before the first column."""
-
-    @property
-    def last_update(self) -> int:
-        """Number of updates that lie before the last column."""
-        return self.first_update + int(self.mean.shape[1]) - 1
+def remedy(table: Path) -> str:
+    """Return what to do about a broken file of an adaptation."""
+    return f"write `{table.name}` again with `maesn adapt`"
 
 
-def read_latents(table: Path) -> Latents | None:
-    """Read the latents beside an adaptation table; None if the method has none.
-
-    Args:
-        table: path of the table.
-
-    Raises:
-        RunError: an array is missing, or does not have the tasks and updates of the table.
-    """
-    file = latents_file(table)
-    if not file.exists():
-        return None
-    adapted = read_adaptation(table)
-    sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-    return read_record(Latents, file, _remedy(table), sizes)
+def _broken(table: Path, expected: str, found: object) -> RunError:
+    return RunError(f"Expected {expected}, got {found}; {remedy(table)}.")
 
 
 def read_record(
@@ -202,7 +164,3 @@ def read_record(
         known |= zip(axes, array.shape, strict=True)
         values[field.name] = array.astype(np.float64) if axes else hint(array)
     return kind(**values)
-
-
-def _remedy(path: Path) -> str:
-    return f"write `{path.name}` again with `maesn adapt`"

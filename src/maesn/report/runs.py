@@ -1,7 +1,7 @@
 """Run directories, as far as figures and tables need them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.report.reading import Latents, read_adaptation, read_latents, read_record
-from maesn.report.table_files import TableName, table_name
+from maesn.report.reading import read_adaptation, read_record, remedy
+from maesn.report.table_files import TableName, latents_file, table_name
 from maesn.storage import RunError, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -18,6 +18,21 @@ Positions = Float[np.ndarray, "episode time_plus_1 2"]
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 _METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
 _EXPLORE_REMEDY = "delete it, and `maesn plot DIR` records it again"
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
+
+    mean: Float[np.ndarray, "task update z"]
+    log_std: Float[np.ndarray, "task update z"]
+    first_update: int = 0
+    """Number of updates that lie before the first column."""
+
+    @property
+    def last_update(self) -> int:
+        """Number of updates that lie before the last column."""
+        return self.first_update + int(self.mean.shape[1]) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +60,6 @@ class RecordedRun:
         """Seed of the run."""
         return int(self.settings["seed"])
 
-    @property
-    def trial_episodes(self) -> int | None:
-        """Number of episodes that meta-training has prepared for; None if there is no limit."""
-        # A learner with a bonus holds the learner that it adds the bonus to.
-        number = self.learner.get("learner", self.learner).get("trial_episodes")
-        return number if isinstance(number, int) else None
-
     def tables(self) -> dict[TableName, Path]:
         """Return the tables that `maesn adapt` has left, by what their names say."""
         files = sorted((self.path / "adaptation").glob("*.csv"))
@@ -60,14 +68,16 @@ class RecordedRun:
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the usual adaptation to a task set with a reward; None if there is none."""
         file = self.tables().get(TableName(tasks, reward))
-        if file is None:
-            return None
-        return replace(read_adaptation(file), trial_episodes=self.trial_episodes)
+        return None if file is None else read_adaptation(file)
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
-        """Return the latents of the same adaptation; None if the method has none."""
-        file = self.tables().get(TableName(tasks, reward))
-        return None if file is None else read_latents(file)
+        """Return the latents of the same adaptation; None if there are none."""
+        table = self.tables().get(TableName(tasks, reward))
+        if table is None or not latents_file(table).exists():
+            return None
+        adapted = read_adaptation(table)
+        sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
+        return read_record(Latents, latents_file(table), remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -113,19 +123,18 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-    names = ("iteration", "return_before", "return_after", "success_after")
-    curve = LearningCurve(*(np.array([_metric(line, name) for line in lines]) for name in names))
+
+    def column(name: str) -> np.ndarray:
+        values = (line.get(name) for line in lines)
+        return np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
+
+    curve = LearningCurve(*(column(field.name) for field in fields(LearningCurve)))
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
             f"{_METRICS_REMEDY}."
         )
     return curve
-
-
-def _metric(line: Mapping[str, Any], name: str) -> float:
-    value = line.get(name)
-    return float(value) if isinstance(value, int | float) else np.nan
 
 
 @dataclass(frozen=True)

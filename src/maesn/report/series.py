@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from maesn.report.line import Line
+from maesn.report.adaptation_table import Line
 from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.storage import RunError
@@ -66,29 +66,22 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
         RunError: if two runs have the same settings, the seed included.
     """
     experiments: defaultdict[str, list[RecordedRun]] = defaultdict(list)
-    for run in sorted(runs, key=_method_order):
+    order = {method: position for position, method in enumerate(METHOD_STYLES)}
+    for run in sorted(runs, key=lambda run: order.get(run.method, len(order))):
         experiments[_text(_experiment(run))].append(run)
     for members in experiments.values():
         _check_seeds_differ(members)
     firsts = [members[0] for members in experiments.values()]
     methods = [run.method for run in firsts]
-    names = [_numbered(methods, position) for position in range(len(methods))]
-    styles = [
-        replace(style, label=style.label + _differences(run, firsts))
-        for style, run in zip(series_styles(methods), firsts, strict=True)
-    ]
-    seeds = [tuple(members) for members in experiments.values()]
-    return [Series(*parts) for parts in zip(names, styles, seeds, strict=True)]
-
-
-def _method_order(run: RecordedRun) -> int:
-    known = list(METHOD_STYLES)
-    return known.index(run.method) if run.method in known else len(known)
-
-
-def _numbered(methods: Sequence[str], position: int) -> str:
-    before = methods[:position].count(methods[position])
-    return f"{methods[position]}-{before + 1}" if before else methods[position]
+    series = []
+    for position, (style, members) in enumerate(
+        zip(series_styles(methods), experiments.values(), strict=True)
+    ):
+        method, before = methods[position], methods[:position].count(methods[position])
+        name = f"{method}-{before + 1}" if before else method
+        label = style.label + _differences(members[0], firsts)
+        series.append(Series(name, replace(style, label=label), tuple(members)))
+    return series
 
 
 def _experiment(run: RecordedRun) -> dict[str, Any]:
@@ -120,17 +113,12 @@ def _differences(run: RecordedRun, firsts: Sequence[RecordedRun]) -> str:
     """Name the settings in which a run differs from other experiments with its method."""
     rivals = [_experiment(other) for other in firsts if other.method == run.method]
     own = _experiment(run)
-    names = [
-        name
+    changed = [
+        f"{name.rpartition('.')[2].replace('_', ' ')} {_text(own.get(name))}"
         for name in sorted({name for rival in rivals for name in rival})
         if any(_text(rival.get(name)) != _text(own.get(name)) for rival in rivals)
     ]
-    changed = [f"{_words(name)} {_text(own.get(name))}" for name in names]
     return f" ({', '.join(changed)})" if changed else ""
-
-
-def _words(path: str) -> str:
-    return path.rpartition(".")[2].replace("_", " ")
 
 
 def _text(value: Any) -> str:

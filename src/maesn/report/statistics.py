@@ -60,14 +60,14 @@ def mean_interval(values: Values) -> Interval:
     fewer than five seeds it is narrower than it should be (a bootstrap of S values has (S - 1)/S
     of their variance). Values that are all equal give an interval of width 0.
     """
-    return _interval([values], _mean, "")
+    return _interval("", _mean, values)
 
 
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
     """Return one interval per update. All draw the same resamples, so that curves are smooth."""
     columns = np.moveaxis(values, -1, 0).copy()
     blocks = [columns[first : first + _COLUMNS] for first in range(0, len(columns), _COLUMNS)]
-    return [interval for block in blocks for interval in _intervals([block], _mean, "")]
+    return [interval for block in blocks for interval in _intervals("", _mean, [block])]
 
 
 def interquartile_mean_interval(values: Values) -> Interval:
@@ -77,7 +77,7 @@ def interquartile_mean_interval(values: Values) -> Interval:
     outliers, and unlike the median it uses more than the one in the middle (Agarwal et al., "Deep
     reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
     """
-    return _interval([values], _interquartile_mean, " of the interquartile mean")
+    return _interval(" of the interquartile mean", _interquartile_mean, values)
 
 
 def improvement_interval(first: Values, second: Values) -> Interval:
@@ -91,7 +91,7 @@ def improvement_interval(first: Values, second: Values) -> Interval:
     Raises:
         ValueError: the numbers of tasks differ.
     """
-    return _interval([first, second], _improvement, " of the paired probability")
+    return _interval(" of the paired probability", _improvement, first, second)
 
 
 def difference_interval(first: Values, second: Values) -> Interval:
@@ -103,7 +103,7 @@ def difference_interval(first: Values, second: Values) -> Interval:
     Raises:
         ValueError: the numbers of tasks differ.
     """
-    return _interval([first, second], _difference, " of the paired difference")
+    return _interval(" of the paired difference", lambda x, y: _mean(x) - _mean(y), first, second)
 
 
 def score_interval(values: Values, baselines: Sequence[Values], oracle: Values) -> Interval:
@@ -125,15 +125,11 @@ def score_interval(values: Values, baselines: Sequence[Values], oracle: Values) 
     with warnings.catch_warnings():
         # `is_known` says that an interval has no ends.
         warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        return _interval([values, oracle, *baselines], _score, " of the score")
+        return _interval(" of the score", _score, values, oracle, *baselines)
 
 
 def _mean(x: np.ndarray) -> np.ndarray:
     return np.asarray(x.mean((-2, -1)))
-
-
-def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return np.asarray(_mean(x) - _mean(y))
 
 
 def _interquartile_mean(x: np.ndarray) -> np.ndarray:
@@ -161,13 +157,13 @@ def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarra
     return np.take(values.reshape(len(values), -1), chosen, axis=-1)
 
 
-def _interval(samples: Sequence[Values], statistic: _Statistic, what: str) -> Interval:
-    (interval,) = _intervals([sample[None].copy() for sample in samples], statistic, what)
+def _interval(what: str, statistic: _Statistic, *samples: Values) -> Interval:
+    (interval,) = _intervals(what, statistic, [sample[None].copy() for sample in samples])
     return interval
 
 
 def _intervals(
-    samples: Sequence[Float[np.ndarray, "column _ _"]], statistic: _Statistic, what: str
+    what: str, statistic: _Statistic, samples: Sequence[Float[np.ndarray, "column _ _"]]
 ) -> list[Interval]:
     """Bootstrap a statistic of every column with the same resamples.
 
@@ -180,8 +176,6 @@ def _intervals(
             f"{' and '.join(map(str, num_tasks))}; compare results on one task set."
         )
     sizes = [num_tasks[0], *(sample.shape[-2] for sample in samples)]
-    if min(sizes) < 1:
-        raise ValueError(f"`values` must hold at least one seed and one task, got {sizes[::-1]}.")
     resampled = [factor for factor, size in enumerate(sizes) if size > 1]
 
     def of_indices(*drawn: np.ndarray, axis: int) -> np.ndarray:
@@ -211,12 +205,10 @@ def _intervals(
 
 def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     """Say what is resampled, and what is not because there is only one of it."""
-    each = " each" if len(num_seeds) > 1 else ""
-    seeds = (
-        _count(num_seeds[0], "seed") + each
-        if len(set(num_seeds)) == 1
-        else " against ".join(map(str, num_seeds)) + " seeds"
-    )
+    if len(set(num_seeds)) == 1:
+        seeds = _count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
+    else:
+        seeds = " against ".join(map(str, num_seeds)) + " seeds"
     factors = {_count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
     resampled = " and ".join(name for name, is_resampled in factors.items() if is_resampled)
     fixed = " and ".join(name for name, is_resampled in factors.items() if not is_resampled)

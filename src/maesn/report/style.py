@@ -10,19 +10,17 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import matplotlib.style
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from maesn.storage import explained, write_whole
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
-PNG_DPI = 200
-NOTE_SIZE = 7  # points
 # Matplotlib's layout of panels with equal scales settles step by step; it is still after two.
 _LAYOUT_PASSES = 3
 
@@ -35,33 +33,6 @@ VERMILLION = "#D55E00"
 REDDISH_PURPLE = "#CC79A7"
 GREY = "#7F7F7F"
 DARK_GREY = "#444444"
-
-
-_SETTINGS: dict[str, Any] = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": NOTE_SIZE,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": "#E3E3E3",
-    "grid.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "savefig.dpi": PNG_DPI,
-    "pdf.fonttype": 42,  # TrueType, which publishers ask for and editors can edit
-}
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 
@@ -111,35 +82,26 @@ _SPARE = (
 def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
     """Return a style for each line of a figure; the first of a method gets the method's own."""
     styles: list[MethodStyle] = []
-    spare = 0
+    spare = cycle(_SPARE)
     for position, method in enumerate(methods):
         own = METHOD_STYLES.get(method)
         if own is not None and method not in methods[:position]:
             styles.append(own)
-            continue
-        label = own.label if own is not None else method
-        styles.append(replace(_SPARE[spare % len(_SPARE)], label=label))
-        spare += 1
+        else:
+            styles.append(replace(next(spare), label=method if own is None else own.label))
     return styles
 
 
 @contextmanager
 def publication_style() -> Iterator[None]:
     """Draw in this style inside the block, whatever the user's own Matplotlib settings are."""
-    with matplotlib.style.context(["default", _SETTINGS]):
+    with matplotlib.style.context(["default", "maesn.report.publication"]):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that no window system knows of.
-
-    Args:
-        width: inches, `ONE_COLUMN` or `TWO_COLUMNS`.
-        height: inches.
-    """
-    figure = Figure(figsize=(width, height), layout="compressed")
-    FigureCanvasAgg(figure)
-    return figure
+    """Return an empty figure that no window system knows of; sizes in inches."""
+    return Figure(figsize=(width, height), layout="compressed")
 
 
 def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
@@ -152,12 +114,8 @@ def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
             figure.draw_without_rendering()
         figure.set_layout_engine("none")
         for file in files:
-            _write(figure, file)
+            content = io.BytesIO()
+            undated = {"CreationDate": None} if file.suffix == ".pdf" else None
+            figure.savefig(content, format=file.suffix[1:], metadata=undated)
+            write_whole(file, content.getvalue())
     return files
-
-
-def _write(figure: Figure, file: Path) -> None:
-    content = io.BytesIO()
-    undated = {"CreationDate": None} if file.suffix == ".pdf" else None
-    figure.savefig(content, format=file.suffix[1:], metadata=undated)
-    write_whole(file, content.getvalue())

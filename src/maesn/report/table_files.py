@@ -23,13 +23,7 @@ class TableName(NamedTuple):
 
 
 def table_path(
-    directory: Path,
-    tasks: str,
-    reward: str,
-    *,
-    first_update: int = 0,
-    changed: str = "",
-    digest: str = "",
+    directory: Path, tasks: str, reward: str, *, first_update: int = 0, changed: str = ""
 ) -> Path:
     """Return where the table of an adaptation goes by default.
 
@@ -44,11 +38,8 @@ def table_path(
             `from-UPDATE-` before TASKS.
         changed: what differs from the usual rule, radius or engine, with a hyphen before it; stands
             behind the reward.
-        digest: of a file's tasks; stands behind STEM, so that two files of one name differ.
     """
-    name = tasks
-    if tasks not in _TASK_SETS:
-        name = "-".join(filter(None, ("file", Path(tasks).stem, digest)))
+    name = tasks if tasks in _TASK_SETS else f"file-{Path(tasks).stem}"
     start = f"from-{first_update}-" if first_update else ""
     return directory / "adaptation" / f"{start}{name}-{reward}{changed}.csv"
 

@@ -11,7 +11,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from maesn.report.adaptation_table import JUDGED, MEASURES, AdaptationTable, stack_seeds
+from maesn.report.adaptation_table import (
+    JUDGED,
+    MEASURES,
+    AdaptationTable,
+    solved_at_reset,
+    stack_seeds,
+)
 from maesn.report.reading import read_adaptation
 from maesn.report.statistics import Interval, difference_interval, mean_intervals
 
@@ -32,18 +38,16 @@ class Unit(NamedTuple):
         return format(self.scale * value, f"{sign}z.{self.digits}f")
 
     def ends(self, interval: Interval, sign: str = "") -> str:
-        """Return the mean and both ends of its interval."""
-        mean = self.number(interval.mean, sign)
-        if not interval.is_known:
-            return mean
-        return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
+        """Return the mean and both ends of its interval, where it has any."""
+        mean, low, high = (
+            self.number(x, sign) for x in (interval.mean, interval.low, interval.high)
+        )
+        return f"{mean} [{low}, {high}]" if interval.is_known else mean
 
     def half_width(self, interval: Interval) -> str:
         """Return the mean and half the width of its interval, which is shorter."""
-        mean = self.number(interval.mean)
-        if not interval.is_known:
-            return mean
-        return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
+        mean, half = (self.number(x) for x in (interval.mean, (interval.high - interval.low) / 2))
+        return f"{mean} ±{half}" if interval.is_known else mean
 
 
 _PERCENT = 100.0
@@ -91,8 +95,9 @@ def markdown_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def print_tables(tables: Sequence[TextTable], console: Console) -> None:
+def print_tables(tables: Sequence[TextTable], console: Console | None = None) -> None:
     """Show tables in the terminal. A narrow one may break lines, but no number is cut off."""
+    console = console or Console()
     for table in tables:
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
@@ -102,37 +107,34 @@ def summary_tables(
 ) -> list[TextTable]:
     """Summarise adaptation to all tasks and, where some are solved at reset, to the others alone.
 
-    Args:
-        tables: one per seed of the same method, adapted to the same tasks.
-        title: of the tables.
-        brief: half the widths of the intervals instead of their ends, to fit into 80 columns.
+    There is one table per seed of the same method, adapted to the same tasks. Summaries that are
+    `brief` have half the widths of the intervals instead of their ends, to fit into 80 columns.
     """
-    unsolved = ~_solved_at_reset(tables)
     summaries = [_summary_table(tables, title, brief=brief)]
+    unsolved = ~solved_at_reset(tables)
     if unsolved.any() and not unsolved.all():
-        others = [table.select(unsolved) for table in tables]
+        others = [table.part(unsolved) for table in tables]
         summaries.append(_summary_table(others, f"{title}, {WITHOUT_SOLVED}", brief=brief))
     return summaries
 
 
 def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool) -> TextTable:
     """Summarise adaptation, update by update."""
-    columns = {name: mean_intervals(stack_seeds(tables, name)) for name in MEASURES}
+    intervals = {name: mean_intervals(stack_seeds(tables, name)) for name in MEASURES}
     texts = [
-        [UNITS[name].half_width(one) if brief else UNITS[name].ends(one) for one in intervals]
-        for name, intervals in columns.items()
+        [UNITS[name].half_width(one) if brief else UNITS[name].ends(one) for one in column]
+        for name, column in intervals.items()
     ]
-    labels = labels_of(interval for intervals in columns.values() for interval in intervals)
+    labels = labels_of(one for column in intervals.values() for one in column)
     first = tables[0]
-    note = _join(note_on_solved(_solved_at_reset(tables)), _beyond(first))
+    note = _join(note_on_solved(solved_at_reset(tables)), _beyond(first))
     judged = f"{JUDGED[first.purpose].capitalize()}."
+    notes = [note, f"± half the {labels}", judged]
     return TextTable(
         title,
         ("update", "episodes", *(UNITS[name].heading for name in MEASURES)),
         tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
-        tuple(filter(None, (note, f"± half the {labels}", judged)))
-        if brief
-        else (_join(f"In brackets: {labels}.", note, judged),),
+        tuple(filter(None, notes)) if brief else (_join(f"In brackets: {labels}.", note, judged),),
     )
 
 
@@ -141,36 +143,25 @@ def difference_table(
     others: Mapping[str, Sequence[AdaptationTable]],
     title: str,
 ) -> TextTable:
-    """Compare methods with a reference on the same tasks: method minus reference, paired.
+    """Compare last updates with a reference on the same tasks: method minus reference, paired.
 
-    Args:
-        reference: one table per seed.
-        others: for each method's name, one table per seed; its last update is compared.
-        title: of the table.
+    There is one table per seed, of the reference and of each method by its name.
     """
     rows, intervals = [], []
     for name, tables in others.items():
-        differences = [
-            difference_interval(
-                stack_seeds(tables, measure)[..., -1], stack_seeds(reference, measure)[..., -1]
-            )
-            for measure in MEASURES
-        ]
-        intervals += differences
-        pairs = zip(MEASURES, differences, strict=True)
-        rows.append((name, *(UNITS[measure].ends(one, sign="+") for measure, one in pairs)))
+        cells = [name]
+        for measure in MEASURES:
+            ends = (stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
+            intervals.append(difference_interval(*ends))
+            cells.append(UNITS[measure].ends(intervals[-1], sign="+"))
+        rows.append(tuple(cells))
     beyond = [f"{name}: {said}" for name, tables in others.items() if (said := _beyond(tables[0]))]
+    solved = note_on_solved(solved_at_reset(reference))
     return TextTable(
         title,
         ("method", *(UNITS[name].heading for name in MEASURES)),
         tuple(rows),
-        (
-            _join(
-                f"In brackets: {labels_of(intervals)}.",
-                note_on_solved(_solved_at_reset(reference)),
-                *beyond,
-            ),
-        ),
+        (_join(f"In brackets: {labels_of(intervals)}.", solved, *beyond),),
         is_named=True,
     )
 
@@ -181,14 +172,10 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
     Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
     tasks no episode reached the goal.
 
-    Args:
-        path: of the table.
-        console: where it goes; None for standard output.
-
     Raises:
         RunError: the file is missing or broken.
     """
-    console = Console() if console is None else console
+    console = console or Console()
     table, title = read_adaptation(path), f"Adaptation: {path.stem}"
     few = [_task_table(table)] if table.num_tasks <= _FEW_TASKS else []
     print_tables([*summary_tables([table], title, brief=True), *few], console)
@@ -224,11 +211,6 @@ def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
 def labels_of(intervals: Iterable[Interval]) -> str:
     """Return what intervals are and resample, each text once."""
     return "; or ".join(dict.fromkeys(interval.label for interval in intervals))
-
-
-def _solved_at_reset(tables: Sequence[AdaptationTable]) -> Bool[np.ndarray, " task"]:
-    flags = [table.is_solved_at_reset for table in tables]
-    return np.any(flags, axis=0) if len({len(flag) for flag in flags}) == 1 else flags[0]
 
 
 def _beyond(table: AdaptationTable) -> str:

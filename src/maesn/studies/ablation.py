@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -11,17 +11,17 @@ from maesn import api
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractMetaLearner
 from maesn.report.comparison import Comparison
-from maesn.report.style import MethodStyle, series_styles
+from maesn.report.style import series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.task_sources import resolve_family
-from maesn.storage import RunError
+from maesn.storage import RunError, refusals
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
-from maesn.studies.checks import check_world, open_oracle
-from maesn.studies.comparison import USUAL, compare_lines, comparison_world, silent
-from maesn.studies.curves import ComparisonWorld, Say
-from maesn.studies.lines import LineSpec, line_of_runs
+from maesn.studies.comparison import USUAL, compare_lines, silent
+from maesn.studies.curves import Say
+from maesn.studies.lines import line_of_runs
+from maesn.studies.world import check_world, comparison_world, open_oracle
 
 RUNS = "runs"
 
@@ -92,8 +92,18 @@ def ablate(
     """
     out = Path(out)
     ceiling = None if oracle is None else open_oracle(oracle, ablation.settings.own_family)
-    worlds = {radius: _world(ablation, radius) for radius in radii or ablation.radii}
-    _check(ablation, out / RUNS, worlds.values(), evaluation, ceiling)
+    with refusals("`radii`: "):
+        worlds = {
+            radius: dataclasses.replace(ablation.settings, sparse_radius=radius)
+            for radius in radii or ablation.radii
+        }
+    # Refused before hours of training: what could not be compared after them.
+    for settings in worlds.values():
+        with closing(comparison_world(settings, evaluation)) as world:
+            check_world([ceiling] if ceiling else [], world)
+    for name in ablation.names:
+        for run in _runs(ablation, name, out / RUNS):
+            _check_same(run, ablation, name)
     for number, name in enumerate(ablation.names, start=1):
         say(f"{number}. {ABLATION[name].label}: {ablation.settings.iterations} meta-iterations")
         _train(ablation, name, out / RUNS)
@@ -102,7 +112,16 @@ def ablate(
     for radius, settings in worlds.items():
         say(f"adaptation on sparse reward, {radius_label(radius)}")
         with closing(comparison_world(settings, evaluation)) as world:
-            lines = _lines(runs, world)
+            lines = [
+                line_of_runs(
+                    name,
+                    dataclasses.replace(style, label=ABLATION[name].label),
+                    runs[name],
+                    world,
+                    evaluation,
+                )
+                for name, style in zip(runs, series_styles(list(runs)), strict=True)
+            ]
             folder = out / ("own-radius" if radius is None else f"radius-{radius:g}")
             done[radius] = compare_lines(lines, world, folder, oracle=ceiling, say=say)
     return done
@@ -113,39 +132,13 @@ def radius_label(radius: float | None) -> str:
     return "the family's own radius" if radius is None else f"radius {radius:g} m"
 
 
-def _world(ablation: Ablation, radius: float | None) -> RunSettings:
-    """Return the settings of the new tasks at a radius."""
-    try:
-        return dataclasses.replace(ablation.settings, sparse_radius=radius)
-    except ValueError as error:
-        raise RunError(f"`radii`: {error}") from error
-
-
-def _check(
-    ablation: Ablation,
-    directory: Path,
-    worlds: Iterable[RunSettings],
-    evaluation: Evaluation,
-    ceiling: Run | None,
-) -> None:
-    """Refuse, before hours of training, what could not be compared after them."""
-    for settings in worlds:
-        with closing(comparison_world(settings, evaluation)) as world:
-            check_world([ceiling] if ceiling else [], world)
-    for name in ablation.names:
-        for run in _runs(ablation, name, directory):
-            _check_same(run, ablation, name)
-
-
 def _train(ablation: Ablation, name: str, directory: Path) -> None:
     """Begin or go on with the run of one line, unless it is finished."""
     settings = ablation.settings
     path = directory / _directory_name(name, settings.seed)
     if not (path / CONFIG).exists():
         api.train(_learner(ablation, name), settings, path)
-        return
-    run = Run.open(path, settings.own_family)
-    if run.latest().iteration < settings.iterations:
+    elif Run.open(path, settings.own_family).latest().iteration < settings.iterations:
         api.resume(path, settings.iterations, settings.own_family)
 
 
@@ -162,11 +155,10 @@ def _runs(ablation: Ablation, name: str, directory: Path) -> list[Run]:
 
     Directories of other names, such as copies of a run, have no part in it.
     """
-    paths = [path.parent for path in directory.glob(f"{name}-seed-*/{CONFIG}")]
     runs = [
-        Run.open(path, ablation.settings.own_family)
-        for path in paths
-        if re.fullmatch(_directory_name(re.escape(name), r"\d+"), path.name)
+        Run.open(config.parent, ablation.settings.own_family)
+        for config in directory.glob(f"{name}-seed-*/{CONFIG}")
+        if re.fullmatch(_directory_name(re.escape(name), r"\d+"), config.parent.name)
     ]
     return sorted(runs, key=lambda run: run.settings.seed)
 
@@ -206,14 +198,6 @@ def _check_same(run: Run, ablation: Ablation, name: str) -> None:
         )
 
 
-def _lines(runs: Mapping[str, Sequence[Run]], world: ComparisonWorld) -> list[LineSpec]:
-    styles = _styles(list(runs))
-    return [
-        line_of_runs(name, styles[name], found, world, world.evaluation)
-        for name, found in runs.items()
-    ]
-
-
 def _finished(ablation: Ablation, name: str, directory: Path, say: Say) -> list[Run]:
     """Return the runs of one line that are finished."""
     finished, wanted = [], ablation.settings.iterations
@@ -224,11 +208,3 @@ def _finished(ablation: Ablation, name: str, directory: Path, say: Say) -> list[
         else:
             finished.append(run)
     return finished
-
-
-def _styles(names: Sequence[str]) -> dict[str, MethodStyle]:
-    drawn = series_styles(names)
-    return {
-        name: dataclasses.replace(style, label=ABLATION[name].label)
-        for name, style in zip(names, drawn, strict=True)
-    }

@@ -15,9 +15,9 @@ from maesn.learners import (
 )
 from maesn.learners.presets import POLICY_STEP, staged_adaptation
 
+# Sparse radii of the last figure, in metres: that of the paper's text, and the one that the
+# published figure appears to have been made with.
 _RADII: dict[str, tuple[float, ...]] = {"wheeled": (0.8, 1.0)}
-"""Sparse radii of the last figure, in metres: that of the paper's text, and the one that the
-published figure appears to have been made with."""
 
 
 def ablation_radii(family: str) -> tuple[float | None, ...]:

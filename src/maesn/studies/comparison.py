@@ -1,86 +1,53 @@
 """Methods adapted to the same tasks: trained runs, methods from scratch, baselines and oracle."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import NamedTuple
 
 from maesn.api import changed
-from maesn.envs import Variant
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.rules import AbstractRule, AbstractWrapper
+from maesn.report.adaptation_table import Line
 from maesn.report.comparison import Comparison, write_tidy_table
 from maesn.report.comparison_tables import write_summary
-from maesn.report.figures.comparison import plot_comparison
-from maesn.report.line import Line
+from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
-from maesn.runs.config import RunSettings, make_env
 from maesn.runs.run import Run
-from maesn.runs.task_sources import find_tasks, resolve_family
 from maesn.storage import RunError, explained
-from maesn.studies.checks import Changes, check_changes, check_world, open_oracle
-from maesn.studies.curves import ComparisonWorld, Say, curves_of, open_comparison_world
+from maesn.studies.curves import Say, curves_of
 from maesn.studies.lines import LineSpec, Scratch, baseline_lines, line_of_runs, scratch_lines
+from maesn.studies.world import (
+    ComparisonWorld,
+    WorldSettings,
+    check_world,
+    comparison_world,
+    open_oracle,
+)
+
+TABLE, SUMMARY, FIGURE, CURVES = "table.csv", "summary.md", "comparison", "curves"
 
 
 def silent(sentence: str) -> None:
     """Print nothing."""
 
 
-TABLE, SUMMARY, FIGURE, CURVES = "table.csv", "summary.md", "comparison", "curves"
+class Changes(NamedTuple):
+    """What is changed about whom in the new tasks. By default nothing."""
 
-
-@dataclasses.dataclass(frozen=True)
-class WorldSettings:
-    """The family of a comparison; what is None is what the runs that are compared say."""
-
-    family: str | None = None
-    """Family of tasks, or `module:name` of your own."""
-    variant: Variant | None = None
-    """Rewards of the code behind the published curves, or as printed in the paper."""
-
-    def settings(self, runs: Iterable[Run], evaluation: Evaluation) -> RunSettings:
-        """Return the settings of a world in which the runs can be compared.
-
-        Raises:
-            RunError: nothing says which family it is, or the runs disagree.
-        """
-        asked = {
-            "family": self.family,
-            "variant": self.variant,
-            "sparse_radius": evaluation.sparse_radius,
-            "engine": evaluation.engine,
-        }
-        found = {
-            name: list(dict.fromkeys(_of_run(run, name) for run in runs))
-            for name, value in asked.items()
-            if value is None
-        }
-        for name, values in found.items():
-            if len(values) > 1:
-                listed = " and ".join(map(str, sorted(values, key=str)))
-                raise RunError(
-                    f"the runs must agree in `{name}` to be compared, got {listed}: say which one "
-                    f"with --{name.replace('_', '-')}, or compare fewer runs."
-                )
-        given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-        given |= {name: values[0] for name, values in found.items() if values}
-        if "family" not in given:
-            raise RunError("`family` must be given where no run says it: --family NAME.")
-        return RunSettings(**given, num_threads=evaluation.num_threads or 0)
-
-
-def _of_run(run: Run, name: str) -> Any:
-    """Return what a run says of its world: the values that it was trained with, not defaults."""
-    if name == "family":
-        return run.settings.own_family or run.config.family
-    if name == "engine":
-        return run.settings.engine
-    return getattr(run.env(), name) or None  # a radius of 0 cannot be asked for
+    wrappers: tuple[AbstractWrapper, ...] = ()
+    """If there are any, runs take part a second time, with these."""
+    twice: Sequence[str] = ()
+    """Runs of which methods do; empty for all that can be given them."""
+    rules: Mapping[str, AbstractRule] = MappingProxyType({})
+    """Rules of all runs of a method, by its name, also where they take part a second time. Methods
+    that are not named follow their own."""
 
 
 SAME_AS_RUNS, NO_SCRATCH, USUAL, UNCHANGED = WorldSettings(), Scratch(), Evaluation(), Changes()
@@ -124,7 +91,7 @@ def compare(
     opened = [one if isinstance(one, Run) else Run.open(one, family=own) for one in runs]
     ceiling = None if oracle is None else open_oracle(oracle, own)
     settings = world.settings(opened, evaluation)
-    check_changes(changes, opened)
+    _check_changes(changes, opened)
     if ceiling and any(run.settings.method == ceiling.settings.method for run in opened):
         raise RunError(
             "an oracle is among the runs, and --oracle names one as well: give one of the two."
@@ -138,25 +105,6 @@ def compare(
         return compare_lines(lines, opened_world, Path(out), oracle=ceiling, say=say)
 
 
-def comparison_world(
-    settings: RunSettings, evaluation: Evaluation, runs: Sequence[Run] = ()
-) -> ComparisonWorld:
-    """Open the world of a comparison; it is to be closed.
-
-    Args:
-        settings: variant, sparse radius, engine and threads.
-        evaluation: of all lines.
-        runs: that are compared. Their recorded world is played in, whatever has become of the
-            family's defaults since.
-    """
-    family = resolve_family(settings.family)
-    if runs and runs[0].env().variant == settings.variant:
-        env = runs[0].env(evaluation.reward, settings.sparse_radius)
-    else:
-        env = make_env(family, settings, evaluation.reward)
-    return open_comparison_world(env, find_tasks(evaluation.tasks, family), settings, evaluation)
-
-
 def compare_lines(
     specs: Sequence[LineSpec],
     world: ComparisonWorld,
@@ -165,29 +113,18 @@ def compare_lines(
     oracle: Run | None = None,
     say: Say = silent,
 ) -> Comparison:
-    """Adapt all lines, baselines and oracle; write curves, a figure and tables.
-
-    Args:
-        specs: the lines of the comparison.
-        world: in which they are compared.
-        out: directory for all that is written.
-        oracle: a run that is given the tasks.
-        say: receives messages of progress.
-    """
-
-    def line(spec: LineSpec) -> Line:
-        return _line(spec, world, out / CURVES, say)
-
+    """Adapt all lines, baselines and oracle; write curves, a figure and tables to `out`."""
+    adapted = partial(_adapted, world=world, directory=out / CURVES, say=say)
     ceiling = None
     if oracle is not None:
         # Its updates change nothing: the start says all.
         start = dataclasses.replace(world.evaluation, episodes=0)
-        ceiling = line_of_runs("oracle", METHOD_STYLES["oracle"], [oracle], world, start)
+        ceiling = adapted(line_of_runs("oracle", METHOD_STYLES["oracle"], [oracle], world, start))
     comparison = Comparison(
-        lines=tuple(map(line, specs)),
+        lines=tuple(map(adapted, specs)),
         horizon=world.env.horizon,
-        baselines=tuple(map(line, baseline_lines(world))),
-        oracle=None if ceiling is None else line(ceiling),
+        baselines=tuple(map(adapted, baseline_lines(world))),
+        oracle=ceiling,
     )
     with explained("make", out):
         out.mkdir(parents=True, exist_ok=True)
@@ -196,6 +133,29 @@ def compare_lines(
     for path in (*save_figure(plot_comparison(comparison), out, FIGURE), out / TABLE):
         say(str(path))
     return comparison
+
+
+def _check_changes(changes: Changes, runs: Sequence[Run]) -> None:
+    """Refuse changes that would never show."""
+    known = sorted({run.settings.method for run in runs})
+    named: dict[str, Iterable[str]] = {"twice": changes.twice, "rules": changes.rules}
+    for name, methods in named.items():
+        unknown = [method for method in methods if method not in known]
+        if unknown:
+            raise RunError(
+                f"`{name}` must be methods of the runs, "
+                f"{', '.join(known) or 'of which there are none'}; got {', '.join(unknown)}."
+            )
+    if changes.wrappers and not runs:
+        raise RunError(
+            "`then` and `bonus` add to trained runs, of which none take part: name their "
+            "directories, or leave it out."
+        )
+    if changes.twice and not changes.wrappers:
+        raise RunError(
+            "`twice` says which runs take part a second time, but nothing is added to them: say "
+            "what with `then` or `bonus`."
+        )
 
 
 def _lines_of_runs(
@@ -214,7 +174,7 @@ def _lines_of_runs(
         rule = changes.rules.get(method)
         episodes = world.evaluation.episodes if run_episodes is None else run_episodes
         lines.append(line(changed(world.evaluation, {"rule": rule, "episodes": episodes})))
-        if not changes.second_time(method):
+        if not changes.wrappers or (changes.twice and method not in changes.twice):
             continue
         second = changed(world.evaluation, {"rule": rule, "wrappers": changes.wrappers})
         try:
@@ -226,21 +186,19 @@ def _lines_of_runs(
     return lines
 
 
-def _line(spec: LineSpec, world: ComparisonWorld, directory: Path, say: Say) -> Line:
-    tables = [
-        read_adaptation(curves_of(one, world, directory, say)).first_part(
-            one.num_tasks, one.record["episodes"] // world.evaluation.episodes_per_update
+def _adapted(spec: LineSpec, world: ComparisonWorld, directory: Path, say: Say) -> Line:
+    """Adapt the learners of a line, and read their curves."""
+    evaluation, tables = world.evaluation, []
+    for one in spec.learners:
+        updates = one.record["episodes"] // evaluation.episodes_per_update
+        table = read_adaptation(curves_of(one, world, directory, say))
+        tables.append(
+            dataclasses.replace(
+                table.first_part(one.num_tasks, updates),
+                tasks=evaluation.tasks,
+                reward=evaluation.reward,
+                trial_episodes=spec.trial_episodes,
+            )
         )
-        for one in spec.learners
-    ]
-    named = (
-        dataclasses.replace(
-            table,
-            tasks=world.evaluation.tasks,
-            reward=world.evaluation.reward,
-            trial_episodes=spec.trial_episodes,
-        )
-        for table in tables
-    )
     seeds = tuple(one.seed for one in spec.learners)
-    return Line(spec.name, spec.style, seeds, tuple(named), spec.training_steps)
+    return Line(spec.name, spec.style, seeds, tuple(tables), spec.training_steps)

@@ -9,77 +9,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maesn.envs import AnyEnv, TaskSet
 from maesn.evaluation.evaluate import adapt, as_rows, tasks_at_once
-from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.record import Identity, adaptation_record
 from maesn.evaluation.tables import adaptation_file, read_rows, write_rows
 from maesn.learners import AbstractFastLearner
 from maesn.report.table_files import record_file
-from maesn.runs.config import RunSettings
 from maesn.runs.serialization import digest_of_document
-from maesn.storage import RunError, explained, read_json, write_json
-from maesn.worlds import AbstractWorld, make_world
-from maesn.worlds.collector import Collector
+from maesn.storage import explained, read_json, write_json
+from maesn.studies.world import ComparisonWorld
 
 Say: TypeAlias = Callable[[str], None]
-
-RECORD = "settings.json"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ComparisonWorld:
-    """The world in which methods are compared, and how they are evaluated in it."""
-
-    settings: RunSettings
-    """Of the environment; what they say of learning means nothing here."""
-    world: AbstractWorld
-    evaluation: Evaluation
-    """Tasks, reward, budgets. Rules are those of each line."""
-    collect: Collector
-    deploy: Collector | None
-    """Plays the fresh episodes that judge deployed agents; None for none."""
-
-    def close(self) -> None:
-        """Stop what plays in the world."""
-        self.world.close()
-
-    @property
-    def env(self) -> AnyEnv:
-        """The environment of the new tasks."""
-        return self.world.env
-
-    def record(self, who: Identity, evaluation: Evaluation) -> dict[str, Any]:
-        """Return what decides the curves of a learner here; see `adaptation_record`."""
-        return adaptation_record(who, self.world, self.settings.engine, evaluation)
-
-
-def open_comparison_world(
-    env: AnyEnv, tasks: TaskSet, settings: RunSettings, evaluation: Evaluation
-) -> ComparisonWorld:
-    """Open the world of a comparison; it is to be closed.
-
-    Args:
-        env: of the new tasks.
-        tasks: the set that methods are adapted to.
-        settings: engine and threads.
-        evaluation: of all lines.
-
-    Raises:
-        RunError: the engine cannot move the environment.
-    """
-    try:
-        world = make_world(env, tasks, settings.num_threads, settings.engine)
-    except ValueError as error:
-        raise RunError(str(error)) from error
-    judged = evaluation.deploy_episodes
-    return ComparisonWorld(
-        settings,
-        world,
-        evaluation,
-        Collector(world, evaluation.episodes_per_update),
-        Collector(world, judged) if judged else None,
-    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -103,28 +41,23 @@ class SeededLearner:
 
 
 def curves_of(one: SeededLearner, world: ComparisonWorld, directory: Path, say: Say) -> Path:
-    """Return the table of a one's curves, adapting it unless that has been done.
+    """Return the table of a learner's curves, adapting it unless that has been done.
 
     Chunk after chunk of the tasks is written down, so that an interrupted adaptation goes on with
     the chunk that was interrupted.
-
-    Args:
-        one: the learner.
-        world: of the comparison.
-        directory: of all curves of the comparison.
-        say: receives messages of progress.
     """
-    if one.earlier is not None and _fits(one):
+    if one.earlier is not None and _fits(one.record, one.earlier):
         say(f"{one.name}, seed {one.seed}: found in {one.earlier}")
         return one.earlier
-    folder = directory / _unique_name(one)
+    # The name is another one if anything else decides the curves.
+    folder = directory / f"{one.name}-seed-{one.seed}-{digest_of_document(one.record)}"
     table = folder / adaptation_file(folder, world.evaluation).name
     if table.exists():
         say(f"{one.name}, seed {one.seed}: done before")
         return table
     with explained("make", folder):
         folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / RECORD, dict(one.record))
+    write_json(folder / "settings.json", dict(one.record))
     rows: list[dict[str, Any]] = []
     for tasks in _cut(one, world):
         rows += _adapt_piece(one, world, folder, tasks, say)
@@ -133,20 +66,14 @@ def curves_of(one: SeededLearner, world: ComparisonWorld, directory: Path, say: 
     return table
 
 
-def _fits(one: SeededLearner) -> bool:
+def _fits(record: Mapping[str, Any], earlier: Path) -> bool:
     """Whether an earlier adaptation is the same one, or one of more tasks or episodes."""
-    assert one.earlier is not None
-    path = record_file(one.earlier)
-    if not (path.exists() and one.earlier.exists()):
+    path = record_file(earlier)
+    if not (path.exists() and earlier.exists()):
         return False
-    found, wanted = read_json(path), dict(one.record)
+    found, wanted = read_json(path), dict(record)
     enough = all(found.pop(name, -1) >= wanted.pop(name) for name in ("num_tasks", "episodes"))
     return enough and all(found.get(name) == value for name, value in wanted.items())
-
-
-def _unique_name(one: SeededLearner) -> str:
-    """Return a name that is another one if anything else decides the curves."""
-    return f"{one.name}-seed-{one.seed}-{digest_of_document(one.record)}"
 
 
 def _cut(one: SeededLearner, world: ComparisonWorld) -> list[np.ndarray]:

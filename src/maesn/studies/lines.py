@@ -26,8 +26,9 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
 from maesn.runs.run import Run
-from maesn.storage import RunError
-from maesn.studies.curves import ComparisonWorld, SeededLearner
+from maesn.storage import RunError, refusals
+from maesn.studies.curves import SeededLearner
+from maesn.studies.world import ComparisonWorld
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,10 +90,8 @@ class Scratch:
             vime: {**region, "curiosity": CuriosityBonus(self.curiosity_weight)},
         }
         policy = USUAL[env.action_kind]
-        try:
+        with refusals(f"`{name}` cannot learn in `{env.name}`: "):
             return make(env.observation_size, env.action_size, policy=policy, **settings[make])
-        except ValueError as error:
-            raise RunError(f"`{name}` cannot learn in `{env.name}`: {error}") from error
 
 
 def line_of_runs(
@@ -102,19 +101,15 @@ def line_of_runs(
     world: ComparisonWorld,
     evaluation: Evaluation,
 ) -> LineSpec:
-    """Return trained runs that differ in their seed alone.
+    """Return trained runs that differ in their seed alone, adapted by the rule of `evaluation`.
 
-    Args:
-        name: of the line.
-        style: of the line.
-        runs: each with its latest checkpoint, never the best one.
-        world: of the comparison.
-        evaluation: with the rule of this line.
+    Of each run the latest checkpoint takes part, never the best one.
 
     Raises:
         RunError: rule and method do not fit.
     """
     learners, trial_episodes, training_steps = [], None, 0
+    name += evaluation.suffix
     of_all_tasks = dataclasses.replace(evaluation, num_tasks=None)
     for run in runs:
         trained = run.latest()
@@ -123,18 +118,11 @@ def line_of_runs(
             Trained(run.learner, trained.state), run.settings.method, world.env
         )
         trial_episodes = learner.capabilities.trial_episodes
-        learners.append(
-            SeededLearner(
-                name=name + evaluation.suffix,
-                seed=run.settings.seed,
-                learner=learner,
-                record=world.record(identity_of_run(run), evaluation),
-                earlier=adaptation_file(run.directory, of_all_tasks),
-            )
-        )
-    drawn = _changed(style, evaluation) if evaluation.label else style
-    name = name + evaluation.suffix
-    return LineSpec(name, drawn, tuple(learners), trial_episodes, training_steps)
+        record = world.record(identity_of_run(run), evaluation)
+        earlier = adaptation_file(run.directory, of_all_tasks)
+        learners.append(SeededLearner(name, run.settings.seed, learner, record, earlier))
+    style = _changed(style, evaluation)
+    return LineSpec(name, style, tuple(learners), trial_episodes, training_steps)
 
 
 def line_of_scratch(
@@ -212,6 +200,8 @@ def _untrained(
 
 def _changed(style: MethodStyle, evaluation: Evaluation) -> MethodStyle:
     """Return the style of a line whose label says what is changed; dashed if something is added."""
+    if not evaluation.label:
+        return style
     # Into parentheses that are there already, as in "MAML (bias only)".
     opened = f"{style.label[:-1]}; " if style.label.endswith(")") else f"{style.label} ("
     named = dataclasses.replace(style, label=f"{opened}{evaluation.label})")

@@ -1,4 +1,4 @@
-"""Adaptation curves on new tasks: the paper's "Learning progress on novel tasks"."""
+"""Adaptation curves on new tasks: over updates, and of a comparison over environment steps."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,42 +6,67 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from maesn.report.adaptation_table import Line
+from maesn.report.comparison import Comparison
 from maesn.report.figures.curves import draw_line, explain, note_on_lines, percent_axis
-from maesn.report.line import Line
 from maesn.report.published import PublishedCurve
-from maesn.report.style import TWO_COLUMNS, new_figure, publication_style
+from maesn.report.style import DARK_GREY, ONE_COLUMN, TWO_COLUMNS, new_figure, publication_style
 
-_HEIGHT = 2.35  # inches, without the legend
 _WIDTHS = (1.35, 1.0, 1.0)  # the panel that targets are stated for is the widest
-
-_MEASURES = ("mean_return", "success_rate", "time_in_region")
+_HEIGHTS = (1.5, 1.0)  # return above, success below
+_LINE_CHARACTERS = 58  # of a note in one column
+_DOTTED = (0, (1.0, 1.5))
 
 
 @publication_style()
 def plot_adaptation_curves(
     lines: Sequence[Line], published: Mapping[str, PublishedCurve | None]
 ) -> Figure:
-    """Draw return, success and time at the goal over updates, with intervals.
+    """Draw the paper's "Learning progress on novel tasks": return, success and time at the goal.
 
-    A published curve is a thin dashed line of its method's colour, as far as our updates go.
-
-    Args:
-        lines: what to draw, all on the same tasks and reward.
-        published: what the paper shows for lines, by their names.
+    All lines are on the same tasks and reward. A published curve, by the name of its line, is thin,
+    dashed, of its method's colour, and goes as far as our updates go.
     """
-    figure = new_figure(TWO_COLUMNS, _HEIGHT)
+    figure = new_figure(TWO_COLUMNS, 2.35)
     panels = figure.subplots(1, 3, width_ratios=_WIDTHS)
-    for axes, measure in zip(panels, _MEASURES, strict=True):
-        labels = {
-            line.label: draw_line(axes, line.tables[0].updates, line, measure) for line in lines
-        }
+    measures = ("mean_return", "success_rate", "time_in_region")
+    for axes, measure in zip(panels, measures, strict=True):
+        labels = {line.label: draw_line(axes, line.table.updates, line, measure) for line in lines}
         axes.set_xlabel("update")
         _episodes_axis(axes, lines)
-    panels[0].set_ylabel(f"mean {lines[0].tables[0].reward} return")
+    panels[0].set_ylabel(f"mean {lines[0].table.reward} return")
     percent_axis(panels[1], "success rate")
     percent_axis(panels[2], "time in goal region")
     _draw_published(panels[0], lines, published)
     explain(figure, panels[0], [*note_on_lines(lines, labels), *_note_on_updates(lines)])
+    return figure
+
+
+@publication_style()
+def plot_comparison(comparison: Comparison) -> Figure:
+    """Draw return and success over the steps that were learned from in the new task.
+
+    Baseline and oracle are horizontal lines. The curve of a policy with recurrent state is faint
+    beyond the length of the trials that it was trained on. The legend says where a method was
+    adapted to the first tasks alone.
+    """
+    lines = comparison.lines
+    most_tasks = max(line.num_tasks for line in lines)
+    figure = new_figure(ONE_COLUMN, 3.4)
+    panels = figure.subplots(2, 1, sharex=True, height_ratios=_HEIGHTS)
+    for axes, measure in zip(panels, ("mean_return", "success_rate"), strict=True):
+        labels = {}
+        for line in lines:
+            fewer = "" if line.num_tasks == most_tasks else f" ({_first_tasks(line.num_tasks)})"
+            labels[line.label] = draw_line(axes, comparison.steps(line), line, measure, fewer)
+    bounds = comparison.bounds(most_tasks)
+    for height, name, style in zip(bounds, ("baseline", "oracle"), (_DOTTED, "-"), strict=True):
+        if height is not None:
+            panels[0].axhline(height, color=DARK_GREY, linewidth=0.8, linestyle=style, label=name)
+    panels[0].set_ylabel(f"mean {lines[0].table.reward} return")
+    percent_axis(panels[1], "success rate")
+    _steps_axis(panels[1], comparison)
+    explain(figure, panels[0], note_on_lines(lines, labels), _LINE_CHARACTERS)
     return figure
 
 
@@ -67,7 +92,7 @@ def _draw_published(
 
 def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
     """Count episodes along the top, where every update of every line has the same number."""
-    counts = {table.episodes_per_update for line in lines for table in line.tables}
+    counts = {line.table.episodes_per_update for line in lines}
     per_update = counts.pop()
     if counts or per_update is None:
         return
@@ -85,8 +110,24 @@ def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
 
 def _note_on_updates(lines: Sequence[Line]) -> list[str]:
     """Say how long an update is, where lines differ in it."""
-    counts = {line.label: line.tables[0].episodes_per_update for line in lines}
+    counts = {line.label: line.table.episodes_per_update for line in lines}
     known = {label: count for label, count in counts.items() if count is not None}
     if len(set(known.values())) < 2:
         return []
     return [f"episodes per update: {', '.join(f'{one} {count}' for one, count in known.items())}"]
+
+
+def _first_tasks(number: int) -> str:
+    return "first task" if number == 1 else f"first {number} tasks"
+
+
+def _steps_axis(axes: Axes, comparison: Comparison) -> None:
+    """Count steps; beyond the shortest update logarithmically, if the updates differ in length."""
+    counts = [comparison.steps(line) for line in comparison.lines]
+    shortest = {int(steps[1]) for steps in counts if len(steps) > 1}
+    axes.set_xlabel("environment steps in the new task")
+    if len(shortest) > 1:
+        axes.set_xscale("symlog", linthresh=min(shortest), linscale=0.5)
+        axes.set_xlim(left=0)
+    else:
+        axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))

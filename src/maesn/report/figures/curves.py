@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from maesn.report.line import Line, note_on_judging
+from maesn.report.adaptation_table import Line, note_on_judging
 from maesn.report.statistics import mean_intervals
-from maesn.report.style import NOTE_SIZE, MethodStyle
+from maesn.report.style import MethodStyle
 
 _NUM_MARKERS = 6
 _BAND_OPACITY = 0.18
@@ -56,27 +56,17 @@ def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: st
 
     What meta-training has not prepared a method for is faint.
 
-    Args:
-        axes: to draw in.
-        x: where each column of the line's tables stands.
-        line: a method.
-        measure: one of `MEASURES`.
-        addition: what the legend adds to the method's label.
+    Each column of the line's tables stands at its `x`. The legend puts `addition` behind the label.
     """
     intervals = mean_intervals(line.measure(measure))
-    mean, low, high = (
-        np.array([getattr(interval, name) for interval in intervals])
-        for name in ("mean", "low", "high")
-    )
+    mean, low, high = np.array([(one.mean, one.low, one.high) for one in intervals]).T
     style = replace(line.style, label=line.label + addition)
-    end = len(x) if line.first_beyond is None else max(line.first_beyond, 1)
+    end = len(x) if line.table.first_beyond is None else max(line.table.first_beyond, 1)
     draw_curve(axes, x[:end], mean[:end], (low[:end], high[:end]), style, len(line.seeds))
     if end < len(x):
-        faint = slice(end - 1, None)
-        axes.plot(x[faint], mean[faint], color=style.colour, linestyle=":", alpha=_FAINT)
-        axes.fill_between(
-            x[faint], low[faint], high[faint], color=style.colour, alpha=_FAINT / 4, linewidth=0
-        )
+        x, mean, low, high = (values[end - 1 :] for values in (x, mean, low, high))
+        axes.plot(x, mean, color=style.colour, linestyle=":", alpha=_FAINT)
+        axes.fill_between(x, low, high, color=style.colour, alpha=_FAINT / 4, linewidth=0)
     return intervals[0].label
 
 
@@ -90,9 +80,7 @@ def percent_axis(axes: Axes, label: str) -> None:
 def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]:
     """Say what the bands are, which episodes are judged, and what is faint.
 
-    Args:
-        lines: that are drawn.
-        labels: what the band of each line resamples, by the line's label.
+    `labels` says by the line's label what its band resamples.
     """
     members: dict[str, list[str]] = {}
     for name, label in labels.items():
@@ -100,9 +88,10 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
     *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
     bands = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
     faint = [
-        f"{line.label}, faint: beyond the {line.trial_episodes} episodes that it was trained for"
+        f"{line.label}, faint: beyond the {line.table.trial_episodes} episodes that it was trained "
+        "for"
         for line in lines
-        if line.first_beyond is not None
+        if line.table.first_beyond is not None
     ]
     bands.append(f"{'other bands' if bands else 'bands'}: {rule}")
     return [*bands, note_on_judging(lines), *faint]
@@ -111,20 +100,12 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
 def explain(
     figure: Figure, axes: Axes, notes: Sequence[str], line_characters: int = _LINE_CHARACTERS
 ) -> None:
-    """Put notes and the legend of one panel below all panels; the figure grows by their height.
-
-    Args:
-        figure: to write in.
-        axes: the panel of which the legend is.
-        notes: what else is to be said, a line each.
-        line_characters: as many fit across the figure.
-    """
+    """Put notes and the legend of one panel below all panels; the figure grows by their height."""
     handles, labels = axes.get_legend_handles_labels()
     fitting = line_characters // (max(map(len, labels)) + _HANDLE_CHARACTERS)
     columns = max(1, min(len(labels), _LEGEND_COLUMNS, fitting))
     note = "\n".join(textwrap.fill(line, line_characters) for line in notes)
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=note)
-    legend.get_title().set_fontsize(NOTE_SIZE)
     legend.get_title().set_multialignment("center")
     lines = math.ceil(len(labels) / columns) + note.count("\n") + 1
     figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * lines)

@@ -12,13 +12,11 @@ from maesn.report.figures.curves import draw_curve, explain, percent_axis
 from maesn.report.runs import LearningCurve
 from maesn.report.style import TWO_COLUMNS, MethodStyle, new_figure, publication_style
 
-_HEIGHT = 2.05  # inches, without the legend
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
 _WINDOW_SHARE = 1 / 30
 
 _METRICS = ("return_before", "return_after", "success_after")
-_TITLES = ("before the inner update", "after the inner update", "after the inner update")
 
 
 @dataclass(frozen=True)
@@ -49,19 +47,15 @@ def plot_learning_curves(trained: Sequence[Trained], reward: str) -> Figure:
 
     A line is the moving average of the mean over seeds; its band is the range of the seeds' own
     moving averages, because three seeds are too few for an interval. A single seed has no band, but
-    its raw values behind the line.
-
-    Args:
-        trained: what to draw; seeds are drawn as far as all of a method got.
-        reward: that was trained on, "dense" or "sparse", for the axis.
+    its raw values behind the line. Seeds are drawn as far as all of a method got.
     """
-    figure = new_figure(TWO_COLUMNS, _HEIGHT)
+    figure = new_figure(TWO_COLUMNS, 2.05)
     panels = figure.subplots(1, 3)
     panels[1].sharey(panels[0])
-    for axes, metric, title in zip(panels, _METRICS, _TITLES, strict=True):
+    for axes, metric in zip(panels, _METRICS, strict=True):
         for line in trained:
             _draw_seeds(axes, line, metric)
-        axes.set_title(title)
+        axes.set_title(f"{metric.rpartition('_')[2]} the inner update")
         axes.set_xlabel("meta-iteration")
     panels[0].set_ylabel(f"mean {reward} return")
     percent_axis(panels[2], "success rate")

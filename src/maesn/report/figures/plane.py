@@ -1,7 +1,7 @@
 """Drawing in the plane of the world, in metres: paths, goals, limits that panels share."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
 
+from maesn.report.runs import Positions
 from maesn.report.style import BLACK, DARK_GREY, GREY
 
 # Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
@@ -20,7 +22,7 @@ _DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 
 _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 Points = Float[np.ndarray, "point 2"]
-Positions = Float[np.ndarray, "episode time_plus_1 2"]
+PRIOR_LINE: dict[str, Any] = {"color": BLACK, "linestyle": "--", "linewidth": 1.0}
 
 _MARGIN = 0.05  # of the larger side
 # Overlapping discs stay translucent: this is the sum of their opacities, within limits for one.
@@ -70,53 +72,33 @@ def plane_axes(axes: Axes, limits: Limits) -> None:
     axes.grid(visible=False)
 
 
+def draw_ellipses(axes: Axes, centres: Points, half_axes: Points, **style: Any) -> None:
+    """Draw one ellipse around each point, in the units of the panel."""
+    widths, heights = 2 * half_axes.T
+    style |= {"units": "xy", "offsets": centres, "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(widths, heights, np.zeros(len(centres)), **style))
+
+
+def draw_prior(axes: Axes) -> None:
+    """Draw the 1-sigma circle of a latent's prior N(0, I)."""
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **PRIOR_LINE))
+
+
 def draw_goals(axes: Axes, goals: Points, radius: float) -> None:
     """Draw goal regions as translucent discs, and the goals in their middle."""
-    size = np.full(len(goals), 2 * radius)
     opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
-    axes.add_collection(
-        EllipseCollection(
-            size,
-            size,
-            np.zeros(len(goals)),
-            units="xy",
-            offsets=goals,
-            offset_transform=axes.transData,
-            facecolor=GREY,
-            edgecolor="none",
-            alpha=opacity,
-            zorder=0.5,
-        )
-    )
-    axes.plot(
-        *goals.T,
-        ".",
-        color=DARK_GREY,
-        markersize=2.5,
-        markeredgewidth=0,
-        zorder=0.6,
-        label="goals",
-    )
+    discs = np.full_like(goals, radius)
+    draw_ellipses(axes, goals, discs, facecolor=GREY, edgecolor="none", alpha=opacity, zorder=0.5)
+    axes.plot(*goals.T, ".", color=DARK_GREY, markersize=2.5, markeredgewidth=0, zorder=0.6)
 
 
-def draw_paths(
-    axes: Axes,
-    paths: Positions,
-    colours: str | Float[np.ndarray, "episode 4"],
-    opacity: float = 0.6,
-) -> LineCollection:
+def draw_paths(axes: Axes, paths: Positions, colours: str | Float[np.ndarray, "episode 4"]) -> None:
     """Draw one line per episode and a dot where it ends."""
-    lines = LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=opacity, zorder=2)
-    axes.add_collection(lines)
-    final = final_positions(paths)
-    axes.scatter(final[:, 0], final[:, 1], c=colours, s=4, linewidths=0, zorder=2.5)
-    return lines
-
-
-def draw_start(axes: Axes, paths: Positions) -> None:
-    """Mark where episodes start."""
-    start = paths[:, 0].mean(0)
-    axes.plot(*start, "+", color=BLACK, markersize=6, markeredgewidth=1.0, zorder=3, label="start")
+    axes.add_collection(
+        LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6, zorder=2)
+    )
+    x, y = final_positions(paths).T
+    axes.scatter(x, y, c=colours, s=4, linewidths=0, zorder=2.5)
 
 
 def final_positions(paths: Positions) -> Float[np.ndarray, "episode 2"]:
