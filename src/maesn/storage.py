@@ -41,12 +41,7 @@ class RunError(Exception):
 
 @contextlib.contextmanager
 def explained(action: str, path: Path) -> Iterator[None]:
-    """Turn errors of the operating system into a `RunError`.
-
-    Args:
-        action: what is being done, as in "cannot <action> `path`".
-        path: to what.
-    """
+    """Turn an error of the operating system into a `RunError`: "cannot <action> `path`..."."""
     try:
         yield
     except OSError as error:
@@ -57,11 +52,7 @@ def explained(action: str, path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def refusals(before: str = "") -> Iterator[None]:
-    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`.
-
-    Args:
-        before: what the message begins with.
-    """
+    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`."""
     try:
         yield
     except ValueError as error:
@@ -113,28 +104,20 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     Raises:
         RunError: the file cannot be written, or a number is not finite.
     """
-    try:
+    with refusals(f"`{path}` must hold finite numbers, but: "):
         text = json.dumps(document, indent=2, allow_nan=False)
-    except ValueError as error:
-        raise RunError(f"`{path}` must hold finite numbers, but: {error}.") from error
     write_whole(path, (text + "\n").encode())
 
 
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
     """Read a JSON object.
 
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
     Raises:
-        RunError: the file is missing, unreadable, or no JSON object.
+        RunError: the file is missing, unreadable, or no JSON object; the message ends with the
+            remedy.
     """
-    try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected a JSON file at `{path}`, got {_why(error)}; {remedy}.") from error
-    return _object(document, f"`{path}`", remedy)
+    with _expecting("a JSON object", path, remedy):
+        return _parsed(path.read_bytes())
 
 
 def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
@@ -142,19 +125,12 @@ def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, An
 
     A last line without its line break is left out: it may be being written at this moment.
 
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
     Raises:
         RunError: the file is unreadable, or a line is no JSON object.
     """
-    try:
-        complete, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected metrics at `{path}`, got {_why(error)}; {remedy}.") from error
-    lines = enumerate(complete.splitlines(), start=1)
-    return [_line(line, f"`{path}`, line {i}", remedy) for i, line in lines if line.strip()]
+    with _expecting("lines of JSON objects", path, remedy):
+        complete, _, _ = path.read_bytes().rpartition(b"\n")
+        return [_parsed(line) for line in complete.splitlines()]
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
@@ -171,17 +147,11 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
     """Read the arrays of an `.npz` file by name. Pickled objects are refused.
 
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
     Raises:
         RunError: the file is unreadable, or holds something else than arrays.
     """
-    try:
+    with _expecting("arrays", path, remedy):
         return archive.read_arrays(path)
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected arrays at `{path}`, got {_why(error)}; {remedy}.") from error
 
 
 @contextlib.contextmanager
@@ -211,25 +181,23 @@ def locked(path: Path) -> Iterator[None]:
         yield
 
 
-def _line(line: str, where: str, remedy: str) -> dict[str, Any]:
+@contextlib.contextmanager
+def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
+    """Turn whatever goes wrong while a file is read into a `RunError`."""
     try:
-        document = json.loads(line)
-    except ValueError as error:
-        raise RunError(
-            f"Expected a JSON object in {where}, got {line[:40]!r}; {remedy}."
-        ) from error
-    return _object(document, where, remedy)
+        yield
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None)
+        got = reason.lower() if reason else f"something else that cannot be read ({error})"
+        raise RunError(f"Expected {content} at `{path}`, got {got}; {remedy}.") from error
 
 
-def _object(document: Any, where: str, remedy: str) -> dict[str, Any]:
+def _parsed(text: bytes) -> dict[str, Any]:
+    """Return a JSON object; raises ValueError if the text is none."""
+    try:
+        document = json.loads(text)
+    except ValueError:
+        document = None
     if not isinstance(document, dict):
-        raise RunError(f"Expected an object in {where}, got {type(document).__name__}; {remedy}.")
+        raise ValueError(f"{text[:40]!r} is no JSON object")
     return document
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, FileNotFoundError):
-        return "no such file"
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror.lower()
-    return f"something else that cannot be read ({error})"

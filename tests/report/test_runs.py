@@ -46,7 +46,7 @@ def test_settings_are_read(tmp_path: Path) -> None:
     [
         (None, "got no such file"),
         ("{", "got something else that cannot be read"),
-        ("[1]", "Expected an object .* got list"),
+        ("[1]", "Expected a JSON object .* is no JSON object"),
         ('{"schema": 1}', "Expected `settings` .* got none"),
         ('{"settings": {"method": "maesn"}}', "Expected `family` of type str .* got None"),
     ],

@@ -15,29 +15,18 @@ from maesn.runs.serialization import TAG, fields_from_json, fields_to_json, from
 from maesn.storage import RunError, refusals
 from maesn.worlds import engine_of
 
-CHANGEABLE = (
-    "reward",
-    "sparse_radius",
-    "seed",
-    "iterations",
-    "episodes_per_task",
-    "checkpoint_every",
-    "num_threads",
-    "engine",
-)
-"""Settings of a run that can change: what was learned stays usable."""
+FIXED = ("method", "family", "variant", "tasks")
+"""Settings of a run that cannot change: without them what was learned is of no use."""
+CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not in FIXED)
 
 
 def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
-    """Change settings of a run from its latest checkpoint on, and write that down.
+    """Change settings of a run from its latest checkpoint on, write that down, and return the run.
 
     Args:
         run: that has begun.
         changes: name -> value. Names are those in `CHANGEABLE`, and those of the learner's
             settings as on the command line of `maesn train`, such as `trust_region.damping`.
-
-    Returns:
-        The run with its new settings.
 
     Raises:
         RunError: a name or a value cannot be used; nothing was written.
@@ -66,15 +55,11 @@ def parse_changes(words: Sequence[str]) -> dict[str, Any]:
         name = name.replace("-", "_")
         if not (name and equals) or name in changes:
             raise RunError(f"`--change` expects NAME=VALUE, each name once, got `{word}`.")
-        changes[name] = _value(text)
+        try:
+            changes[name] = ast.literal_eval(text)  # literals alone: numbers, True, None, tuples
+        except (ValueError, SyntaxError):
+            changes[name] = text
     return changes
-
-
-def _value(text: str) -> Any:
-    try:
-        return ast.literal_eval(text)  # literals alone: numbers, True, None, tuples
-    except (ValueError, SyntaxError):
-        return text
 
 
 def _changed(run: Run, changes: Mapping[str, Any]) -> RunConfig:

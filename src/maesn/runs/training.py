@@ -1,6 +1,7 @@
 """The training loop: one generator that begins, goes on, and ends well however it is stopped."""
 
 import contextlib
+import dataclasses
 import logging
 import math
 import time
@@ -12,11 +13,11 @@ from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
-from maesn.runs.compilation import CompileClock
+from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import CONFIG, installed_versions
-from maesn.runs.log import Progress, RunLog
+from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.storage import RunError, locked
 from maesn.worlds import AbstractWorld
@@ -59,8 +60,7 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(locked(run.directory / CONFIG))
         start = run.latest()
-        log = RunLog(run.directory, start.iteration, start.environment_steps)
-        stack.callback(log.close)
+        log = stack.enter_context(open_log(run.directory, start.iteration, start.environment_steps))
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
@@ -86,11 +86,10 @@ class _Training:
         before, run = self.checkpoint, self._run
         self._collect.steps = 0
         key = run.iteration_key(before.iteration)
-        start = time.perf_counter()
-        with CompileClock() as compiling:
-            state, info = run.learner.step(key, before.state, self._collect)
-            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
-        seconds = time.perf_counter() - start
+        start, compiled = time.perf_counter(), compile_seconds()
+        state, info = run.learner.step(key, before.state, self._collect)
+        jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+        seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
         after = Checkpoint(
             state, before.iteration + 1, before.environment_steps + self._collect.steps
         )
@@ -99,8 +98,8 @@ class _Training:
             iteration=after.iteration,
             info={name: float(value) for name, value in named_leaves(metrics).items()},
             seconds=seconds,
-            compile_seconds=compiling.seconds,
-            steps_per_second=self._collect.steps / max(seconds - compiling.seconds, 1e-9),
+            compile_seconds=compiling,
+            steps_per_second=self._collect.steps / max(seconds - compiling, 1e-9),
             environment_steps=after.environment_steps,
         )
         self._log.write(progress)
@@ -137,56 +136,45 @@ class _Training:
         first = int(progress.info.get("first_nonfinite_task", -1))
         named = f" (task {first} is the first)" if first >= 0 else ""
         what = f"the loss of {tasks} tasks{named}" if tasks else f"`{broken[0]}`"
-        logger.warning(
-            "Iteration %d of `%s`: %s is not finite. The step was rejected; the policy is as "
-            "before.",
-            progress.iteration,
-            self._run.directory,
-            what,
-        )
+        said = f"`{self._run.directory}`, iteration {progress.iteration}: {what} is not finite"
+        logger.warning("%s. The step was rejected; the policy is as before.", said)
         if self._nonfinite == MAX_NONFINITE:
             raise TrainingError(
-                f"`{self._run.directory}`, iteration {progress.iteration}: {what} is not finite, "
-                f"for the {MAX_NONFINITE}th time in a row. The last good state is saved; look at "
-                "`metrics.jsonl`, and start a new run with smaller steps or a smaller penalty."
+                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved; "
+                "look at `metrics.jsonl`, and start a new run with smaller steps or a smaller "
+                "penalty."
             )
 
 
 def _compare_versions(run: Run) -> None:
+    message = (
+        "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit what it "
+        "would have become without the interruption."
+    )
     now = installed_versions(run.config.engine)
     for name, version in run.config.versions.items():
         if now.get(name) != version:
-            logger.warning(
-                "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit "
-                "what it would have become without the interruption.",
-                run.directory,
-                name,
-                version,
-                now.get(name),
-            )
+            logger.warning(message, run.directory, name, version, now.get(name))
 
 
+@dataclasses.dataclass
 class _Counter:
     """`Collect` that counts the control steps that it plays."""
 
-    def __init__(self, collect: Collect) -> None:
-        self._collect = collect
-        self.steps = 0
+    collect: Collector
+    steps: int = 0
 
     @property
     def num_tasks(self) -> int:
-        """See `Collect.num_tasks`."""
-        return self._collect.num_tasks
+        return self.collect.num_tasks
 
     @property
     def episodes_per_task(self) -> int:
-        """See `Collect.episodes_per_task`."""
-        return self._collect.episodes_per_task
+        return self.collect.episodes_per_task
 
     def __call__(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
-        """See `Collect`."""
-        episodes = self._collect(keys, agents, task_index, stage)
+        episodes = self.collect(keys, agents, task_index, stage)
         self.steps += int(np.asarray(episodes.valid).sum())
         return episodes

@@ -6,9 +6,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper
-from maesn.runs.beginning import check_sizes
 from maesn.runs.run import Run
-from maesn.runs.starting import check_shown
+from maesn.runs.starting import check_policy, check_sizes
 from maesn.storage import RunError
 from maesn.studies.curves import ComparisonWorld
 
@@ -63,8 +62,10 @@ def check_world(runs: Sequence[Run], world: ComparisonWorld) -> None:
                 f"`{run.directory}` must be a run on {world.env.name} to be compared there, got "
                 f"one on {run.config.family}: leave it out, or give another --family."
             )
-        check_sizes(run, world.env, "compare it in the variant that it was trained in")
-        check_shown(run.learner.player(run.latest_state()), world.env)
+        check_sizes(
+            run.directory, run.env(), world.env, "compare it in the variant that it was trained in"
+        )
+        check_policy(run.learner, run.latest_state(), world.env)
 
 
 def check_changes(changes: Changes, runs: Sequence[Run]) -> None:
