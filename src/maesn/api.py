@@ -25,7 +25,7 @@ from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.storage import RunError, read_json
+from maesn.storage import RunError, read_json, refusals
 
 USUAL = Evaluation()
 
@@ -127,10 +127,8 @@ def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
     for name in settings:
         if name not in known:
             raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
-    try:
+    with refusals():
         return dataclasses.replace(evaluation, **settings)
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def export(

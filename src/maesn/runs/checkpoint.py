@@ -29,7 +29,6 @@ Tree = TypeVar("Tree")
 logger = logging.getLogger(__name__)
 
 CHECKSUM = "sha256"
-_PREFIX = "iteration-"
 
 
 class CheckpointError(RunError):
@@ -72,22 +71,14 @@ def digest_of_arrays(tree: Any) -> str:
 
 
 def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
-    """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none."""
     content = Tensors(_named_arrays(tree), dict(metadata))
     signed = content.metadata | {CHECKSUM: _checksum(content)}
     write_whole(path, safetensors.numpy.save(content.values, metadata=signed))
 
 
 def read_checkpoint(path: Path) -> Tensors:
-    """Read what a checkpoint holds.
-
-    Raises:
-        CheckpointError: the file is missing, unreadable or damaged.
-    """
+    """Read a checkpoint; raises `CheckpointError` if it is missing, unreadable or damaged."""
     try:
         with explained("read", path), safetensors.safe_open(path, framework="numpy") as file:
             metadata = dict(file.metadata() or {})
@@ -127,25 +118,16 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
     )
 
 
-def checkpoint_path(directory: Path, iteration: int) -> Path:
-    """Return where the checkpoint after that many iterations is."""
-    return directory / f"{_PREFIX}{iteration:06d}.safetensors"
-
-
 def checkpoint_paths(directory: Path) -> list[Path]:
     """Return the paths of all checkpoints, the earliest first."""
-    paths = directory.glob(f"{_PREFIX}*.safetensors")
-    numbers = {path: path.stem.removeprefix(_PREFIX) for path in paths}
+    found = directory.glob("iteration-*.safetensors")
+    numbers = {path: path.stem.removeprefix("iteration-") for path in found}
     numbered = [path for path, number in numbers.items() if number.isdecimal()]
     return sorted(numbered, key=lambda path: int(numbers[path]))
 
 
 def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpoint:
-    """Return the latest checkpoint that can be loaded, saying so if a later one is damaged.
-
-    Raises:
-        CheckpointError: there is none.
-    """
+    """Return the latest checkpoint that is not damaged, saying so if a later one is."""
     damage: list[str] = []
     for path in reversed(checkpoint_paths(directory)):
         try:

@@ -166,12 +166,7 @@ def new_config(
 def make_env(
     family: TaskFamily, settings: RunSettings, reward_kind: RewardKind | None = None
 ) -> AnyEnv:
-    """Return the environment that settings ask for; an existing run has its own, `Run.env`.
-
-    Args:
-        family: whose environment.
-        settings: of a run that is yet to begin.
-        reward_kind: instead of the settings' own.
+    """Return the environment that a new run is to have; an existing one has its own, `Run.env`.
 
     Raises:
         RunError: the environment cannot have these settings, or cannot be learned in.

@@ -176,12 +176,9 @@ class RunLog(NamedTuple):
 
 @contextlib.contextmanager
 def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterator[RunLog]:
-    """Open the log files of a run, which only one process may do at a time.
+    """Open the log files of a run, and forget what was written of iterations after this one.
 
-    Args:
-        directory: of the run.
-        iteration: iterations so far; what was written of later ones is forgotten.
-        environment_steps: control steps so far.
+    Only one process may do so at a time.
     """
     events = directory / TENSORBOARD
     with (

@@ -27,18 +27,9 @@ def train_live(
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
-    Args:
-        run: what to train; goes on from its latest checkpoint.
-        iterations: meta-iterations in total; None for what the run's settings say.
-        console: where to show it; None for the standard output.
-
-    Returns:
-        The last iteration; None if there was nothing left to do.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C was pressed; the state is saved, and a line says so.
-        RunError: as for `train`.
-        EpisodeError: as for `train`.
+    Returns the last iteration; None if there was nothing left to do. At Ctrl-C the state is saved,
+    and a line says how to go on. `console` is the standard output if none is given; all else is as
+    for `train`.
     """
     console = Console() if console is None else console
     total = run.settings.iterations if iterations is None else iterations

@@ -24,7 +24,6 @@ from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs.checkpoint import (
     Checkpoint,
     MismatchError,
-    checkpoint_path,
     checkpoint_paths,
     latest_sound,
     named_leaves,
@@ -56,10 +55,7 @@ _UNTRAINED = 0xFFFFFFFF
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """One run: what `config.json` says, and the checkpoints beside it.
-
-    Made by `Run.create` or `Run.open`.
-    """
+    """What `config.json` says, and the checkpoints beside it; made by `create` or `open`."""
 
     directory: Path
     config: RunConfig
@@ -100,11 +96,9 @@ class Run:
             RunError: the directory is in use or cannot be written, a setting is wrong, or the
                 source does not fit.
         """
-        if family is None:
-            family = resolve_family(settings.family)
-        else:
-            settings = dataclasses.replace(settings, family=family.name)
-        settings = dataclasses.replace(settings, method=method_name(learner))
+        named = settings.family if family is None else family.name
+        family = resolve_family(named) if family is None else family
+        settings = dataclasses.replace(settings, family=named, method=method_name(learner))
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
@@ -160,8 +154,8 @@ class Run:
         Raises:
             RunError: the environment has become another, or cannot have that radius.
         """
-        wanted = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
-        overrides = {name: value for name, value in wanted.items() if value is not None}
+        asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
+        overrides = {name: value for name, value in asked.items() if value is not None}
         with refusals():
             return rebuild_env(self.family, self.config.world, **overrides)
 
@@ -189,9 +183,9 @@ class Run:
 
         Args:
             tasks: None for what this run trains on.
-            reward_kind: dense or sparse; None for that of training.
+            reward_kind: as for `env`.
             engine: what moves it; None for the run's own.
-            sparse_radius: radius of the goal region in metres; None for that of training.
+            sparse_radius: as for `env`.
             num_threads: threads of the engine; None for what the run's settings say.
 
         Raises:
@@ -201,27 +195,21 @@ class Run:
         tasks = self.training_tasks if tasks is None else tasks
         engine = self.settings.engine if engine is None else engine
         threads = self.settings.num_threads if num_threads is None else num_threads
-        env = self.env(reward_kind, sparse_radius)
         with refusals():
-            return make_world(env, tasks, threads, engine)
+            return make_world(self.env(reward_kind, sparse_radius), tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
         return jax.random.fold_in(jax.random.key(self.settings.seed), np.uint32(iteration))
 
     def untrained_state(self) -> Any:
-        """Return the state that the seed says.
-
-        Raises:
-            RunError: the learner does not fit the tasks.
-        """
+        """Return the state that the seed says; `RunError` if learner and tasks do not fit."""
         with refusals():
-            return _init(*self._init_arguments(len(self.training_tasks)))
+            return _init(*self._init_arguments())
 
-    def structure(self, num_tasks: int | None = None) -> Any:
-        """Return the shapes and types of a state, for that many tasks if not for the run's own."""
-        rows = len(self.training_tasks) if num_tasks is None else num_tasks
-        return eqx.filter_eval_shape(_init, *self._init_arguments(rows))
+    def structure(self, more_tasks: int = 0) -> Any:
+        """Return the shapes and types of a state, for that many tasks more than the run has."""
+        return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.
@@ -238,17 +226,13 @@ class Run:
         return checkpoint_paths(self.directory / CHECKPOINTS)
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
-        """Write a checkpoint and return its path.
-
-        Args:
-            state: of the learner.
-            environment_steps: control steps that were played for it.
+        """Write a state, and how many control steps were played for it, and return the path.
 
         Raises:
             RunError: it cannot be written.
         """
         iteration = int(self.learner.iteration(state))
-        path = checkpoint_path(self.directory / CHECKPOINTS, iteration)
+        path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -271,10 +255,9 @@ class Run:
         if metadata.get("config") not in self.config.digests():
             raise MismatchError(
                 f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
-                f"`{metadata.get('family')}` that was written with another `config.json` than the "
-                "one of this run: use it with the run that made it, or restore that file. (`maesn "
-                "resume RUN --change NAME=VALUE` changes settings, and keeps earlier checkpoints "
-                "usable.)"
+                f"`{metadata.get('family')}` that was written with another `config.json` than this "
+                "run's: use it with the run that made it, or restore that file. (`maesn resume RUN "
+                "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
         state = restore(self.structure(), values, path)
         return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
@@ -298,17 +281,17 @@ class Run:
         source = Run.open(init_from, self.family if same_family else None)
         check_sizes(source.directory, source.env(), self.env(), "begin with a run in the same one")
         fresh, values = self.untrained_state(), named_leaves(source.latest_state())
-        # What belongs to single tasks has a row for each, and grows with their number.
-        larger = named_leaves(self.structure(len(self.training_tasks) + 1))
+        larger = named_leaves(self.structure(more_tasks=1))
         for name, leaf in named_leaves(fresh).items():
-            if leaf.shape != larger[name].shape or leaf is self.learner.iteration(fresh):
+            per_task = leaf.shape != larger[name].shape  # a row for each
+            if per_task or leaf is self.learner.iteration(fresh):
                 values[name] = leaf
         return restore(fresh, values, source.directory)
 
-    def _init_arguments(self, num_tasks: int) -> tuple[Any, ...]:
-        env = self.env()
-        description_size = jax.eval_shape(env.describe, self.training_tasks[0]).size
-        sizes = (env.observation_size, env.action_size, num_tasks, description_size)
+    def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
+        env, rows = self.env(), len(self.training_tasks) + more_tasks
+        description = jax.eval_shape(env.describe, self.training_tasks[0])
+        sizes = (env.observation_size, env.action_size, rows, description.size)
         return self.learner, self.iteration_key(_UNTRAINED), *sizes
 
 

@@ -31,16 +31,10 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
 
 
 def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:
-    """Refuse an environment in which a policy cannot play, for its sizes.
-
-    Args:
-        directory: of the policy's run.
-        trained: the environment of that run.
-        env: the one to play in.
-        remedy: what the user should do.
+    """Refuse an environment whose observations or actions have other sizes than a run's own.
 
     Raises:
-        RunError: observation or action have other sizes.
+        RunError: they have; the message ends with the remedy.
     """
     for name in ("observation_size", "action_size"):
         wanted, found = getattr(env, name), getattr(trained, name)

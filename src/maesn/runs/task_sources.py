@@ -2,6 +2,7 @@
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,10 +14,9 @@ TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
 
 
 def resolve_family(name: str) -> TaskFamily:
-    """Return a family by its name, or import a user's own. Never call this with what a file says.
+    """Return a family by its name, or import a user's own, `module:name`.
 
-    Args:
-        name: of a family that comes with the library, or `module:name`.
+    Never call this with what a file says.
 
     Raises:
         RunError: there is no such family.
@@ -26,25 +26,32 @@ def resolve_family(name: str) -> TaskFamily:
             return find_family(name)
         except ValueError as error:
             raise RunError(f"{error}; give your own as `module:name`.") from error
-    module, _, attribute = name.partition(":")
-    try:
-        family = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise RunError(
-            f"`family` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
-            "where it is) and `name` a TaskFamily in it."
-        ) from error
+    family = imported(name, "family")
     if not isinstance(family, TaskFamily):
         raise RunError(f"`{name}` must be a TaskFamily, got {type(family).__name__}.")
     return family
 
 
-def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
-    """Return the family of a run. What a file says is looked up, never imported.
+def imported(name: str, option: str) -> Any:
+    """Import a user's own `module:name`, which an option says. Never call this with a file's words.
 
-    Args:
-        recorded: the family's own name, as the run's file says.
-        given: what the caller says of a family of their own: itself, or `module:name`.
+    Raises:
+        RunError: there is no such thing.
+    """
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise RunError(
+            f"`{option}` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
+            "where it is) and have that name in it."
+        ) from error
+
+
+def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
+    """Return the family of a run: the library's of the recorded name, or the user's that is given.
+
+    What a file says is looked up, never imported.
 
     Raises:
         RunError: the family is not known, or another one was given.
@@ -64,11 +71,7 @@ def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily
 
 
 def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) -> TaskSet:
-    """Return what a run was trained on: the tasks that its settings call `name`.
-
-    Raises:
-        RunError: the family, or a file, now has other tasks.
-    """
+    """Return what a run was trained on; raises `RunError` if the tasks have become others."""
     file = directory / TASKS_FILE
     tasks = find_tasks(name, family) if name in NAMED_SETS else load_tasks(file, family)
     if tasks.digest() != digest:
@@ -80,11 +83,7 @@ def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) 
 
 
 def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
-    """Return a set of the family, or a user's own.
-
-    Args:
-        name: training, validation, test, ood, or the path of an `.npz` file.
-        family: whose tasks.
+    """Return a set of the family, or a user's own, by the path of its `.npz` file.
 
     Raises:
         RunError: there is no such set, or the file cannot be used.
@@ -107,10 +106,6 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     The file holds the arrays that `family.task_names` lists, each with one row per task: for
     `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
     integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
-
-    Args:
-        path: of the file.
-        family: says which arrays are needed, of which shape.
 
     Raises:
         RunError: the file is unreadable, an array is missing or misshapen, or a value not finite
