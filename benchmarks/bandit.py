@@ -146,7 +146,7 @@ def train(
 
 def evaluate(policy: RecurrentPolicy, collect: Collect) -> tuple[float, float]:
     """Return mean number of payments in new tasks, one trial each, and its standard error."""
-    outcome = adapt(RecurrentFastLearner(policy, 1), collect, updates=0, chunk_size=2000)
+    outcome = adapt(RecurrentFastLearner(policy, 1), collect, episodes=0, chunk_size=2000)
     returns = outcome.curves.mean_return[:, 0]
     return float(returns.mean()), float(returns.std() / np.sqrt(len(returns)))
 

@@ -47,6 +47,11 @@ class Recorder:
         """See `Collector.num_tasks`."""
         return self._collector.num_tasks
 
+    @property
+    def episodes_per_task(self) -> int:
+        """See `Collector.episodes_per_task`."""
+        return self._collector.episodes_per_task
+
     def __call__(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:

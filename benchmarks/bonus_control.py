@@ -65,7 +65,7 @@ def curves(method: str, settings: Settings) -> list[dict[str, object]]:
         outcome = adapt(
             learner,
             Collector(world, settings.episodes_per_task),
-            updates=settings.updates,
+            episodes=settings.updates * settings.episodes_per_task,
             seed=settings.seed,
             tasks=range(settings.num_tasks),
         )

@@ -41,7 +41,7 @@ class Settings:
     """Updates per run."""
     episodes_per_task: int = 10
     """Episodes of 50 steps per update."""
-    pay_elsewhere: float = 0.0
+    reward_elsewhere: float = 0.0
     """What a step is paid that does not reach the goal. Where it is not 0, TRPO drifts."""
     bonus: float = CuriosityBonus().weight
     """What VIME pays for a transition of typical information gain."""
@@ -76,7 +76,7 @@ def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int |
 def main(settings: Settings) -> None:
     """Play all methods and seeds, and print one line for each."""
     tasks = chain.task_set("test", size=settings.tasks)
-    env = chain.make_env(reward_kind="sparse", pay_elsewhere=settings.pay_elsewhere)
+    env = chain.make_env(reward_kind="sparse", reward_elsewhere=settings.reward_elsewhere)
     collect = Collector(make_world(env, tasks), settings.episodes_per_task)
     rows = []
     for name in METHODS:
@@ -85,7 +85,7 @@ def main(settings: Settings) -> None:
             outcome = adapt(
                 learner(name, settings),
                 collect,
-                updates=settings.updates,
+                episodes=settings.updates * settings.episodes_per_task,
                 seed=seed,
             )
             rows.append(row(name, seed, outcome.curves))
@@ -102,8 +102,8 @@ def main(settings: Settings) -> None:
 def summarise(rows: list[dict[str, str | int | float]], settings: Settings) -> None:
     """Print what the seeds of each method come to."""
     print(
-        f"\nsparse chain, paid {settings.pay_elsewhere:g} elsewhere, {settings.updates} updates of "
-        f"{settings.episodes_per_task} episodes"
+        f"\nsparse chain, reward {settings.reward_elsewhere:g} elsewhere, "
+        f"{settings.updates} updates of {settings.episodes_per_task} episodes"
     )
     for name in METHODS:
         mine = [row for row in rows if row["method"] == name]

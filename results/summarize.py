@@ -65,7 +65,7 @@ def divergence_from_prior(run: Path) -> float | None:
     None for methods without latents.
     """
     arrays = load_file(sorted((run / "checkpoints").glob("*.safetensors"))[-1])
-    names = [f"parameters/context/{part}" for part in ("mean", "log_std")]
+    names = [f"parameters/context_table/{part}" for part in ("mean", "log_std")]
     if not all(name in arrays for name in names):
         return None
     latents = Latent(*(jnp.asarray(arrays[name]) for name in names))

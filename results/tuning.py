@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from maesn.evaluation.test_time import AtTestTime
 
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.rules import GradientRule
 from maesn.report.line import Line
 from maesn.report.tables import markdown_row
 from maesn.studies.checks import Changes
 from maesn.studies.comparison import WorldSettings, compare
-from maesn.studies.curves import Conditions
 from maesn.studies.lines import Scratch
 
 STEPPING = ("maesn", "latent_space", "maml", "maml_bias", "maml_bias_only")
 PACES = {
-    "as trained": AtTestTime(),
-    "10 full steps": AtTestTime(full_steps=10),
-    "steps x 2": AtTestTime(step_scale=2.0),
+    "as trained": GradientRule(),
+    "10 full steps": GradientRule(full_steps=10),
+    "steps x 2": GradientRule(step_scale=2.0),
 }
 RECURRENT = {
     "learning rate 1e-3": "rl2",
@@ -45,8 +45,8 @@ SCRATCH = {
     "trpo": {f"max KL {x}": Scratch(("trpo",), max_kl=x) for x in (0.01, 0.02, 0.05)},
     "vime": {f"weight {x:g}": Scratch(("vime",), curiosity_weight=x) for x in (1e-4, 1e-3, 1e-2)},
 }
-TRAINED_CONDITIONS = Conditions(tasks="validation", num_tasks=30, updates=10)
-SCRATCH_CONDITIONS = Conditions(tasks="validation", num_tasks=10, updates=100)
+TRAINED = Evaluation(tasks="validation", num_tasks=30, episodes=500)
+FROM_SCRATCH = Evaluation(tasks="validation", num_tasks=10, episodes=5000)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,17 +69,16 @@ def tell(sentence: str) -> None:
 def configurations(method: str, settings: Settings) -> dict[str, Line]:
     """Adapt a method with each of its configurations."""
     adapted = partial(compare, out=settings.out / method, say=tell)
-    trained = partial(adapted, conditions=TRAINED_CONDITIONS)
+    trained = partial(adapted, evaluation=TRAINED)
     if method in SCRATCH:
-        fresh = partial(
-            adapted, place=WorldSettings(family="wheeled"), conditions=SCRATCH_CONDITIONS
-        )
+        wheeled = WorldSettings(family="wheeled")
+        fresh = partial(adapted, world=wheeled, evaluation=FROM_SCRATCH)
         found = {name: fresh(scratch=scratch) for name, scratch in SCRATCH[method].items()}
     elif method == "rl2":
         found = {name: trained([settings.runs / run]) for name, run in RECURRENT.items()}
     else:
         run = settings.runs / method
-        paced = {name: Changes(paces={method: pace}) for name, pace in PACES.items()}
+        paced = {name: Changes(rules={method: pace}) for name, pace in PACES.items()}
         found = {name: trained([run], changes=changes) for name, changes in paced.items()}
     return {name: compared.lines[0] for name, compared in found.items()}
 

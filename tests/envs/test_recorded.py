@@ -55,7 +55,7 @@ def test_what_decides_numbers_is_recorded() -> None:
 
 
 def test_changed_defaults_change_nothing() -> None:
-    old, changed = Chain(), partial(Chain, sparse_radius=9.0, horizon=3, pay_elsewhere=-1.0)
+    old, changed = Chain(), partial(Chain, sparse_radius=9.0, horizon=3, reward_elsewhere=-1.0)
     assert rebuild_env(family_of(changed), written(old)) == old
 
 

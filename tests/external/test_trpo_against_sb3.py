@@ -41,7 +41,7 @@ def ours() -> float:
     world = make_world(env, cart_pole.task_set("test", RUNS), num_threads=2)
     learner = SCRATCH["trpo"](env.observation_size, env.action_size, policy=CategoricalMLP(HIDDEN))
     try:
-        outcome = adapt(learner, Collector(world, EPISODES), updates=UPDATES)
+        outcome = adapt(learner, Collector(world, EPISODES), episodes=UPDATES * EPISODES)
     finally:
         world.close()
     returns = outcome.curves.mean_return

@@ -98,7 +98,7 @@ def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
     outcome = adapt(
         RecurrentFastLearner(policy, 1),
         benchmark.make_collect(test, env),
-        updates=0,
+        episodes=0,
         chunk_size=10000,
     )
     optimum = benchmark.bayes_optimal_return(2, 5)

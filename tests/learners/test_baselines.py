@@ -21,7 +21,7 @@ def test_the_floor_of_a_quadratic_bandit_is_what_the_formula_says() -> None:
     # a ~ N(m, s^2 I) returns -(|m - g|^2 + 2 s^2) on average, and |g| = 1.
     env, tasks, episodes = hidden_target.make_env(), hidden_target.task_set("test", 20), 500
     collect = Collector(make_world(env, tasks), episodes)
-    curves = {name: adapt(fixed, collect, updates=0).curves for name, fixed in of(env).items()}
+    curves = {name: adapt(fixed, collect, episodes=0).curves for name, fixed in of(env).items()}
     np.testing.assert_allclose(curves["zero action"].mean_return, -1.0, atol=1e-4)
     # -|a - g|^2 is minus a non-central chi-square of 2 degrees and non-centrality 1: variance 8.
     error = np.sqrt(8 / (20 * episodes))

@@ -163,7 +163,7 @@ def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) ->
         for known, start in zip(*map(jax.tree.leaves, handed_over), strict=True):
             np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
     assert np.all(begun.curiosity.medians.count == 0)
-    outcome = adapt(fast, collect, updates=2, chunk_size=2)
+    outcome = adapt(fast, collect, episodes=8, chunk_size=2)
     assert np.isfinite(outcome.curves.mean_return).all()
     assert np.all(outcome.contexts.mean[:, 1] != 0)
 

@@ -90,7 +90,7 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
 def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
     for preset in (maesn, maml):
         learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5)
-        returns = adapt(learner, collect, updates=15).curves.mean_return
+        returns = adapt(learner, collect, episodes=75).curves.mean_return
         # Of means over a few episodes each, the first two and the last four.
         assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)
 

@@ -56,7 +56,8 @@ def test_updates_raise_the_return_after_meta_training_alone(
 
     def returns(state: Any) -> np.ndarray:
         """Before and after the updates, `[task, 2]`."""
-        found = adapt(learner.fast_learner(state), collect, updates=updates, seed=5)
+        fast, episodes = learner.fast_learner(state), updates * EPISODES
+        found = adapt(fast, collect, episodes=episodes, seed=5)
         return np.asarray(found.curves.mean_return)[:, [0, updates]]
 
     before, after = returns(trained).T

@@ -78,7 +78,7 @@ def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
     for step in range(80):
         state, _ = learner.step(jax.random.key(step), state, collect)
     unseen = Collector(make_world(env, hidden_target.task_set("test", 20)), 20)
-    curves = adapt(learner.fast_learner(state), unseen, updates=0).curves
+    curves = adapt(learner.fast_learner(state), unseen, episodes=0).curves
     assert curves.mean_return.mean() > -0.3
 
 
@@ -100,7 +100,7 @@ def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
 
 def test_verbs_of_an_oracle(tmp_path: Path) -> None:
     run = finish(create(tmp_path / "run", oracle(**SMALL), iterations=2))
-    curves = api.adapt(run.directory, updates=1, episodes_per_task=2).curves
+    curves = api.adapt(run.directory, episodes=2, episodes_per_update=2).outcome.curves
     assert curves.mean_return.shape == (100, 2)
     names = {path.stem for path in api.plot([run.directory])}
     assert {"adaptation-curves-test-sparse", "exploration"} <= names

@@ -190,7 +190,7 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> Non
     state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
     for iteration in range(80):
         state, _ = learner.step(jax.random.key(iteration), state, collect)
-    outcome = adapt(learner.fast_learner(state), collect, updates=1)
+    outcome = adapt(learner.fast_learner(state), collect, episodes=10)
     first, second = outcome.curves.mean_return.mean(0)
     # 400 trials: the standard error of the first, a coin, is 0.025.
     assert abs(first - 0.5) < 0.1
@@ -202,7 +202,7 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> Non
 def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
     learner, collect = small(), Watching(mortal())
     fast = learner.fast_learner(start(learner))
-    adapt(fast, collect, updates=2)
+    adapt(fast, collect, episodes=2 * EPISODES)
     assert collect.stages == [0, 1, 2]
     assert collect.trial_states[0] is None
     for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):

@@ -149,11 +149,11 @@ def collect() -> Collector:
 @pytest.mark.parametrize("name", ["reinforce", "trpo"])
 def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     learner = small(name)
-    outcome = adapt(learner, collect, updates=8)
+    outcome = adapt(learner, collect, episodes=64)
     returns = outcome.curves.mean_return
     assert returns.shape == (5, 9)
     assert np.mean(returns[:, -1] > returns[:, 0]) >= 0.8
-    parts = adapt(learner, collect, updates=2, chunk_size=2)
+    parts = adapt(learner, collect, episodes=16, chunk_size=2)
     np.testing.assert_allclose(parts.curves.mean_return, returns[:, :3], rtol=2e-3, atol=2e-3)
 
 

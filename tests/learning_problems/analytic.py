@@ -25,7 +25,7 @@ class AnalyticCollect:
     """
 
     num_tasks: int = 7
-    episodes: int = 4
+    episodes_per_task: int = 4
     index: list[Array] = field(default_factory=list)
     """Tasks that were asked for, call by call."""
 
@@ -40,7 +40,9 @@ class AnalyticCollect:
             rng = np.random.default_rng(seeds[slot].tolist())
             angle = np.pi * row / self.num_tasks
             goal = np.array([np.cos(angle), np.sin(angle)])
-            batch.append([self._episode(rng, agents, slot, goal) for _ in range(self.episodes)])
+            batch.append(
+                [self._episode(rng, agents, slot, goal) for _ in range(self.episodes_per_task)]
+            )
         return stack(batch)
 
     def _episode(self, rng: np.random.Generator, agents: Agents, slot: int, goal: Array) -> Episode:

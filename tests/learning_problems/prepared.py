@@ -152,6 +152,10 @@ class PreparedCollect:
     asked: list[Agents] = field(default_factory=list)
     index: list[Array] = field(default_factory=list)
 
+    @property
+    def episodes_per_task(self) -> int:
+        return len(self.problem.batches(0)[0])
+
     def __call__(
         self, keys: JaxArray, agents: Agents, task_index: JaxArray, stage: int = 0
     ) -> Episodes:

@@ -13,6 +13,7 @@ from playing import keys
 from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 
 from maesn.envs import point
+from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import GradientMetaLearner, GradientState, maesn, maml
 from maesn.numerics.normalization import ObservationStatistics, no_observations
@@ -62,8 +63,12 @@ class Recorder:
     def num_tasks(self) -> int:
         return self._collect.num_tasks
 
-    def __call__(self, *arguments: Any) -> Episodes:
-        self.played.append(self._collect(*arguments))
+    @property
+    def episodes_per_task(self) -> int:
+        return self._collect.episodes_per_task
+
+    def __call__(self, keys: Any, agents: Agents, task_index: Any, stage: int = 0) -> Episodes:
+        self.played.append(self._collect(keys, agents, task_index, stage))
         return self.played[-1]
 
 

@@ -1,4 +1,4 @@
-"""The tables under `results/` are what the runs beside them say."""
+"""What is kept under `results/`: small, readable, and what its tables say."""
 
 import csv
 import math
@@ -10,34 +10,67 @@ import pytest
 from scripts import ROOT, load_script
 from small_runs import create, tiny_maesn
 
-from maesn.studies.curves import Conditions
+from maesn.evaluation.evaluation import Evaluation
+from maesn.report.reading import read_adaptation
+from maesn.runs.config import read_config
+from maesn.runs.run import Run
+from maesn.storage import RunError
 
 RESULTS = ROOT / "results"
-TABULATED = sorted(path.parent for path in RESULTS.rglob("tables.md"))
+RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
+# Families of these runs are examples, which the tests of examples import.
+HOSTED = ("half_cheetah_velocity", "metaworld_reach")
+TABLES = sorted(RESULTS.rglob("test-sparse.csv"))
+MOST_BYTES = 4 * 2**20
 
 
-def test_there_are_tables() -> None:
-    names = {directory.relative_to(RESULTS).as_posix() for directory in TABULATED}
-    assert {"ant", "blockpush", "wheeled", "wheeled/ablation/runs"} <= names
+def name_of(path: Path) -> str:
+    return path.relative_to(RESULTS).as_posix()
 
 
-@pytest.mark.parametrize(
-    "directory", TABULATED, ids=lambda path: path.relative_to(RESULTS).as_posix()
-)
-def test_tables_are_those_of_the_runs(
-    directory: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["summarize.py", str(directory)])
-    load_script("results/summarize.py").main()
-    assert capsys.readouterr().out == (directory / "tables.md").read_text(encoding="utf-8")
+def test_results_stay_small() -> None:
+    files = [path for path in RESULTS.rglob("*") if path.is_file()]
+    # As a file system counts: in blocks.
+    assert sum(math.ceil(path.stat().st_size / 4096) * 4096 for path in files) < MOST_BYTES
 
 
-@pytest.mark.parametrize(("directory", "pay"), [(".", "0"), ("paid_elsewhere", "-1")])
-def test_what_is_said_of_the_chain_is_what_its_tables_say(directory: str, pay: str) -> None:
+@pytest.mark.parametrize("directory", RUNS, ids=name_of)
+def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
+    if name_of(directory).startswith(HOSTED):
+        family = read_config(directory).family
+        with pytest.raises(RunError, match=f"the run's family `{family}` does not come with"):
+            Run.open(directory)
+        return
+    run = Run.open(directory)
+    assert run.latest().iteration == run.settings.iterations
+    assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
+
+
+@pytest.mark.parametrize("table", TABLES, ids=name_of)
+def test_tables_are_tabulated_as_they_say(table: Path) -> None:
+    """Of three seeds together, `tables.md` says other numbers than each table alone."""
+    run = table.parents[1]
+    means = read_adaptation(table).mean_return.mean(0)
+    said = (run.parent / "tables.md").read_text(encoding="utf-8")
+    seeds = len(list(run.parent.glob(f"{run.name.rsplit('-', 1)[0]}-*/adaptation/*.csv")))
+    part = said.split(f"**{run.name.rsplit('-seed-', 1)[0]}, seeds: {seeds}**")[1]
+    row = next(line for line in part.splitlines() if line.startswith("| 10 |"))
+    if seeds == 1:
+        assert row.split("|")[3].split()[0] == f"{means[-1]:.1f}"
+    else:
+        all_seeds = [
+            read_adaptation(one).mean_return[:, -1].mean()
+            for one in run.parent.glob(f"{run.name.rsplit('-', 1)[0]}-*/adaptation/*.csv")
+        ]
+        assert row.split("|")[3].split()[0] == f"{np.mean(all_seeds):.1f}"
+
+
+@pytest.mark.parametrize(("directory", "reward"), [(".", "0"), ("reward_elsewhere", "-1")])
+def test_what_is_said_of_the_chain_is_what_its_tables_say(directory: str, reward: str) -> None:
     said = (RESULTS / "vime_chain" / "README.md").read_text(encoding="utf-8")
     with (RESULTS / "vime_chain" / directory / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    part = said[said.index(f"| {pay} | `trpo`") :]
+    part = said[said.index(f"| {reward} | `trpo`") :]
     for name in ("trpo", "reinforce", "random_bonus", "vime"):
         seeds = [row for row in rows if row["method"] == name]
         runs, found, early = (
@@ -66,8 +99,8 @@ def test_every_configuration_has_a_row(
 ) -> None:
     create(tmp_path / "runs" / "maesn", tiny_maesn())
     tuning = load_script("results/tuning.py")
-    small = Conditions(tasks="validation", num_tasks=3, updates=4, episodes_per_task=2)
-    monkeypatch.setattr(tuning, "TRAINED_CONDITIONS", small)
+    small = Evaluation(tasks="validation", num_tasks=3, episodes=8, episodes_per_update=2)
+    monkeypatch.setattr(tuning, "TRAINED", small)
     asked = [str(tmp_path / "runs"), "--out", str(tmp_path / "out"), "--only", "maesn"]
     monkeypatch.setattr(sys, "argv", ["tuning.py", *asked])
     tuning.main()

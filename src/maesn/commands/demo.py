@@ -5,7 +5,7 @@ from pathlib import Path
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.learners import maesn
+from maesn.learners import recommended
 from maesn.report import print_adaptation_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
@@ -36,7 +36,7 @@ def main(arguments: list[str]) -> None:
         _check_same(Run.open(options.run), settings)
         api.resume(options.run, options.iterations)
     else:
-        api.train(maesn(), settings, options.run)
+        api.train(recommended("maesn", settings.family), settings, options.run)
     print("2. it adapts to 100 unseen goals, which it does not see, on sparse reward")
     done = api.adapt(options.run)
     print_adaptation_summary(done.table)
