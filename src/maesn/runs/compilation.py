@@ -16,10 +16,7 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return where compiled programs are kept: `MAESN_CACHE`, or the user's cache directory.
-
-    None if the user wants no cache.
-    """
+    """Return where compiled programs are kept; None if the user wants no cache."""
     chosen = environment.get(CACHE_VARIABLE)
     if chosen is not None:
         return None if chosen in ("", "0", "off") else Path(chosen)

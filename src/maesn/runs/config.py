@@ -141,11 +141,7 @@ def new_config(
     family: TaskFamily,
     tasks: TaskSet,
 ) -> RunConfig:
-    """Return what a new run will write down.
-
-    Raises:
-        RunError: the learner cannot be stored, or the engine cannot move the family.
-    """
+    """Return what a new run will write down."""
     env = make_env(family, settings)
     with refusals():
         # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
@@ -166,11 +162,7 @@ def new_config(
 def make_env(
     family: TaskFamily, settings: RunSettings, reward_kind: RewardKind | None = None
 ) -> AnyEnv:
-    """Return the environment that a new run is to have; an existing one has its own, `Run.env`.
-
-    Raises:
-        RunError: the environment cannot have these settings, or cannot be learned in.
-    """
+    """Return the environment that a new run is to have; an existing one has its own, `Run.env`."""
     radius = {} if settings.sparse_radius is None else {"sparse_radius": settings.sparse_radius}
     kind = settings.reward if reward_kind is None else reward_kind
     with refusals():
@@ -186,16 +178,12 @@ def installed_versions(engine: str) -> dict[str, str]:
 
 
 def write_config(directory: Path, config: RunConfig) -> None:
-    """Write `config.json`; raises `RunError` if a number is not finite, or the disk is full."""
+    """Write `config.json`."""
     write_json(directory / CONFIG, config.document() | {"digest": config.digest()})
 
 
 def read_config(directory: Path) -> RunConfig:
-    """Read `config.json`.
-
-    Raises:
-        RunError: the file is missing, was changed by hand, or is not what `write_config` writes.
-    """
+    """Read `config.json`; refuse one that is damaged or was changed by hand."""
     path = directory / CONFIG
     if not path.is_file():
         raise RunError(

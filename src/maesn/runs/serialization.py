@@ -1,7 +1,8 @@
 """Settings as JSON: a learner goes into `config.json` and comes out the same.
 
 Every object is written with a tag, `"type"`, that names its class. Tags are looked up in a closed
-registry, so a file can ask for nothing but the settings listed here.
+registry, so a file can ask for nothing but the settings listed here. What is unknown, missing or of
+the wrong type is a `ValueError`.
 """
 
 import ast
@@ -63,11 +64,7 @@ REGISTRY: dict[str, type[eqx.Module]] = {
 
 
 def to_json(module: eqx.Module) -> dict[str, Any]:
-    """Return settings as JSON values, each object with its tag.
-
-    Raises:
-        ValueError: an object's class is not in the registry.
-    """
+    """Return settings as JSON values, each object with its tag."""
     tag = type(module).__name__
     if REGISTRY.get(tag) is not type(module):
         raise ValueError(
@@ -77,11 +74,7 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
 
 
 def from_json(document: Mapping[str, Any]) -> eqx.Module:
-    """Return the settings that `to_json` has written.
-
-    Raises:
-        ValueError: a tag or a field is unknown, missing, or of the wrong type.
-    """
+    """Return the settings that `to_json` has written."""
     tag = document.get(TAG)
     if not isinstance(tag, str) or tag not in REGISTRY:
         raise ValueError(f"`{TAG}` must be one of {', '.join(REGISTRY)}, got {tag!r}.")
@@ -120,7 +113,6 @@ def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
 
     Raises:
         KeyError: there is no setting of that path.
-        ValueError: it cannot have that value.
     """
     document = fields_to_json(settings)
     for path, value in changes.items():
@@ -135,11 +127,7 @@ def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
 
 
 def values_of_words(words: Iterable[str]) -> dict[str, Any]:
-    """Return what words as `trust_region.damping=0.1` say: path -> value.
-
-    Raises:
-        ValueError: a word has another form, or a path occurs twice.
-    """
+    """Return what words as `trust_region.damping=0.1` say: path -> value."""
     values: dict[str, Any] = {}
     for word in words:
         path, equals, text = word.partition("=")
@@ -164,11 +152,7 @@ def fields_to_json(settings: Any) -> dict[str, Any]:
 
 
 def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Settings:
-    """Return the dataclass of settings that `fields_to_json` has written.
-
-    Raises:
-        ValueError: a field is unknown, missing, or of the wrong type.
-    """
+    """Return the dataclass of settings that `fields_to_json` has written."""
     hints = get_type_hints(kind)
     names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     for complaint, wrong in (

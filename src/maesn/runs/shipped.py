@@ -21,9 +21,6 @@ def find_run(run: str | Path) -> Path:
     """Return the directory to read a run from: itself, or that of the policy of this name.
 
     What has the name in the current folder wins.
-
-    Raises:
-        RunError: it is neither.
     """
     if Path(run).exists():
         return Path(run)
@@ -40,9 +37,6 @@ def working_copy(run: str | Path) -> Path:
 
     This is the run's own, or `maesn-NAME` in the current folder for the policy `NAME` that comes
     with the library. That one is a run directory like any other, made when it is first asked for.
-
-    Raises:
-        RunError: there is no such run, or something else is where its copy should be.
     """
     source = find_run(run)
     if source.parent != TRAINED:

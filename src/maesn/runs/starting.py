@@ -1,4 +1,4 @@
-"""What is checked before a policy plays, and before a run begins."""
+"""What is checked before a policy plays, and before a run begins; refusals are `RunError`s."""
 
 import warnings
 from pathlib import Path
@@ -11,11 +11,7 @@ from maesn.storage import RunError, refusals
 
 
 def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
-    """Refuse policies that cannot play in an environment.
-
-    Raises:
-        RunError: their actions are of another kind, or they read a reward that is not there.
-    """
+    """Refuse policies whose actions are of another kind, or that read a reward that is lacking."""
     policy = learner.player(state)
     with refusals():
         env.check_shown(policy.observed_reward)
@@ -31,11 +27,7 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
 
 
 def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:
-    """Refuse an environment whose observations or actions have other sizes than a run's own.
-
-    Raises:
-        RunError: they have; the message ends with the remedy.
-    """
+    """Refuse an environment whose observations or actions have other sizes than a run's own."""
     for name in ("observation_size", "action_size"):
         wanted, found = getattr(env, name), getattr(trained, name)
         if wanted != found:

@@ -1,4 +1,7 @@
-"""Where tasks come from: families by name, a user's own families, and `.npz` files."""
+"""Where tasks come from: families by name, a user's own families, and `.npz` files.
+
+What cannot be found or used is a `RunError`.
+"""
 
 import importlib
 from pathlib import Path
@@ -17,9 +20,6 @@ def resolve_family(name: str) -> TaskFamily:
     """Return a family by its name, or import a user's own, `module:name`.
 
     Never call this with what a file says.
-
-    Raises:
-        RunError: there is no such family.
     """
     if ":" not in name:
         try:
@@ -33,11 +33,7 @@ def resolve_family(name: str) -> TaskFamily:
 
 
 def imported(name: str, option: str) -> Any:
-    """Import a user's own `module:name`, which an option says. Never call this with a file's words.
-
-    Raises:
-        RunError: there is no such thing.
-    """
+    """Import a user's own `module:name`, as an option says. Never call this with a file's words."""
     module, _, attribute = name.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
@@ -52,9 +48,6 @@ def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily
     """Return the family of a run: the library's of the recorded name, or the user's that is given.
 
     What a file says is looked up, never imported.
-
-    Raises:
-        RunError: the family is not known, or another one was given.
     """
     if given is None:
         try:
@@ -71,7 +64,7 @@ def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily
 
 
 def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) -> TaskSet:
-    """Return what a run was trained on; raises `RunError` if the tasks have become others."""
+    """Return what a run was trained on; refuse tasks that have become others since."""
     file = directory / TASKS_FILE
     tasks = find_tasks(name, family) if name in NAMED_SETS else load_tasks(file, family)
     if tasks.digest() != digest:
@@ -83,11 +76,7 @@ def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) 
 
 
 def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
-    """Return a set of the family, or a user's own, by the path of its `.npz` file.
-
-    Raises:
-        RunError: there is no such set, or the file cannot be used.
-    """
+    """Return a set of the family by its name, or a user's own by the path of its `.npz` file."""
     for set_name in NAMED_SETS:
         if name == set_name:
             with refusals(f"`tasks` cannot be `{name}`: "):
@@ -106,10 +95,6 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     The file holds the arrays that `family.task_names` lists, each with one row per task: for
     `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
     integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
-
-    Raises:
-        RunError: the file is unreadable, an array is missing or misshapen, or a value not finite
-            or without a meaning.
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
@@ -134,7 +119,7 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
 
 
 def save_tasks(path: Path, tasks: TaskSet, family: TaskFamily) -> None:
-    """Write tasks as `load_tasks` reads them; raises `RunError` if that cannot be."""
+    """Write tasks as `load_tasks` reads them."""
     leaves = map(np.asarray, jax.tree.leaves(tasks.tasks))
     write_arrays(path, dict(zip(family.task_names, leaves, strict=True)))
 
