@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,12 @@ from maesn.evaluation.tables import (
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.table_files import record_of_latents
-from maesn.runs.beginning import begun_state
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.storage import RunError, read_json
+from maesn.storage import RunError, read_json, refusals
 
 USUAL = Evaluation()
 
@@ -54,8 +52,7 @@ def train(
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    begin = None if init_from is None else partial(begun_state, source_directory=init_from)
-    run = Run.create(directory, learner, settings, family=family, first_state=begin)
+    run = Run.create(directory, learner, settings, family=family, init_from=init_from)
     train_live(run)
     return run
 
@@ -130,10 +127,8 @@ def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
     for name in settings:
         if name not in known:
             raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
-    try:
+    with refusals():
         return dataclasses.replace(evaluation, **settings)
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def export(

@@ -1,6 +1,7 @@
 """Files: written whole or not at all, read without executing anything.
 
-What a user can mend is a `RunError`, whose message says in one sentence what to do.
+Whatever goes wrong here, a missing file, a full disk, damaged content, is a `RunError`, whose
+message says in one sentence what to do.
 """
 
 import contextlib
@@ -41,12 +42,7 @@ class RunError(Exception):
 
 @contextlib.contextmanager
 def explained(action: str, path: Path) -> Iterator[None]:
-    """Turn errors of the operating system into a `RunError`.
-
-    Args:
-        action: what is being done, as in "cannot <action> `path`".
-        path: to what.
-    """
+    """Turn an error of the operating system into a `RunError`: "cannot <action> `path`..."."""
     try:
         yield
     except OSError as error:
@@ -57,11 +53,7 @@ def explained(action: str, path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def refusals(before: str = "") -> Iterator[None]:
-    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`.
-
-    Args:
-        before: what the message begins with.
-    """
+    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`."""
     try:
         yield
     except ValueError as error:
@@ -72,10 +64,7 @@ def refusals(before: str = "") -> Iterator[None]:
 def new_directory(directory: Path) -> Iterator[None]:
     """Make a directory for the block to fill, and remove it again if the block fails.
 
-    What a process left behind that was killed over the same is cleared away.
-
-    Raises:
-        RunError: it is in use or cannot be made.
+    It must be new or empty. What a process left behind that was killed over the same is cleared.
     """
     with explained("make", directory):
         if (directory / UNFINISHED).exists():
@@ -98,90 +87,46 @@ def new_directory(directory: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that at any moment, power cuts included, it is the old one or the new one.
-
-    Raises:
-        RunError: the operating system refuses, for example because the disk is full.
-    """
+    """Write a file so that at any moment, power cuts included, it is the old one or the new one."""
     with explained("write", path):
         archive.write_whole(path, content)
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON document for people to read; see `write_whole`.
-
-    Raises:
-        RunError: the file cannot be written, or a number is not finite.
-    """
-    try:
+    """Write a JSON document of finite numbers for people to read; see `write_whole`."""
+    with refusals(f"`{path}` must hold finite numbers, but: "):
         text = json.dumps(document, indent=2, allow_nan=False)
-    except ValueError as error:
-        raise RunError(f"`{path}` must hold finite numbers, but: {error}.") from error
     write_whole(path, (text + "\n").encode())
 
 
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
-    """Read a JSON object.
-
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
-    Raises:
-        RunError: the file is missing, unreadable, or no JSON object.
-    """
-    try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected a JSON file at `{path}`, got {_why(error)}; {remedy}.") from error
-    return _object(document, f"`{path}`", remedy)
+    """Read a JSON object. Messages of errors end with the remedy."""
+    with _expecting("a JSON object", path, remedy):
+        return _parsed(path.read_bytes())
 
 
 def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
     """Read a file with one JSON object per line.
 
     A last line without its line break is left out: it may be being written at this moment.
-
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
-    Raises:
-        RunError: the file is unreadable, or a line is no JSON object.
     """
-    try:
-        complete, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected metrics at `{path}`, got {_why(error)}; {remedy}.") from error
-    lines = enumerate(complete.splitlines(), start=1)
-    return [_line(line, f"`{path}`, line {i}", remedy) for i, line in lines if line.strip()]
+    with _expecting("lines of JSON objects", path, remedy):
+        complete, _, _ = path.read_bytes().rpartition(b"\n")
+        lines = enumerate(complete.splitlines(), start=1)
+        return [_parsed(line, f"line {number}") for number, line in lines]
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an `.npz` file of plain arrays, and the directories above it.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write an `.npz` file of plain arrays, and the directories above it."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
         archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
 
 
 def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
-    """Read the arrays of an `.npz` file by name. Pickled objects are refused.
-
-    Args:
-        path: of the file.
-        remedy: what the user should do if it is missing or damaged.
-
-    Raises:
-        RunError: the file is unreadable, or holds something else than arrays.
-    """
-    try:
+    """Read the arrays of an `.npz` file by name. Pickled objects are refused."""
+    with _expecting("arrays", path, remedy):
         return archive.read_arrays(path)
-    except (OSError, ValueError) as error:
-        raise RunError(f"Expected arrays at `{path}`, got {_why(error)}; {remedy}.") from error
 
 
 @contextlib.contextmanager
@@ -189,9 +134,6 @@ def locked(path: Path) -> Iterator[None]:
     """Let no other process enter a block with the same file.
 
     The operating system takes the lock back when the process ends, however it ends.
-
-    Raises:
-        RunError: another process is in the block.
     """
     with contextlib.ExitStack() as stack:
         with explained("open", path):
@@ -203,33 +145,25 @@ def locked(path: Path) -> Iterator[None]:
                 f"another process is at work in `{path.parent}`: wait for it, or stop it."
             ) from error
         except OSError:
-            logger.warning(
-                "The file system of `%s` has no locks: make sure that no other process is at "
-                "work in it.",
-                path.parent,
-            )
+            warning = "The file system of `%s` has no locks: let no other process work in it."
+            logger.warning(warning, path.parent)
         yield
 
 
-def _line(line: str, where: str, remedy: str) -> dict[str, Any]:
+@contextlib.contextmanager
+def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
+    """Turn whatever goes wrong while a file is read into a `RunError`."""
     try:
-        document = json.loads(line)
-    except ValueError as error:
-        raise RunError(
-            f"Expected a JSON object in {where}, got {line[:40]!r}; {remedy}."
-        ) from error
-    return _object(document, where, remedy)
+        yield
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None)
+        got = reason.lower() if reason else f"something else that cannot be read ({error})"
+        raise RunError(f"Expected {content} at `{path}`, got {got}; {remedy}.") from error
 
 
-def _object(document: Any, where: str, remedy: str) -> dict[str, Any]:
-    if not isinstance(document, dict):
-        raise RunError(f"Expected an object in {where}, got {type(document).__name__}; {remedy}.")
-    return document
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, FileNotFoundError):
-        return "no such file"
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror.lower()
-    return f"something else that cannot be read ({error})"
+def _parsed(text: bytes, what: str = "it") -> dict[str, Any]:
+    with contextlib.suppress(ValueError):
+        document = json.loads(text)
+        if isinstance(document, dict):
+            return document
+    raise ValueError(f"{what} is no JSON object")

@@ -214,8 +214,8 @@ def test_rules_as_text() -> None:
     ("text", "message"),
     [
         ("gradeint", "must be one of gradient, memory, none, or `module:name` of your own"),
-        ("gradient step=2", "it has no setting `step`"),
-        ("gradient step_scale", "write NAME=VALUE with one of step_scale, full_steps"),
+        ("gradient step=2", "it has no setting `step`; write NAME=VALUE with one of step_scale, "),
+        ("gradient step_scale", "expected NAME=VALUE, each name once, got `step_scale`"),
         ("gradient step_scale=fast", "`GradientRule.step_scale` must be of type float"),
         ("gradient step_scale=-1", "`step_scale` must be positive and finite, got -1"),
         ("nowhere:Rule", "`module` must be importable"),

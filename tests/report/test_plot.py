@@ -168,9 +168,9 @@ def test_the_goals_of_the_test_tasks_colour_no_other_latents(
 @pytest.mark.parametrize(
     ("name", "complaint"),
     [
-        ("metrics.jsonl", "Expected a JSON object in .*metrics.jsonl`, line 1"),
+        ("metrics.jsonl", "Expected lines of JSON objects at .*metrics.jsonl`.*line 1 is"),
         ("adaptation/test-sparse.csv", "Expected the column `task`"),
-        ("config.json", "Expected a JSON file at .*config.json"),
+        ("config.json", "Expected a JSON object at .*config.json"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: str) -> None:
@@ -183,7 +183,9 @@ def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: 
 def test_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="at least one run directory in `directories`"):
         plot_run_directories([], tmp_path)
-    with pytest.raises(RunError, match=r"config.json`, got no such file; .*maesn train METHOD"):
+    with pytest.raises(
+        RunError, match=r"config.json`, got no such file or directory; .*maesn train METHOD"
+    ):
         plot_run_directories([tmp_path], tmp_path)
 
 

@@ -44,9 +44,9 @@ def test_settings_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (None, "got no such file"),
+        (None, "got no such file or directory"),
         ("{", "got something else that cannot be read"),
-        ("[1]", "Expected an object .* got list"),
+        ("[1]", "Expected a JSON object .* is no JSON object"),
         ('{"schema": 1}', "Expected `settings` .* got none"),
         ('{"settings": {"method": "maesn"}}', "Expected `family` of type str .* got None"),
     ],
@@ -93,8 +93,8 @@ def test_a_run_without_an_iteration_has_no_curve(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ("{\n", "line 1, got '{'"),
-        ('{"iteration": 1}\n[]\n', "line 2, got list"),
+        ("{\n", "line 1 is no JSON object"),
+        ('{"iteration": 1}\n[]\n', "line 2 is no JSON object"),
         ('{"return_after": 1}\n', "an increasing `iteration`"),
         ('{"iteration": 2}\n{"iteration": 2}\n', "an increasing `iteration`"),
     ],

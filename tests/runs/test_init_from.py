@@ -1,6 +1,5 @@
 """A new run that begins with what another one has learned."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ from small_runs import create, goals, reopened, tiny_maesn, tiny_settings
 
 from maesn.context import BiasContext, LatentContext
 from maesn.policies import GaussianMLP
-from maesn.runs.beginning import begun_state
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
@@ -29,8 +27,7 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
     learned = save_changed(create(tmp_path / "source", learner), 1.0)
     np.savez(tmp_path / "mine.npz", goal=goals(7))
     settings = tiny_settings(tasks=str(tmp_path / "mine.npz"), seed=9)
-    begin = partial(begun_state, source_directory=tmp_path / "source")
-    run = Run.create(tmp_path / "run", learner, settings, first_state=begin)
+    run = Run.create(tmp_path / "run", learner, settings, init_from=tmp_path / "source")
     fresh, begun = run.untrained_state(), reopened(run).latest()
     assert begun.iteration == begun.environment_steps == int(begun.state.iteration) == 0
     kept = [begun.state.parameters.policy, begun.state.parameters.step_sizes]
@@ -65,7 +62,6 @@ def test_a_source_that_does_not_fit_is_refused(
     tmp_path: Path, learner: Any, settings: dict[str, Any], said: str
 ) -> None:
     create(tmp_path / "source", learner, **settings)
-    begin = partial(begun_state, source_directory=tmp_path / "source")
     with pytest.raises(RunError, match=said):
-        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), first_state=begin)
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), init_from=tmp_path / "source")
     assert not (tmp_path / "run").exists()

@@ -101,13 +101,16 @@ def arrays(**named: Any) -> Callable[[Path], Any]:
 @pytest.mark.parametrize(
     ("write", "said"),
     [
-        (lambda path: None, "got no such file; give an .npz file with the arrays goal"),
+        (
+            lambda path: None,
+            "got no such file or directory; give an .npz file with the arrays goal",
+        ),
         (Path.mkdir, "got is a directory; give an .npz file"),
         (lambda path: path.write_bytes(b""), "cannot be read.*give an .npz file"),
         (lambda path: path.write_bytes(b"goal"), "cannot be read.*give an .npz file"),
         (cut, "cannot be read.*give an .npz file"),
         (flipped, "cannot be read.*give an .npz file"),
-        (no_array, "'goal' is no array.*give an .npz file"),
+        (no_array, "`goal` is no array.*give an .npz file"),
         (single, "cannot be read.*give an .npz file"),
         (pickled, "allow_pickle.*give an .npz file"),
         (arrays(goals=goals(3)), "must hold the arrays goal, .*; it holds goals"),
@@ -118,8 +121,11 @@ def arrays(**named: Any) -> Callable[[Path], Any]:
         (arrays(goal=np.zeros((0, 2))), "at least one; they have 0 rows"),
         (arrays(goal=[["a", "b"]]), "must hold numbers of type float32, got <U1"),
         (arrays(goal=np.zeros((3, 2), complex)), "must hold numbers of type float32"),
-        (arrays(goal=[[0.0, 1.0], [np.nan, 1.0]]), r"must be finite, got \[nan  1.\] in row 1"),
-        (arrays(goal=[[0.0, 1e300]]), r"must be finite, got .* in row 0"),
+        (
+            arrays(goal=[[0.0, 1.0], [np.nan, 1.0]]),
+            r"must hold finite numbers .*, got \[nan  1.\] in row 1",
+        ),
+        (arrays(goal=[[0.0, 1e300]]), r"that fit into float32, got .* in row 0"),
     ],
 )
 def test_tasks_that_cannot_be_used(tmp_path: Path, write: Callable[[Path], Any], said: str) -> None:

@@ -126,7 +126,7 @@ def test_a_loss_that_is_not_finite_is_skipped_and_said(
         pytest.raises(TrainingError, match=r"run`, iteration 5: the loss of 4 tasks .*is not"),
     ):
         finish(run)
-    assert [f"Iteration {n} of" in caplog.messages[n - 1] for n in range(1, 6)] == [True] * 5
+    assert [f"iteration {n}: the loss" in caplog.messages[n - 1] for n in range(1, 6)] == [True] * 5
     after = tensors(run.checkpoints()[-1])
     assert run.latest().iteration == len(metrics(run)) == 5
     assert {name for name in after if after[name] != before[name]} == {"iteration"}

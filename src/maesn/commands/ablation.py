@@ -11,7 +11,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
-from maesn.storage import RunError
+from maesn.storage import refusals
 from maesn.studies.ablation import Ablation, ablate, radius_label
 from maesn.studies.comparison import USUAL
 
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> None:
 
 
 def _asked_for(options: Options) -> Ablation:
-    try:
+    with refusals():
         settings = RunSettings(
             family=options.family,
             seed=options.training_seed,
@@ -68,5 +68,3 @@ def _asked_for(options: Options) -> Ablation:
             episodes_per_task=options.episodes_per_task,
         )
         return Ablation(settings, options.only, {"meta_batch_size": options.meta_batch_size})
-    except ValueError as error:
-        raise RunError(str(error)) from error

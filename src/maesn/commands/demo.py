@@ -10,7 +10,7 @@ from maesn.report import print_adaptation_summary
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
-from maesn.storage import RunError
+from maesn.storage import RunError, refusals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +30,8 @@ def main(arguments: list[str]) -> None:
     options = parse(Options, "demo", arguments)
     enable_compilation_cache()
     print(f"1. MAESN learns to explore: {options.iterations} meta-iterations on dense reward")
-    settings = _settings(options)
+    with refusals():
+        settings = RunSettings(iterations=options.iterations, seed=options.seed)
     if (options.run / CONFIG).exists():
         _check_same(Run.open(options.run), settings)
         api.resume(options.run, options.iterations)
@@ -44,13 +45,6 @@ def main(arguments: list[str]) -> None:
     print("3. figures")
     for path in api.plot([options.run]):
         print(path)
-
-
-def _settings(options: Options) -> RunSettings:
-    try:
-        return RunSettings(iterations=options.iterations, seed=options.seed)
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def _check_same(run: Run, settings: RunSettings) -> None:

@@ -7,7 +7,7 @@ import tyro
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
-from maesn.storage import RunError
+from maesn.storage import refusals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,5 @@ class EvaluationOptions:
         rule = rule_from_text(" ".join(self.rule)) if self.rule else None
         wrappers = [then_from_text(" ".join(self.then))] if self.then else []
         wrappers += [bonus_from_text(" ".join(self.bonus))] if self.bonus else []
-        try:
+        with refusals():
             return dataclasses.replace(self.evaluation, rule=rule, wrappers=tuple(wrappers))
-        except ValueError as error:
-            raise RunError(str(error)) from error

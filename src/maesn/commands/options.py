@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import tyro
 
-from maesn.storage import RunError
+from maesn.storage import refusals
 
 Options = TypeVar("Options")
 
@@ -27,7 +27,7 @@ def parse(
         arguments: what stands behind the command.
         default: values of the options that are not given.
     """
-    try:
+    with refusals():  # of a setting that cannot be; tyro reports those of nested ones
         return tyro.cli(
             options_class,
             prog=f"maesn {command}",
@@ -35,5 +35,3 @@ def parse(
             config=_CONFIGURATION,
             default=tyro.MISSING_NONPROP if default is None else default,
         )
-    except ValueError as error:  # of a setting that cannot be; tyro reports those of nested ones
-        raise RunError(str(error)) from error

@@ -7,8 +7,9 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
-from maesn.runs.changes import parse_changes
 from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.serialization import values_of_words
+from maesn.storage import refusals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +31,8 @@ def main(arguments: list[str]) -> None:
     """Run the command."""
     options = parse(Options, "resume", arguments)
     enable_compilation_cache()
-    change = parse_changes(options.change)
+    with refusals("`--change`: "):
+        change = values_of_words(options.change)
     run = api.resume(options.run, options.iterations, family=options.family, change=change)
     # Of a run that was begun in Python, the command alone knows where the family is.
     own = f" --family {options.family}" if options.family else run.settings.family_option

@@ -92,14 +92,11 @@ def _say_what_suits(method: str, options: Options) -> None:
     """Print the defaults that are the family's own and were not overridden."""
     family = options.run_settings.family
     suited, published = (_defaults(method, family, s) for s in ("recommended", "reference"))
-    own = {
-        **differing(suited.run_settings, published.run_settings),
-        **differing(suited.learner, published.learner),
-    }
-    chosen = {
-        **differing(options.run_settings, published.run_settings),
-        **differing(options.learner, published.learner),
-    }
+    own, chosen = (
+        differing(one.run_settings, published.run_settings)
+        | differing(one.learner, published.learner)
+        for one in (suited, options)
+    )
     kept = [f"{name} {value}" for name, value in own.items() if chosen.get(name) == value]
     if kept:
         print(

@@ -16,7 +16,7 @@ from maesn.evaluation.tables import read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.run import Run
 from maesn.runs.shipped import working_copy
-from maesn.runs.starting import check_shown
+from maesn.runs.starting import check_policy
 from maesn.storage import RunError
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
@@ -55,7 +55,7 @@ def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        check_shown(run.learner.player(run.latest_state()), world.env)
+        check_policy(run.learner, run.latest_state(), world.env)
         yield world
 
 

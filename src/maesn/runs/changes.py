@@ -1,43 +1,30 @@
 """Deliberate changes of a run that has begun, written down in its `config.json`."""
 
-import ast
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 
 from maesn.envs import describe_env
-from maesn.learners import AbstractMetaLearner
 from maesn.runs.config import Change, RunConfig, RunSettings, write_config
 from maesn.runs.run import Run
-from maesn.runs.serialization import TAG, fields_from_json, fields_to_json, from_json, to_json
+from maesn.runs.serialization import replaced
 from maesn.storage import RunError, refusals
 from maesn.worlds import engine_of
 
-CHANGEABLE = (
-    "reward",
-    "sparse_radius",
-    "seed",
-    "iterations",
-    "episodes_per_task",
-    "checkpoint_every",
-    "num_threads",
-    "engine",
-)
-"""Settings of a run that can change: what was learned stays usable."""
+FIXED = ("method", "family", "variant", "tasks")
+"""Settings of a run that cannot change: without them what was learned is of no use."""
+CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not in FIXED)
 
 
 def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
-    """Change settings of a run from its latest checkpoint on, and write that down.
+    """Change settings of a run from its latest checkpoint on, write that down, and return the run.
 
     Args:
         run: that has begun.
         changes: name -> value. Names are those in `CHANGEABLE`, and those of the learner's
             settings as on the command line of `maesn train`, such as `trust_region.damping`.
-
-    Returns:
-        The run with its new settings.
 
     Raises:
         RunError: a name or a value cannot be used; nothing was written.
@@ -54,60 +41,25 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     return changed
 
 
-def parse_changes(words: Sequence[str]) -> dict[str, Any]:
-    """Return the changes that `NAME=VALUE` words ask for.
-
-    Raises:
-        RunError: a word has another form, or a name occurs twice.
-    """
-    changes: dict[str, Any] = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        name = name.replace("-", "_")
-        if not (name and equals) or name in changes:
-            raise RunError(f"`--change` expects NAME=VALUE, each name once, got `{word}`.")
-        changes[name] = _value(text)
-    return changes
-
-
-def _value(text: str) -> Any:
-    try:
-        return ast.literal_eval(text)  # literals alone: numbers, True, None, tuples
-    except (ValueError, SyntaxError):
-        return text
-
-
 def _changed(run: Run, changes: Mapping[str, Any]) -> RunConfig:
     """Return the configuration with other values; raises ValueError where they are refused."""
-    settings, learner = fields_to_json(run.settings), to_json(run.learner)
-    for name, value in changes.items():
-        if name in settings and name not in CHANGEABLE:
-            raise RunError(_refusal(name))
-        _set(settings if name in CHANGEABLE else learner, name, value)
-    new_settings = fields_from_json(RunSettings, settings)
-    new_learner = from_json(learner)
-    assert isinstance(new_learner, AbstractMetaLearner)
-    new_learner.check_batch(new_settings.episodes_per_task)
-    if new_settings.sparse_radius is None and "sparse_radius" in changes:
+    own = {name: value for name, value in changes.items() if name in CHANGEABLE}
+    settings = replaced(run.settings, own)
+    try:
+        learner = replaced(run.learner, {n: v for n, v in changes.items() if n not in own})
+    except KeyError as error:
+        raise RunError(_refusal(error.args[0])) from error
+    learner.check_batch(settings.episodes_per_task)
+    if settings.sparse_radius is None and "sparse_radius" in changes:
         raise ValueError("`sparse_radius` must be a number of metres, got None.")
-    env = run.env(new_settings.reward, new_settings.sparse_radius)
+    env = run.env(settings.reward, settings.sparse_radius)
     return dataclasses.replace(
         run.config,
-        settings=new_settings,
-        learner=new_learner,
+        settings=settings,
+        learner=learner,
         world=describe_env(env),
-        engine=engine_of(env, new_settings.engine),
+        engine=engine_of(env, settings.engine),
     )
-
-
-def _set(document: dict[str, Any], path: str, value: Any) -> None:
-    """Replace what stands at a path such as `trust_region.damping`."""
-    *parents, last = path.split(".")
-    for parent in parents:
-        document = document.get(parent) or {}
-    if last not in document or last == TAG or isinstance(document[last], dict):
-        raise RunError(_refusal(path))
-    document[last] = value
 
 
 def _refusal(name: str) -> str:

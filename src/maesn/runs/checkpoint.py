@@ -9,12 +9,10 @@ SHA-256 of names, types, shapes, values and the other metadata. It is inside the
 it: one rename then replaces both, and a copied checkpoint keeps it.
 """
 
-import dataclasses
 import hashlib
 import json
 import logging
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -48,6 +46,16 @@ class Tensors(NamedTuple):
     metadata: dict[str, str]
 
 
+class Checkpoint(NamedTuple):
+    """A moment between two iterations, which training can go on from."""
+
+    state: Any
+    iteration: int
+    """Iterations so far."""
+    environment_steps: int
+    """Control steps that were played so far."""
+
+
 def named_leaves(tree: Any) -> dict[str, Any]:
     """Return the leaves of a pytree by their path, as in `policy/mlp/layers/0/bias`."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
@@ -59,37 +67,18 @@ def named_leaves(tree: Any) -> dict[str, Any]:
 
 def digest_of_arrays(tree: Any) -> str:
     """Return a hexadecimal hash of all names, types, shapes and values of a pytree of arrays."""
-    leaves = named_leaves(jax.device_get(tree)).items()
-    return _checksum(Tensors({name: np.asarray(leaf) for name, leaf in leaves}, {}))[:16]
+    return _checksum(Tensors(_named_arrays(tree), {}))[:16]
 
 
 def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
-    """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none.
-
-    Args:
-        path: where to.
-        tree: arrays only.
-        metadata: what the reader should know, as strings.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
-    # "C" order, because the format stores the bytes as they lie in memory.
-    values = {
-        name: np.asarray(leaf, order="C")
-        for name, leaf in named_leaves(jax.device_get(tree)).items()
-    }
-    content = Tensors(values, dict(metadata))
+    """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none."""
+    content = Tensors(_named_arrays(tree), dict(metadata))
     signed = content.metadata | {CHECKSUM: _checksum(content)}
-    write_whole(path, safetensors.numpy.save(values, metadata=signed))
+    write_whole(path, safetensors.numpy.save(content.values, metadata=signed))
 
 
 def read_checkpoint(path: Path) -> Tensors:
-    """Read what a checkpoint holds.
-
-    Raises:
-        CheckpointError: the file is missing, unreadable or damaged.
-    """
+    """Read a checkpoint; raises `CheckpointError` if it is missing, unreadable or damaged."""
     try:
         with explained("read", path), safetensors.safe_open(path, framework="numpy") as file:
             metadata = dict(file.metadata() or {})
@@ -118,112 +107,45 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
     """
     expected = named_leaves(like)
     for name in sorted(expected.keys() | values.keys()):
-        _check_fit(name, expected.get(name), values.get(name), source)
+        wanted, found = _describe(expected.get(name)), _describe(values.get(name))
+        if wanted != found:
+            raise MismatchError(
+                f"`{source}` does not fit this learner: tensor `{name}` should be {wanted}, "
+                f"but is {found}."
+            )
     return jax.tree.unflatten(
         jax.tree.structure(like), [jnp.asarray(values[name]) for name in expected]
     )
 
 
-class Checkpoint(NamedTuple):
-    """A moment between two iterations, which training can go on from."""
-
-    state: Any
-    iteration: int
-    """Iterations so far."""
-    environment_steps: int
-    """Control steps that were played so far."""
+def checkpoint_paths(directory: Path) -> list[Path]:
+    """Return the paths of all checkpoints, the earliest first."""
+    found = directory.glob("iteration-*.safetensors")
+    numbers = {path: path.stem.removeprefix("iteration-") for path in found}
+    numbered = [path for path, number in numbers.items() if number.isdecimal()]
+    return sorted(numbered, key=lambda path: int(numbers[path]))
 
 
-@dataclasses.dataclass(frozen=True)
-class CheckpointStore:
-    """The checkpoints of one run."""
-
-    directory: Path
-    names: Mapping[str, str]
-    """What all of them must agree with: kind of thing -> its name or digest."""
-    configs: Sequence[str]
-    """Digests of the run's configuration, today's first; each checkpoint states one of them."""
-
-    def paths(self) -> list[Path]:
-        """Return the paths of all checkpoints, the earliest first."""
-        found = self.directory.glob("iteration-*.safetensors")
-        numbered = [path for path in found if re.fullmatch(r"iteration-\d+", path.stem)]
-        return sorted(numbered, key=lambda path: int(path.stem.removeprefix("iteration-")))
-
-    def save(self, checkpoint: Checkpoint) -> Path:
-        """Write a checkpoint and return its path.
-
-        Raises:
-            RunError: it cannot be written.
-        """
-        path = self.directory / f"iteration-{checkpoint.iteration:06d}.safetensors"
-        counts = {
-            "iteration": str(checkpoint.iteration),
-            "environment_steps": str(checkpoint.environment_steps),
-        }
-        stated = {**self.names, "config": self.configs[0], **counts}
-        save_checkpoint(path, checkpoint.state, stated)
-        return path
-
-    def load(self, path: Path, like: Any) -> Checkpoint:
-        """Read one checkpoint.
-
-        Args:
-            path: of the checkpoint.
-            like: a state, or the shapes and types of one.
-
-        Raises:
-            CheckpointError: it is damaged.
-            MismatchError: it belongs to something else.
-        """
-        values, metadata = read_checkpoint(path)
-        for kind, wanted in self.names.items():
-            if metadata.get(kind) != wanted:
-                raise MismatchError(
-                    f"`{path}` is a checkpoint for the {kind} `{metadata.get(kind)}`, but this "
-                    f"run's {kind} is `{wanted}`: use it with the run that made it."
-                )
-        if metadata.get("config") not in self.configs:
-            raise MismatchError(
-                f"`{path}` was written with another `config.json` than the one of this run: use it "
-                "with the run that made it, or restore that file. (`maesn resume RUN --change "
-                "NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
-            )
-        state = restore(like, values, path)
-        return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
-
-    def latest(self, like: Any) -> Checkpoint:
-        """Read the latest checkpoint that is sound, and say so if a later one is not.
-
-        Args:
-            like: a state, or the shapes and types of one.
-
-        Raises:
-            CheckpointError: there is no sound one.
-            MismatchError: the latest sound one belongs to something else.
-        """
-        damage: list[str] = []
-        for path in reversed(self.paths()):
-            try:
-                checkpoint = self.load(path, like)
-            except CheckpointError as error:
-                damage.append(str(error))
-                continue
-            for sentence in damage:
-                logger.warning("%s Using `%s` instead.", sentence, path)
-            return checkpoint
-        raise CheckpointError(
-            " ".join([f"`{self.directory}` holds no sound checkpoint: restore one.", *damage])
-        )
+def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpoint:
+    """Return the latest checkpoint that is not damaged, saying so if a later one is."""
+    damage: list[str] = []
+    for path in reversed(checkpoint_paths(directory)):
+        try:
+            checkpoint = load(path)
+        except CheckpointError as error:
+            damage.append(str(error))
+            continue
+        for sentence in damage:
+            logger.warning("%s Using `%s` instead.", sentence, path)
+        return checkpoint
+    nothing = f"`{directory}` holds no sound checkpoint: restore one."
+    raise CheckpointError(" ".join([nothing, *damage]))
 
 
-def _check_fit(name: str, expected: Any, value: Any, source: Path | str) -> None:
-    wanted, found = _describe(expected), _describe(value)
-    if wanted != found:
-        raise MismatchError(
-            f"`{source}` does not fit this learner: tensor `{name}` should be {wanted}, "
-            f"but is {found}."
-        )
+def _named_arrays(tree: Any) -> dict[str, np.ndarray]:
+    """Return the leaves by name, in C order: the format stores the bytes as they lie in memory."""
+    leaves = named_leaves(jax.device_get(tree))
+    return {name: np.asarray(leaf, order="C") for name, leaf in leaves.items()}
 
 
 def _describe(leaf: Any) -> str:

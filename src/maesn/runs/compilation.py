@@ -16,14 +16,7 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return where compiled programs are kept: `MAESN_CACHE`, or the user's cache directory.
-
-    Args:
-        environment: environment variables.
-
-    Returns:
-        A directory, or None if the user wants no cache.
-    """
+    """Return where compiled programs are kept; None if the user wants no cache."""
     chosen = environment.get(CACHE_VARIABLE)
     if chosen is not None:
         return None if chosen in ("", "0", "off") else Path(chosen)
@@ -33,15 +26,9 @@ def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
     return home / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "maesn"
 
 
-def enable_compilation_cache() -> Path | None:
-    """Keep compiled programs on disk, so that the next process starts at once.
-
-    Returns:
-        The directory, or None if the user wants no cache.
-    """
+def enable_compilation_cache() -> None:
+    """Keep compiled programs on disk, so that the next process starts at once."""
     directory = cache_directory()
-    if directory is None:
-        return None
     settings = {
         "jax_compilation_cache_dir": str(directory),
         # By default JAX keeps what took a second to compile. The first iteration consists of
@@ -49,9 +36,8 @@ def enable_compilation_cache() -> Path | None:
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }
-    for name, value in settings.items():
+    for name, value in settings.items() if directory else ():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
-    return directory
 
 
 # How long each compilation of this process took, in seconds.
@@ -67,15 +53,6 @@ def _listen(event: str, duration_secs: float, **_: str | int) -> None:
 jax.monitoring.register_event_duration_secs_listener(_listen)
 
 
-class CompileClock:
-    """Measures how long XLA compiled while the clock was entered: `seconds`."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    def __enter__(self) -> "CompileClock":
-        self._before = len(_durations)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds = sum(_durations[self._before :])
+def compile_seconds() -> float:
+    """Return how long XLA has compiled in this process so far."""
+    return sum(_durations)

@@ -67,13 +67,8 @@ class RunSettings:
     for families on a MuJoCo model."""
 
     def __post_init__(self) -> None:
-        smallest = {
-            "seed": 0,
-            "iterations": 0,
-            "episodes_per_task": 1,
-            "checkpoint_every": 1,
-            "num_threads": 0,
-        }
+        smallest = {"seed": 0, "iterations": 0, "num_threads": 0}
+        smallest |= {"episodes_per_task": 1, "checkpoint_every": 1}
         for name, least in smallest.items():
             value = getattr(self, name)
             if value < least:
@@ -146,11 +141,7 @@ def new_config(
     family: TaskFamily,
     tasks: TaskSet,
 ) -> RunConfig:
-    """Return what a new run will write down.
-
-    Raises:
-        RunError: the learner cannot be stored, or the engine cannot move the family.
-    """
+    """Return what a new run will write down."""
     env = make_env(family, settings)
     with refusals():
         # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
@@ -171,52 +162,28 @@ def new_config(
 def make_env(
     family: TaskFamily, settings: RunSettings, reward_kind: RewardKind | None = None
 ) -> AnyEnv:
-    """Return the environment that settings ask for; an existing run has its own, `Run.env`.
-
-    Args:
-        family: whose environment.
-        settings: of a run that is yet to begin.
-        reward_kind: dense or sparse; None for what the settings say.
-
-    Raises:
-        RunError: the environment cannot have these settings, or cannot be learned in.
-    """
-    options: dict[str, Any] = {
-        "variant": settings.variant,
-        "reward_kind": settings.reward if reward_kind is None else reward_kind,
-    }
-    if settings.sparse_radius is not None:
-        options["sparse_radius"] = settings.sparse_radius
+    """Return the environment that a new run is to have; an existing one has its own, `Run.env`."""
+    radius = {} if settings.sparse_radius is None else {"sparse_radius": settings.sparse_radius}
+    kind = settings.reward if reward_kind is None else reward_kind
     with refusals():
-        return family.make_env(**options)
+        return family.make_env(variant=settings.variant, reward_kind=kind, **radius)
 
 
 def installed_versions(engine: str) -> dict[str, str]:
     """Return the versions that decide whether a run can be repeated bit for bit."""
     names = (*_PACKAGES, *_ENGINE_PACKAGES.get(engine, ()))
-    packages = {name: importlib.metadata.version(name) for name in names if _is_installed(name)}
-    return {"python": platform.python_version(), **packages}
-
-
-def _is_installed(package: str) -> bool:
-    return any(importlib.metadata.distributions(name=package))
+    installed = [name for name in names if any(importlib.metadata.distributions(name=name))]
+    packages = {name: importlib.metadata.version(name) for name in installed}
+    return {"python": platform.python_version()} | packages
 
 
 def write_config(directory: Path, config: RunConfig) -> None:
-    """Write `config.json`.
-
-    Raises:
-        RunError: the file cannot be written, or a number is not finite.
-    """
+    """Write `config.json`."""
     write_json(directory / CONFIG, config.document() | {"digest": config.digest()})
 
 
 def read_config(directory: Path) -> RunConfig:
-    """Read `config.json`.
-
-    Raises:
-        RunError: the file is missing, was changed by hand, or is not what `write_config` writes.
-    """
+    """Read `config.json`; refuse one that is damaged or was changed by hand."""
     path = directory / CONFIG
     if not path.is_file():
         raise RunError(

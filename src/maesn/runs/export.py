@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -60,10 +61,15 @@ def exported_policy(
 ) -> ExportedPolicy:
     """Return what `export_policy` writes; see there."""
     supported = _supported(learner)
-    policy, begun = _policy(supported), _start(supported)
-    if start is not None:
-        begun = _adapted(start[0], begun)
-    size = policy.input_size - begun.mean.shape[0]
+    prior = jax.tree.map(lambda x: x[0], supported.context.start_new(supported.context_table, 1))
+    latent, update = (prior, 0) if start is None else start
+    if latent.mean.shape != prior.mean.shape:
+        raise ValueError(
+            f"the latents have {latent.mean.size} components, but the policy's z has "
+            f"{prior.mean.size}; give latents to which this run was adapted."
+        )
+    policy = _policy(supported)
+    size = policy.input_size - prior.mean.size
     if (size, policy.action_size) != (env.observation_size, env.action_size):
         raise ValueError(
             f"`env` must have {size} observations and {policy.action_size} actions as the policy "
@@ -73,8 +79,8 @@ def exported_policy(
     exported = ExportedPolicy(
         policy=policy,
         actuators=probe_actuators(env),
-        start=begun,
-        start_update=0 if start is None else start[1],
+        start=RuntimeLatent(_float64(latent.mean), _float64(latent.log_std)),
+        start_update=update,
         rule=_rule(supported),
         description={
             "family": env.name,
@@ -84,7 +90,12 @@ def exported_policy(
             **description,
         },
     )
-    _refuse_nonfinite(exported)
+    for name, array in exported.arrays().items():
+        if not (name.startswith("actuators.") or np.isfinite(array).all()):
+            raise ValueError(
+                f"`learner` must hold finite numbers to be exported, but `{name}` does not; "
+                "export an earlier checkpoint."
+            )
     return exported
 
 
@@ -97,19 +108,20 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     Raises:
         ValueError: the function has another form.
     """
-    size = env.action_size
-    zeros, step = np.zeros(size), np.full(size, _PROBE_STEP)
-    ends = np.stack([_control(env, np.full(size, sign * _FAR)) for sign in (-1.0, 1.0)])
-    halves = np.stack([_control(env, np.full(size, sign * _FAR / 2)) for sign in (-1.0, 1.0)])
-    limits = np.where(ends == halves, ends, np.copysign(np.inf, ends))
+
+    def control(action: np.ndarray | float) -> np.ndarray:
+        return _float64(env.control(jnp.full(env.action_size, action, jnp.float32)))
+
+    far, half = (np.stack([control(-x), control(x)]) for x in (_FAR, _FAR / 2))
+    limits = np.where(far == half, far, np.copysign(np.inf, far))
     actuators = Actuators(
-        offset=_control(env, zeros),
-        scale=(_control(env, step) - _control(env, -step)) / (2 * _PROBE_STEP),
+        offset=control(0.0),
+        scale=(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP),
         lower=limits.min(axis=0),
         upper=limits.max(axis=0),
     )
-    for action in 2.0 * np.random.default_rng(0).standard_normal((_NUM_PROBES, size)):
-        wanted = _control(env, action)
+    for action in 2.0 * np.random.default_rng(0).standard_normal((_NUM_PROBES, env.action_size)):
+        wanted = control(action)
         if not np.allclose(actuators.control(action), wanted, _TOLERANCE, _TOLERANCE):
             raise ValueError(
                 f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
@@ -121,52 +133,46 @@ def probe_actuators(env: AnyEnv) -> Actuators:
 
 def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
     """Return the learner if the runtime's closed-form update is the learner's own."""
-    advice = (
-        "a policy can be exported if its latent alone adapts, by the likelihood-ratio gradient: "
-        "the methods `maesn` and `latent_space`"
-    )
-    if isinstance(learner, BonusFastLearner):
-        raise ValueError(f"`learner` has a curiosity bonus, which needs a model; {advice}.")
-    if not isinstance(learner, GradientFastLearner):
-        raise ValueError(f"`learner` is a {type(learner).__name__}; {advice}.")
-    if not learner.capabilities.learns_from_reward:
-        raise ValueError(f"`learner` adapts nothing in a new task; {advice}.")
-    if learner.advantage.drifts:
+    obstacle = _obstacle(learner)
+    if obstacle is not None:
         raise ValueError(
-            "`learner` drifts where all episodes have the same rewards, which the runtime does "
-            "not: train it without `advantage.drifts`."
+            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
+            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
         )
-    if not isinstance(learner.context, LatentContext):
-        raise ValueError(
-            f"`learner` has the context {type(learner.context).__name__}, whose update needs the "
-            f"derivative of the policy; {advice}."
-        )
-    if learner.context.gradient != "likelihood_ratio":
-        raise ValueError(
-            f"`learner` adapts its latent by the {learner.context.gradient} gradient, which needs "
-            f"the derivative of the policy; {advice}."
-        )
-    if learner.adaptation.policy is not None:
-        raise ValueError(f"`learner` adapts the policy's weights in a new task; {advice}.")
-    if not isinstance(learner.policy, GaussianMLPPolicy):
-        raise ValueError(
-            f"`learner` has the policy {type(learner.policy).__name__}; the runtime computes "
-            "`GaussianMLPPolicy` alone."
-        )
+    assert isinstance(learner, GradientFastLearner)
     return learner
+
+
+def _obstacle(learner: AbstractFastLearner[Any]) -> str | None:
+    if isinstance(learner, BonusFastLearner):
+        return "has a curiosity bonus, which needs a model"
+    if not isinstance(learner, GradientFastLearner):
+        return f"is a {type(learner).__name__}"
+    if not learner.capabilities.learns_from_reward:
+        return "adapts nothing in a new task"
+    if learner.advantage.drifts:
+        return "drifts where all episodes have the same rewards: train without `advantage.drifts`"
+    if not isinstance(learner.context, LatentContext):
+        return f"has the context {type(learner.context).__name__}"
+    if learner.context.gradient != "likelihood_ratio":
+        return f"adapts its latent by the {learner.context.gradient} gradient"
+    if learner.adaptation.policy is not None:
+        return "adapts the policy's weights in a new task"
+    if not isinstance(learner.policy, GaussianMLPPolicy):
+        return f"has the policy {type(learner.policy).__name__} instead of `GaussianMLPPolicy`"
+    return None
 
 
 def _policy(learner: GradientFastLearner) -> GaussianPolicy:
     assert isinstance(learner.policy, GaussianMLPPolicy)
-    weights = [np.asarray(layer.weight, np.float32) for layer in learner.policy.mlp.layers]
-    biases = [np.asarray(layer.bias, np.float32) for layer in learner.policy.mlp.layers]
+    weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
+    biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
     if learner.statistics is not None:
         weights[0], biases[0] = _with_normalization(learner.statistics, weights[0], biases[0])
-    std = np.maximum(np.exp(np.asarray(learner.policy.log_std, np.float64)), MINIMUM_STD)
     return GaussianPolicy(
-        weights=tuple(weights),
-        biases=tuple(biases),
-        std=std,
+        weights=tuple(weight.astype(np.float32) for weight in weights),
+        biases=tuple(bias.astype(np.float32) for bias in biases),
+        std=np.maximum(np.exp(_float64(learner.policy.log_std)), MINIMUM_STD),
     )
 
 
@@ -178,46 +184,20 @@ def _with_normalization(
     With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). So the robot computes
     the same policy without knowing of it. In double precision, because the two parts may cancel.
     """
-    mean = np.asarray(statistics.mean, np.float64)
-    scaled = weight.astype(np.float64)
-    scaled[: len(mean)] /= np.asarray(statistics.scale, np.float64)[:, None]
-    shifted = bias - mean @ scaled[: len(mean)]
-    return scaled.astype(np.float32), shifted.astype(np.float32)
-
-
-def _adapted(start: Latent, prior: RuntimeLatent) -> RuntimeLatent:
-    found = _latent(start)
-    if found.mean.shape != prior.mean.shape:
-        raise ValueError(
-            f"the latents have {found.mean.size} components, but the policy's z has "
-            f"{prior.mean.size}; give latents to which this run was adapted."
-        )
-    return found
-
-
-def _start(learner: GradientFastLearner) -> RuntimeLatent:
-    """Return the latent that the learner starts a new task from."""
-    start = _latent(learner.context.start_new(learner.context_table, 1))
-    return RuntimeLatent(start.mean[0], start.log_std[0])
-
-
-def _latent(value: object) -> RuntimeLatent:
-    assert isinstance(value, Latent)
-    return RuntimeLatent(np.asarray(value.mean, np.float64), np.asarray(value.log_std, np.float64))
+    mean, scaled = _float64(statistics.mean), weight.astype(np.float64)
+    scaled[: len(mean)] /= _float64(statistics.scale)[:, None]
+    return scaled, bias - mean @ scaled[: len(mean)]
 
 
 def _rule(learner: GradientFastLearner) -> LearningRule:
-    assert learner.adaptation.context is not None
     step = learner.adaptation.context
-    if step.learned:
-        sizes = _latent(learner.step_sizes.context)
-    else:
-        fixed = np.full(learner.context_table.size, float(step.initial_size))
-        sizes = RuntimeLatent(fixed, fixed)
+    assert step is not None
+    fixed = np.full(learner.context_table.size, float(step.initial_size))
+    sizes = learner.step_sizes.context if step.learned else RuntimeLatent(fixed, fixed)
     scale = float(learner.schedule.scale)
     return LearningRule(
-        mean_step=scale * sizes.mean,
-        log_std_step=scale * sizes.log_std,
+        mean_step=scale * _float64(sizes.mean),
+        log_std_step=scale * _float64(sizes.log_std),
         full_steps=learner.schedule.full_steps,
         factor=float(learner.schedule.factor),
         discount=float(learner.advantage.discount),
@@ -225,15 +205,5 @@ def _rule(learner: GradientFastLearner) -> LearningRule:
     )
 
 
-def _control(env: AnyEnv, action: np.ndarray) -> np.ndarray:
-    return np.asarray(env.control(jnp.asarray(action, jnp.float32)), np.float64)
-
-
-def _refuse_nonfinite(exported: ExportedPolicy) -> None:
-    limits = ("actuators.lower", "actuators.upper")
-    for name, array in exported.arrays().items():
-        if name not in limits and not np.isfinite(array).all():
-            raise ValueError(
-                f"`learner` must hold finite numbers to be exported, but `{name}` does not; "
-                "export an earlier checkpoint."
-            )
+def _float64(values: Any) -> np.ndarray:
+    return np.asarray(values, np.float64)

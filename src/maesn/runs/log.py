@@ -5,11 +5,10 @@ import json
 import logging
 import math
 import os
-import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
@@ -30,10 +29,6 @@ _TAGS = {
     "return_after": "returns/after",
     "success_after": "success/after",
 }
-
-
-# Made by the protocol compiler, without types.
-_Event: TypeAlias = Any
 
 
 class Progress(NamedTuple):
@@ -71,20 +66,18 @@ class JsonLines:
         """Keep the lines of iterations 1 ... `iterations`, and nothing after them."""
         kept = end = 0
         with explained("write", self._path):
-            for line in self._path.read_bytes().splitlines(keepends=True):
-                if kept == iterations or _iteration(line) != kept + 1:
+            for line in self._path.read_bytes().splitlines(keepends=True)[:iterations]:
+                if not (line.startswith(b'{"iteration": %d,' % (kept + 1)) and line[-1:] == b"\n"):
                     break
                 kept += 1
                 end += len(line)
             self._file.truncate(end)
         if kept < iterations:
-            logger.warning(
+            message = (
                 "`%s` holds only %d of the %d iterations before this one; the rest is lost, but "
-                "not for the learner.",
-                self._path,
-                kept,
-                iterations,
+                "not for the learner."
             )
+            logger.warning(message, self._path, kept, iterations)
 
     def append(self, record: Mapping[str, Any]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
@@ -92,8 +85,8 @@ class JsonLines:
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in record.items()
         }
+        line = json.dumps(finite, allow_nan=False).encode() + b"\n"
         with explained("write", self._path):
-            line = json.dumps(finite, allow_nan=False).encode() + b"\n"
             while line:  # a disk that is nearly full takes a part of it
                 line = line[self._file.write(line) :]
 
@@ -118,20 +111,20 @@ class EventLog:
         self._directory = directory
         # TensorBoard looks for "tfevents". The iteration keeps the names of processes apart that
         # begin within the same second.
-        name = f"events.out.tfevents.{int(time.time())}.{socket.gethostname()}.{iteration}"
+        name = f"events.out.tfevents.{int(time.time())}.{iteration}"
         with explained("write", directory):
             directory.mkdir(exist_ok=True)
             self._records = RecordWriter(str(directory / name))
-        self._write(Event(file_version="brain.Event:2"))
+        self.append(file_version="brain.Event:2")
         if iteration:
             # Makes TensorBoard hide what an earlier process wrote of later steps.
             start = SessionLog(status=SessionLog.START)
-            self._write(Event(step=environment_steps + 1, session_log=start))
+            self.append(step=environment_steps + 1, session_log=start)
 
-    def append(self, scalars: Mapping[str, float], environment_steps: int) -> None:
-        """Write one iteration: tag -> value."""
-        values = [Summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
-        self._write(Event(step=environment_steps, summary=Summary(value=values)))
+    def append(self, **event: Any) -> None:
+        """Write one event of these fields."""
+        with explained("write", self._directory):
+            self._records.write(Event(wall_time=time.time(), **event).SerializeToString())
 
     def sync(self) -> None:
         """Make all events survive a power cut."""
@@ -143,73 +136,56 @@ class EventLog:
         with explained("write", self._directory):
             self._records.close()
 
-    def _write(self, event: _Event) -> None:
-        event.wall_time = time.time()
-        with explained("write", self._directory):
-            self._records.write(event.SerializeToString())
 
+class RunLog(NamedTuple):
+    """The log files of a run directory; see `open_log`."""
 
-class RunLog:
-    """The log files of a run directory. Only one process may have them open.
-
-    Args:
-        directory: of the run.
-        iteration: iterations so far; what was written of later ones is forgotten.
-        environment_steps: control steps so far.
-    """
-
-    def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
-        with contextlib.ExitStack() as stack:
-            self._metrics = JsonLines(directory / METRICS)
-            stack.callback(self._metrics.close)
-            self._timing = JsonLines(directory / TIMING)
-            stack.callback(self._timing.close)
-            self._events = EventLog(directory / TENSORBOARD, iteration, environment_steps)
-            stack.callback(self._events.close)
-            self.cut(iteration)
-            # `close` closes all files, even if one of them cannot be. If something failed above,
-            # leaving this block has closed them already.
-            self._closing = stack.pop_all()
+    metrics: JsonLines
+    timing: JsonLines
+    events: EventLog
 
     def cut(self, iteration: int) -> None:
         """Keep the lines of iterations 1 ... `iteration`."""
-        self._metrics.cut(iteration)
-        self._timing.cut(iteration)
+        self.metrics.cut(iteration)
+        self.timing.cut(iteration)
 
     def write(self, progress: Progress) -> None:
-        """Write down one iteration.
-
-        Raises:
-            RunError: the disk is full, or the like.
-        """
-        steps = {"environment_steps": progress.environment_steps}
+        """Write down one iteration; raises `RunError` if the disk is full, or the like."""
+        steps = progress.environment_steps
+        counts = {"iteration": progress.iteration, "environment_steps": steps}
         timing = {
             "seconds": progress.seconds,
             "compile_seconds": progress.compile_seconds,
             "steps_per_second": progress.steps_per_second,
         }
-        self._timing.append({"iteration": progress.iteration, **steps, **timing})
-        self._metrics.append({"iteration": progress.iteration, **steps, **progress.info})
+        self.timing.append(counts | timing)
+        self.metrics.append(counts | progress.info)
         scalars = {_TAGS.get(name, name): value for name, value in progress.info.items()}
         scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
-        tagged = {n if "/" in n else f"charts/{n}": value for n, value in scalars.items()}
-        self._events.append(tagged, progress.environment_steps)
+        values = [
+            Summary.Value(tag=tag if "/" in tag else f"charts/{tag}", simple_value=value)
+            for tag, value in scalars.items()
+        ]
+        self.events.append(step=steps, summary=Summary(value=values))
 
     def sync(self) -> None:
         """Make all that was written survive the end of the process, and a power cut."""
-        self._metrics.sync()
-        self._timing.sync()
-        self._events.sync()
-
-    def close(self) -> None:
-        """Close all files."""
-        self._closing.close()
+        for file in self:
+            file.sync()
 
 
-def _iteration(line: bytes) -> Any:
-    """Return the iteration of a line; None if the line is not whole."""
-    try:
-        record = json.loads(line) if line.endswith(b"\n") else None
-    except ValueError:
-        return None
-    return record.get("iteration") if isinstance(record, dict) else None
+@contextlib.contextmanager
+def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterator[RunLog]:
+    """Open the log files of a run, and forget what was written of iterations after this one.
+
+    Only one process may do so at a time.
+    """
+    events = directory / TENSORBOARD
+    with (
+        contextlib.closing(JsonLines(directory / METRICS)) as metrics,
+        contextlib.closing(JsonLines(directory / TIMING)) as timing,
+        contextlib.closing(EventLog(events, iteration, environment_steps)) as tensorboard,
+    ):
+        log = RunLog(metrics, timing, tensorboard)
+        log.cut(iteration)
+        yield log

@@ -3,7 +3,7 @@
 import contextlib
 import datetime
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rich.console import Console
@@ -15,7 +15,7 @@ from maesn.runs.log import Progress
 from maesn.runs.run import Run
 from maesn.runs.training import train
 
-# Iterations whose mean duration predicts the time that is left.
+# Iterations whose mean duration, without compilation, predicts the time that is left.
 _WINDOW = 20
 
 # Columns of a terminal that has room for a bar beside the numbers.
@@ -27,27 +27,20 @@ def train_live(
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
-    Args:
-        run: what to train; goes on from its latest checkpoint.
-        iterations: meta-iterations in total; None for what the run's settings say.
-        console: where to show it; None for the standard output.
-
-    Returns:
-        The last iteration; None if there was nothing left to do.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C was pressed; the state is saved, and a line says so.
-        RunError: as for `train`.
-        EpisodeError: as for `train`.
+    Returns the last iteration; None if there was nothing left to do. At Ctrl-C the state is saved,
+    and a line says how to go on. `console` is the standard output if none is given; all else is as
+    for `train`.
     """
     console = Console() if console is None else console
     total = run.settings.iterations if iterations is None else iterations
-    display = _live if console.is_terminal else _plain
     last: Progress | None = None
     try:
-        with contextlib.closing(train(run, iterations)) as steps:
-            for progress in display(steps, total, console):
-                last = progress
+        with contextlib.closing(train(run, iterations)) as steps, _display(console, total) as show:
+            recent: deque[float] = deque(maxlen=_WINDOW)
+            for last in steps:
+                recent.append(last.seconds - last.compile_seconds)
+                left = sum(recent) / len(recent) * (total - last.iteration)
+                show(last, f"{datetime.timedelta(seconds=round(left))} left")
     except KeyboardInterrupt:
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.settings.family_option
@@ -77,42 +70,25 @@ def describe(progress: Progress) -> str:
     return ", ".join(parts)
 
 
-class _Forecast:
-    """Predicts how long the rest will take, from the last iterations without compilation."""
-
-    def __init__(self, total: int) -> None:
-        self._total = total
-        self._recent: deque[float] = deque(maxlen=_WINDOW)
-
-    def __call__(self, progress: Progress) -> str:
-        self._recent.append(progress.seconds - progress.compile_seconds)
-        mean = sum(self._recent) / len(self._recent)
-        left = mean * (self._total - progress.iteration)
-        return f"{datetime.timedelta(seconds=round(left))} left"
-
-
-def _plain(steps: Iterator[Progress], total: int, console: Console) -> Iterator[Progress]:
-    forecast = _Forecast(total)
-    for progress in steps:
-        left = forecast(progress)
-        _say(console, f"{progress.iteration}/{total}: {describe(progress)}, {left}")
-        yield progress
-
-
-def _live(steps: Iterator[Progress], total: int, console: Console) -> Iterator[Progress]:
+@contextlib.contextmanager
+def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str], None]]:
+    """Yield what shows an iteration and the time that is left."""
+    if not console.is_terminal:
+        yield lambda progress, left: _say(
+            console, f"{progress.iteration}/{total}: {describe(progress)}, {left}"
+        )
+        return
     columns: list[Any] = [
         MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
     ]
     if console.width >= _WIDE:
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
-    forecast = _Forecast(total)
     with Bar(*columns, console=console) as bar:
         shown = bar.add_task("compiling", total=total)
-        for progress in steps:
-            text = f"{forecast(progress)}: {describe(progress)}"
-            bar.update(shown, completed=progress.iteration, description=text)
-            yield progress
+        yield lambda progress, left: bar.update(
+            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+        )
 
 
 def _say(console: Console, text: str) -> None:

@@ -11,32 +11,30 @@ DIR/tensorboard/     events for TensorBoard
 """
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.runs.checkpoint import Checkpoint, CheckpointStore
-from maesn.runs.config import (
-    RunConfig,
-    RunSettings,
-    new_config,
-    read_config,
-    write_config,
+from maesn.runs.checkpoint import (
+    Checkpoint,
+    MismatchError,
+    checkpoint_paths,
+    latest_sound,
+    named_leaves,
+    read_checkpoint,
+    restore,
+    save_checkpoint,
 )
+from maesn.runs.config import RunConfig, RunSettings, new_config, read_config, write_config
 from maesn.runs.log import METRICS
 from maesn.runs.shipped import find_run
-from maesn.runs.starting import (
-    check_policy,
-    iteration_key,
-    untrained_state,
-    warn_of_known_tests,
-)
+from maesn.runs.starting import check_policy, check_sizes, warn_of_known_tests
 from maesn.runs.task_sources import (
     TASKS_FILE,
     find_tasks,
@@ -50,13 +48,14 @@ from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_wor
 
 CHECKPOINTS = "checkpoints"
 
+# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
+# instead would yield the keys of iterations 0 and 1 a second time.
+_UNTRAINED = 0xFFFFFFFF
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """One run: what `config.json` says, and the checkpoints beside it.
-
-    Made by `Run.create` or `Run.open`.
-    """
+    """What `config.json` says, and the checkpoints beside it; made by `create` or `open`."""
 
     directory: Path
     config: RunConfig
@@ -80,7 +79,7 @@ class Run:
         learner: AbstractMetaLearner[Any, Any],
         settings: RunSettings,
         family: TaskFamily | None = None,
-        first_state: "Callable[[Run], Any] | None" = None,
+        init_from: str | Path | None = None,
     ) -> "Run":
         """Make a new run directory with the state in it that training begins with.
 
@@ -89,16 +88,17 @@ class Run:
             learner: the method and its settings.
             settings: of the run.
             family: a family of your own; None for the one that `settings.family` names.
-            first_state: returns the state to begin with; None for the untrained one.
+            init_from: directory of a run, or name of a policy that comes with the library. Policy,
+                step sizes, and all else that tasks share come from there; what belongs to single
+                tasks, such as the latents, begins afresh, and so does the count of iterations.
 
         Raises:
-            RunError: the directory is in use or cannot be written, or a setting is wrong.
+            RunError: the directory is in use or cannot be written, a setting is wrong, or the
+                source does not fit.
         """
-        if family is None:
-            family = resolve_family(settings.family)
-        else:
-            settings = dataclasses.replace(settings, family=family.name)
-        settings = dataclasses.replace(settings, method=method_name(learner))
+        named = settings.family if family is None else family.name
+        family = resolve_family(named) if family is None else family
+        settings = dataclasses.replace(settings, family=named, method=method_name(learner))
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
@@ -114,7 +114,7 @@ class Run:
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / TASKS_FILE, tasks, family)
-            state = (first_state or cls.untrained_state)(run)
+            state = run.untrained_state() if init_from is None else run._begun_state(init_from)
             check_policy(learner, state, run.env())
             run.save_state(state)
             # Last, so that a directory with this file in it is a whole run.
@@ -154,8 +154,8 @@ class Run:
         Raises:
             RunError: the environment has become another, or cannot have that radius.
         """
-        wanted = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
-        overrides = {name: value for name, value in wanted.items() if value is not None}
+        asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
+        overrides = {name: value for name, value in asked.items() if value is not None}
         with refusals():
             return rebuild_env(self.family, self.config.world, **overrides)
 
@@ -183,9 +183,9 @@ class Run:
 
         Args:
             tasks: None for what this run trains on.
-            reward_kind: dense or sparse; None for that of training.
+            reward_kind: as for `env`.
             engine: what moves it; None for the run's own.
-            sparse_radius: radius of the goal region in metres; None for that of training.
+            sparse_radius: as for `env`.
             num_threads: threads of the engine; None for what the run's settings say.
 
         Raises:
@@ -195,22 +195,21 @@ class Run:
         tasks = self.training_tasks if tasks is None else tasks
         engine = self.settings.engine if engine is None else engine
         threads = self.settings.num_threads if num_threads is None else num_threads
-        env = self.env(reward_kind, sparse_radius)
         with refusals():
-            return make_world(env, tasks, threads, engine)
+            return make_world(self.env(reward_kind, sparse_radius), tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
-        return iteration_key(self.settings.seed, iteration)
+        return jax.random.fold_in(jax.random.key(self.settings.seed), np.uint32(iteration))
 
     def untrained_state(self) -> Any:
-        """Return the state that the seed says.
-
-        Raises:
-            RunError: the learner does not fit the tasks.
-        """
+        """Return the state that the seed says; `RunError` if learner and tasks do not fit."""
         with refusals():
-            return untrained_state(*self._made_of())
+            return _init(*self._init_arguments())
+
+    def structure(self, more_tasks: int = 0) -> Any:
+        """Return the shapes and types of a state, for that many tasks more than the run has."""
+        return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.
@@ -224,33 +223,26 @@ class Run:
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
-        return self._store().paths()
+        return checkpoint_paths(self.directory / CHECKPOINTS)
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
-        """Write a checkpoint and return its path.
-
-        Args:
-            state: of the learner.
-            environment_steps: control steps that were played for it.
+        """Write a state, and how many control steps were played for it, and return the path.
 
         Raises:
             RunError: it cannot be written.
         """
         iteration = int(self.learner.iteration(state))
-        return self._store().save(Checkpoint(state, iteration, environment_steps))
-
-    def latest_state(self) -> Any:
-        """Return the state of the latest checkpoint; see `latest`."""
-        return self.latest().state
-
-    def latest(self) -> Checkpoint:
-        """Return the latest checkpoint that is sound, saying so if a later one is not.
-
-        Raises:
-            RunError: no checkpoint is sound.
-            MismatchError: the latest sound one belongs to another run, or to other settings.
-        """
-        return self._store().latest(self.structure())
+        path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
+        metadata = {
+            "family": self.config.family,
+            "method": self.settings.method,
+            "task set": self.config.task_digest,
+            "config": self.config.digest(),
+            "iteration": str(iteration),
+            "environment_steps": str(environment_steps),
+        }
+        save_checkpoint(path, state, metadata)
+        return path
 
     def load(self, path: str | Path) -> Checkpoint:
         """Read one checkpoint of this run.
@@ -259,23 +251,50 @@ class Run:
             CheckpointError: it is damaged.
             MismatchError: it belongs to another run, or to other settings.
         """
-        return self._store().load(Path(path), self.structure())
+        values, metadata = read_checkpoint(Path(path))
+        if metadata.get("config") not in self.config.digests():
+            raise MismatchError(
+                f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
+                f"`{metadata.get('family')}` that was written with another `config.json` than this "
+                "run's: use it with the run that made it, or restore that file. (`maesn resume RUN "
+                "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
+            )
+        state = restore(self.structure(), values, path)
+        return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 
-    def _store(self) -> CheckpointStore:
-        names = {
-            "family": self.config.family,
-            "method": self.settings.method,
-            "task set": self.config.task_digest,
-        }
-        return CheckpointStore(self.directory / CHECKPOINTS, names, self.config.digests())
+    def latest(self) -> Checkpoint:
+        """Return the latest checkpoint that is sound, saying so if a later one is not.
 
-    def structure(self, num_tasks: int | None = None) -> Any:
-        """Return the shapes and types of a state, for that many tasks if not for the run's own."""
-        return eqx.filter_eval_shape(untrained_state, *self._made_of(num_tasks))
+        Raises:
+            CheckpointError: no checkpoint is sound.
+            MismatchError: the latest sound one belongs to another run, or to other settings.
+        """
+        return latest_sound(self.directory / CHECKPOINTS, self.load)
 
-    def _made_of(self, num_tasks: int | None = None) -> tuple[Any, ...]:
-        """Return what `untrained_state` makes a state of."""
-        rows = len(self.training_tasks) if num_tasks is None else num_tasks
-        env, tasks = self.env(), self.training_tasks
-        description_size = jax.eval_shape(env.describe, tasks[0]).size
-        return self.learner, env, self.settings.seed, rows, description_size
+    def latest_state(self) -> Any:
+        """Return the state of the latest checkpoint; see `latest`."""
+        return self.latest().state
+
+    def _begun_state(self, init_from: str | Path) -> Any:
+        """Return a first state with what another run has learned; see `create`."""
+        same_family = read_config(find_run(init_from)).family == self.config.family
+        source = Run.open(init_from, self.family if same_family else None)
+        check_sizes(source.directory, source.env(), self.env(), "begin with a run in the same one")
+        fresh, values = self.untrained_state(), named_leaves(source.latest_state())
+        larger = named_leaves(self.structure(more_tasks=1))
+        for name, leaf in named_leaves(fresh).items():
+            per_task = leaf.shape != larger[name].shape  # a row for each
+            if per_task or leaf is self.learner.iteration(fresh):
+                values[name] = leaf
+        return restore(fresh, values, source.directory)
+
+    def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
+        env, rows = self.env(), len(self.training_tasks) + more_tasks
+        description = jax.eval_shape(env.describe, self.training_tasks[0])
+        sizes = (env.observation_size, env.action_size, rows, description.size)
+        return self.learner, self.iteration_key(_UNTRAINED), *sizes
+
+
+@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
+def _init(learner: AbstractMetaLearner[Any, Any], key: Key, *sizes: int) -> Any:
+    return learner.init(key, *sizes)

@@ -1,14 +1,17 @@
 """Settings as JSON: a learner goes into `config.json` and comes out the same.
 
 Every object is written with a tag, `"type"`, that names its class. Tags are looked up in a closed
-registry, so a file can ask for nothing but the settings listed here.
+registry, so a file can ask for nothing but the settings listed here. What is unknown, missing or of
+the wrong type is a `ValueError`.
 """
 
+import ast
+import contextlib
 import dataclasses
 import hashlib
 import json
 import types
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
@@ -61,11 +64,7 @@ REGISTRY: dict[str, type[eqx.Module]] = {
 
 
 def to_json(module: eqx.Module) -> dict[str, Any]:
-    """Return settings as JSON values, each object with its tag.
-
-    Raises:
-        ValueError: an object's class is not in the registry.
-    """
+    """Return settings as JSON values, each object with its tag."""
     tag = type(module).__name__
     if REGISTRY.get(tag) is not type(module):
         raise ValueError(
@@ -75,11 +74,7 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
 
 
 def from_json(document: Mapping[str, Any]) -> eqx.Module:
-    """Return the settings that `to_json` has written.
-
-    Raises:
-        ValueError: a tag or a field is unknown, missing, or of the wrong type.
-    """
+    """Return the settings that `to_json` has written."""
     tag = document.get(TAG)
     if not isinstance(tag, str) or tag not in REGISTRY:
         raise ValueError(f"`{TAG}` must be one of {', '.join(REGISTRY)}, got {tag!r}.")
@@ -99,12 +94,9 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
 
 
 def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
-    """Return those settings that are not the usual ones: path, as `trust_region.damping`, -> value.
+    """Return the values that two objects of one class do not share, of `settings` by their path.
 
-    Args:
-        settings: a dataclass of settings.
-        usual: another one of the same class.
-        prefix: what the paths begin with.
+    A path is as in `trust_region.damping`; `prefix` is what all of them begin with.
     """
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
@@ -114,6 +106,40 @@ def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
         elif value != other:
             found[prefix + field.name] = value
     return found
+
+
+def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return settings with other values: path, as `trust_region.damping`, -> JSON value.
+
+    Raises:
+        KeyError: there is no setting of that path.
+    """
+    document = fields_to_json(settings)
+    for path, value in changes.items():
+        *parents, last = path.split(".")
+        target: Any = document
+        for parent in parents:
+            target = target.get(parent) if isinstance(target, dict) else None
+        if not isinstance(target, dict) or last == TAG or isinstance(target.get(last, {}), dict):
+            raise KeyError(path)
+        target[last] = value
+    return fields_from_json(type(settings), document)
+
+
+def values_of_words(words: Iterable[str]) -> dict[str, Any]:
+    """Return what words as `trust_region.damping=0.1` say: path -> value."""
+    values: dict[str, Any] = {}
+    for word in words:
+        path, equals, text = word.partition("=")
+        path = path.replace("-", "_")
+        if not (path and equals) or path in values:
+            raise ValueError(f"expected NAME=VALUE, each name once, got `{word}`.")
+        values[path] = text
+        # Literals alone: numbers, truth values, None, lists.
+        for read in (ast.literal_eval, json.loads):
+            with contextlib.suppress(ValueError, SyntaxError):
+                values[path] = read(text)
+    return values
 
 
 def fields_to_json(settings: Any) -> dict[str, Any]:
@@ -126,15 +152,7 @@ def fields_to_json(settings: Any) -> dict[str, Any]:
 
 
 def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Settings:
-    """Return the dataclass of settings that `fields_to_json` has written.
-
-    Args:
-        kind: class of the settings.
-        document: exactly the fields of that class.
-
-    Raises:
-        ValueError: a field is unknown, missing, or of the wrong type.
-    """
+    """Return the dataclass of settings that `fields_to_json` has written."""
     hints = get_type_hints(kind)
     names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     for complaint, wrong in (
@@ -160,13 +178,10 @@ def _encode(value: Any, hint: Any) -> Any:
 
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
-    """Return a JSON value as what a field declares.
+    """Return a JSON value as what a field, `Class.field`, declares.
 
-    Args:
-        value: from the document.
-        hint: a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
-            settings, or one of these or None.
-        where: `Class.field`, for error messages.
+    That is a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
+    settings, or one of these or None.
     """
     if value is None and type(None) in get_args(hint):
         return None
@@ -179,8 +194,9 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     if get_origin(wanted) is dict and isinstance(value, dict):
         item_hint = get_args(wanted)[1]
         return {name: _decode(item, item_hint, f"{where}.{name}") for name, item in value.items()}
-    if _is_untagged(wanted) and isinstance(value, dict):
-        return fields_from_json(wanted, value)
+    is_class = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
+    if isinstance(value, dict) and is_class and not issubclass(wanted, eqx.Module):
+        return fields_from_json(wanted, value)  # without a tag, because its class is known
     decoded = from_json(value) if isinstance(value, dict) else value
     decoded = float(decoded) if wanted is float and type(decoded) is int else decoded
     if not _fits(decoded, wanted):
@@ -195,12 +211,6 @@ def _required(hint: Any) -> Any:
         return hint
     (inner,) = (argument for argument in get_args(hint) if argument is not type(None))
     return inner
-
-
-def _is_untagged(hint: Any) -> bool:
-    """Whether a field is a dataclass that is written without a tag: its class is known."""
-    is_class = isinstance(hint, type) and dataclasses.is_dataclass(hint)
-    return is_class and not issubclass(hint, eqx.Module)
 
 
 def _fits(value: Any, hint: Any) -> bool:

@@ -11,9 +11,6 @@ from maesn.storage import RunError, explained, new_directory
 
 TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
-# Of the copy, before the policy's name.
-_PREFIX = "maesn-"
-
 
 def policy_names() -> list[str]:
     """Return the names of the policies that come with the library."""
@@ -21,14 +18,9 @@ def policy_names() -> list[str]:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the directory to read a run from.
+    """Return the directory to read a run from: itself, or that of the policy of this name.
 
-    Args:
-        run: a directory, or the name of a policy that comes with the library. What has that name
-            in the current folder wins.
-
-    Raises:
-        RunError: it is neither.
+    What has the name in the current folder wins.
     """
     if Path(run).exists():
         return Path(run)
@@ -45,19 +37,21 @@ def working_copy(run: str | Path) -> Path:
 
     This is the run's own, or `maesn-NAME` in the current folder for the policy `NAME` that comes
     with the library. That one is a run directory like any other, made when it is first asked for.
-
-    Args:
-        run: as for `find_run`.
-
-    Raises:
-        RunError: there is no such run, or something else is where its copy should be.
     """
     source = find_run(run)
     if source.parent != TRAINED:
         return source
-    copy = Path(f"{_PREFIX}{source.name}")
-    if _content(copy) != _content(source):
-        _copy(source, copy)
+    copy = Path(f"maesn-{source.name}")
+    found = _content(copy)
+    if found == _content(source):
+        return copy
+    if found:
+        raise RunError(
+            f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
+            f"of the library: name `{copy}` itself if it is meant, or move it away."
+        )
+    with new_directory(copy):
+        shutil.copytree(source, copy, dirs_exist_ok=True)
     return copy
 
 
@@ -66,13 +60,3 @@ def _content(directory: Path) -> dict[str, bytes]:
     files = [directory / "config.json", *sorted(directory.glob("checkpoints/*.safetensors"))]
     with explained("read", directory):
         return {file.name: file.read_bytes() for file in files if file.exists()}
-
-
-def _copy(source: Path, copy: Path) -> None:
-    if _content(copy):
-        raise RunError(
-            f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
-            f"of the library: name `{copy}` itself if it is meant, or move it away."
-        )
-    with new_directory(copy):
-        shutil.copytree(source, copy, dirs_exist_ok=True)

@@ -1,54 +1,20 @@
-"""Where the random draws of a run come from, and the state that training begins with."""
+"""What is checked before a policy plays, and before a run begins; refusals are `RunError`s."""
 
 import warnings
+from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
-import numpy as np
-
-from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskFamily, TaskSet
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.policies import USUAL, AbstractPolicy
+from maesn.policies import USUAL
 from maesn.storage import RunError, refusals
-
-# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
-# instead would yield the keys of iterations 0 and 1 a second time.
-_UNTRAINED = 0xFFFFFFFF
-
-
-def iteration_key(seed: int, iteration: int) -> Key:
-    """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
-    return jax.random.fold_in(jax.random.key(seed), np.uint32(iteration))
-
-
-def untrained_state(
-    learner: AbstractMetaLearner[Any, Any],
-    env: AnyEnv,
-    seed: int,
-    num_tasks: int,
-    description_size: int,
-) -> Any:
-    """Return the state that the seed says."""
-    key = iteration_key(seed, _UNTRAINED)
-    sizes = (env.observation_size, env.action_size, num_tasks, description_size)
-    return _init(learner, key, *sizes)
-
-
-@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
-def _init(learner: AbstractMetaLearner[Any, Any], key: Key, *sizes: int) -> Any:
-    return learner.init(key, *sizes)
 
 
 def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
-    """Refuse policies that cannot play in an environment.
-
-    Raises:
-        RunError: their actions are of another kind, or they read a reward that is not there.
-    """
+    """Refuse policies whose actions are of another kind, or that read a reward that is lacking."""
     policy = learner.player(state)
-    check_shown(policy, env)
+    with refusals():
+        env.check_shown(policy.observed_reward)
     wanted, kind = env.action_kind, policy.action_kind
     if kind != wanted:
         method, usual = method_name(learner), type(USUAL[wanted]).__name__
@@ -60,14 +26,15 @@ def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv
         )
 
 
-def check_shown(policy: AbstractPolicy, env: AnyEnv) -> None:
-    """Refuse a policy that reads a reward which the environment cannot show.
-
-    Raises:
-        RunError: it does.
-    """
-    with refusals():
-        env.check_shown(policy.observed_reward)
+def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:
+    """Refuse an environment whose observations or actions have other sizes than a run's own."""
+    for name in ("observation_size", "action_size"):
+        wanted, found = getattr(env, name), getattr(trained, name)
+        if wanted != found:
+            raise RunError(
+                f"`{directory}` must have an environment of `{name}` {wanted}, as this "
+                f"`{env.name}` of variant `{env.variant}` has, got {found}: {remedy}."
+            )
 
 
 def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:

@@ -1,53 +1,53 @@
-"""Where tasks come from: families by name, a user's own families, and `.npz` files."""
+"""Where tasks come from: families by name, a user's own families, and `.npz` files.
+
+What cannot be found or used is a `RunError`.
+"""
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-from maesn.envs import NAMED_SETS, SetName, TaskFamily, TaskSet, find_family
-from maesn.storage import RunError, read_arrays, write_arrays
+from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
+from maesn.storage import RunError, read_arrays, refusals, write_arrays
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
 
 
 def resolve_family(name: str) -> TaskFamily:
-    """Return a family by its name, or import a user's own. Never call this with what a file says.
+    """Return a family by its name, or import a user's own, `module:name`.
 
-    Args:
-        name: of a family that comes with the library, or `module:name`.
-
-    Raises:
-        RunError: there is no such family.
+    Never call this with what a file says.
     """
     if ":" not in name:
         try:
             return find_family(name)
         except ValueError as error:
             raise RunError(f"{error}; give your own as `module:name`.") from error
-    module, _, attribute = name.partition(":")
-    try:
-        family = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise RunError(
-            f"`family` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
-            "where it is) and `name` a TaskFamily in it."
-        ) from error
+    family = imported(name, "family")
     if not isinstance(family, TaskFamily):
         raise RunError(f"`{name}` must be a TaskFamily, got {type(family).__name__}.")
     return family
 
 
+def imported(name: str, option: str) -> Any:
+    """Import a user's own `module:name`, as an option says. Never call this with a file's words."""
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise RunError(
+            f"`{option}` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
+            "where it is) and have that name in it."
+        ) from error
+
+
 def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
-    """Return the family of a run. What a file says is looked up, never imported.
+    """Return the family of a run: the library's of the recorded name, or the user's that is given.
 
-    Args:
-        recorded: the family's own name, as the run's file says.
-        given: what the caller says of a family of their own: itself, or `module:name`.
-
-    Raises:
-        RunError: the family is not known, or another one was given.
+    What a file says is looked up, never imported.
     """
     if given is None:
         try:
@@ -64,17 +64,7 @@ def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily
 
 
 def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) -> TaskSet:
-    """Return what a run was trained on.
-
-    Args:
-        directory: of the run.
-        name: what its settings call the tasks.
-        digest: of the tasks.
-        family: whose tasks.
-
-    Raises:
-        RunError: the family, or a file, now has other tasks.
-    """
+    """Return what a run was trained on; refuse tasks that have become others since."""
     file = directory / TASKS_FILE
     tasks = find_tasks(name, family) if name in NAMED_SETS else load_tasks(file, family)
     if tasks.digest() != digest:
@@ -86,18 +76,11 @@ def recorded_tasks(directory: Path, name: str, digest: str, family: TaskFamily) 
 
 
 def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
-    """Return a set of the family, or a user's own.
-
-    Args:
-        name: training, validation, test, ood, or the path of an `.npz` file.
-        family: whose tasks.
-
-    Raises:
-        RunError: there is no such set, or the file cannot be used.
-    """
+    """Return a set of the family by its name, or a user's own by the path of its `.npz` file."""
     for set_name in NAMED_SETS:
         if name == set_name:
-            return _named_set(set_name, family)
+            with refusals(f"`tasks` cannot be `{name}`: "):
+                return family.task_set(set_name)
     if not Path(name).exists():
         raise RunError(
             f"`tasks` must be one of {', '.join(NAMED_SETS)} or the path of an .npz file, got "
@@ -106,81 +89,55 @@ def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
     return load_tasks(name, family)
 
 
-def _named_set(name: SetName, family: TaskFamily) -> TaskSet:
-    try:
-        return family.task_set(name)
-    except ValueError as error:
-        raise RunError(f"`tasks` cannot be `{name}`: {error}") from error
-
-
 def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """Read tasks of a family from an `.npz` file; nothing in it is executed.
 
     The file holds the arrays that `family.task_names` lists, each with one row per task: for
     `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
     integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
-
-    Args:
-        path: of the file.
-        family: says which arrays are needed, of which shape.
-
-    Raises:
-        RunError: the file is unreadable, an array is missing or misshapen, or a value not finite
-            or without a meaning.
     """
-    one_task = family.draw_tasks(np.random.default_rng(0), 1)
-    leaves, structure = jax.tree.flatten(one_task)
-    arrays = _read_rows(Path(path), family.task_names)
-    rows = {len(array) if array.ndim else 0 for array in arrays.values()}
+    names = family.task_names
+    wanted = f"the arrays {', '.join(names)}, one row for each task"
+    held = read_arrays(Path(path), f"give an .npz file with {wanted}, as numpy.savez writes it")
+    if not set(names) <= set(held):
+        raise RunError(f"`{path}` must hold {wanted}; it holds {', '.join(held) or 'none'}.")
+    drawn, structure = jax.tree.flatten(family.draw_tasks(np.random.default_rng(0), 1))
     tasks = [
-        _fit(array, np.asarray(leaf), f"array `{name}` of `{path}`")
-        for (name, array), leaf in zip(arrays.items(), leaves, strict=True)
+        _fitted(held[name], np.asarray(like), f"array `{name}` of `{path}`")
+        for name, like in zip(names, drawn, strict=True)
     ]
+    rows = {len(array) for array in tasks}
     if len(rows) != 1 or 0 in rows:
         raise RunError(
             f"the arrays of `{path}` must all have one row for each task, and at least one; "
             f"they have {', '.join(map(str, sorted(rows)))} rows."
         )
-    drawn = jax.tree.unflatten(structure, tasks)
-    try:
-        family.check_tasks(drawn)
-    except ValueError as error:
-        raise RunError(f"the tasks of `{path}` cannot be used: {error}.") from error
-    return TaskSet(drawn)
+    found = TaskSet(jax.tree.unflatten(structure, tasks))
+    with refusals(f"the tasks of `{path}` cannot be used: "):
+        family.check_tasks(found.tasks)
+    return found
 
 
 def save_tasks(path: Path, tasks: TaskSet, family: TaskFamily) -> None:
-    """Write tasks as `load_tasks` reads them.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write tasks as `load_tasks` reads them."""
     leaves = map(np.asarray, jax.tree.leaves(tasks.tasks))
     write_arrays(path, dict(zip(family.task_names, leaves, strict=True)))
 
 
-def _read_rows(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    wanted = f"the arrays {', '.join(names)}, one row for each task"
-    found = read_arrays(path, f"give an .npz file with {wanted}, as numpy.savez writes it")
-    if not set(names) <= set(found):
-        held = ", ".join(found) or "none"
-        raise RunError(f"`{path}` must hold {wanted}; it holds {held}.")
-    return {name: found[name] for name in names}
-
-
-def _fit(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
-    """Return an array in the family's own type, checked against the family's own tasks."""
-    if array.shape[1:] != like.shape[1:] or array.ndim != like.ndim:
+def _fitted(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
+    """Return an array as the family's own type; but for its rows it must have that shape."""
+    if array.ndim != like.ndim or array.shape[1:] != like.shape[1:]:
         wanted = ", ".join(["tasks", *map(str, like.shape[1:])])
         raise RunError(f"{what} must have the shape [{wanted}], got {list(array.shape)}.")
     if array.dtype.kind not in "fiu" or not np.can_cast(array.dtype, like.dtype, "same_kind"):
         raise RunError(f"{what} must hold numbers of type {like.dtype}, got {array.dtype}.")
     with np.errstate(over="ignore"):  # what overflows is refused in the next line
         fitted = array.astype(like.dtype)
-    if array.dtype.kind in "iu" and like.dtype.kind in "iu" and (fitted != array).any():
-        too_large = array[fitted != array][0]
-        raise RunError(f"{what} must hold numbers that fit into {like.dtype}, got {too_large}.")
-    if not np.isfinite(fitted).all():
-        row = int(np.argwhere(~np.isfinite(fitted))[0][0])
-        raise RunError(f"{what} must be finite, got {array[row]} in row {row}.")
+    wrong = ~(np.isfinite(fitted) & np.isclose(fitted, array))
+    if wrong.any():
+        row = int(np.argwhere(wrong)[0][0])
+        raise RunError(
+            f"{what} must hold finite numbers that fit into {like.dtype}, got {array[row]} in row "
+            f"{row}."
+        )
     return fitted

@@ -1,6 +1,7 @@
 """The training loop: one generator that begins, goes on, and ends well however it is stopped."""
 
 import contextlib
+import dataclasses
 import logging
 import math
 import time
@@ -12,14 +13,13 @@ from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
-from maesn.runs.compilation import CompileClock
+from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import CONFIG, installed_versions
-from maesn.runs.log import Progress, RunLog
+from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.storage import RunError, locked
-from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -59,51 +59,50 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(locked(run.directory / CONFIG))
         start = run.latest()
-        log = RunLog(run.directory, start.iteration, start.environment_steps)
-        stack.callback(log.close)
+        log = stack.enter_context(open_log(run.directory, start.iteration, start.environment_steps))
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        training = _Training(run, world, log, start)
+        collect = _Counter(Collector(world, run.settings.episodes_per_task))
+        training = _Training(run, collect, log, start, saved=start.iteration)
         stack.callback(training.end)
         while training.checkpoint.iteration < total:
             yield training.advance()
 
 
+@dataclasses.dataclass
 class _Training:
     """A run between two iterations."""
 
-    def __init__(self, run: Run, world: AbstractWorld, log: RunLog, checkpoint: Checkpoint) -> None:
-        self.checkpoint = checkpoint
-        self._run = run
-        self._log = log
-        self._saved = checkpoint.iteration
-        self._nonfinite = 0
-        self._collect = _Counter(Collector(world, run.settings.episodes_per_task))
+    run: Run
+    collect: "_Counter"
+    log: RunLog
+    checkpoint: Checkpoint
+    saved: int
+    """Iteration of the latest checkpoint on disk."""
+    nonfinite: int = 0
+    """Iterations in a row whose step was not finite."""
 
     def advance(self) -> Progress:
         """Do one iteration and write it down."""
-        before, run = self.checkpoint, self._run
-        self._collect.steps = 0
+        before, run, collect = self.checkpoint, self.run, self.collect
+        collect.steps = 0
         key = run.iteration_key(before.iteration)
-        start = time.perf_counter()
-        with CompileClock() as compiling:
-            state, info = run.learner.step(key, before.state, self._collect)
-            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
-        seconds = time.perf_counter() - start
-        after = Checkpoint(
-            state, before.iteration + 1, before.environment_steps + self._collect.steps
-        )
+        start, compiled = time.perf_counter(), compile_seconds()
+        state, info = run.learner.step(key, before.state, collect)
+        jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+        seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
+        after = Checkpoint(state, before.iteration + 1, before.environment_steps + collect.steps)
         metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
             info={name: float(value) for name, value in named_leaves(metrics).items()},
             seconds=seconds,
-            compile_seconds=compiling.seconds,
-            steps_per_second=self._collect.steps / max(seconds - compiling.seconds, 1e-9),
+            compile_seconds=compiling,
+            steps_per_second=collect.steps / max(seconds - compiling, 1e-9),
             environment_steps=after.environment_steps,
         )
-        self._log.write(progress)
+        self.log.write(progress)
         # One assignment, so that Ctrl-C finds either all of this iteration or nothing.
         self.checkpoint = after
         self._watch(progress)
@@ -113,16 +112,16 @@ class _Training:
 
     def save(self) -> None:
         """Write a checkpoint unless it is there already."""
-        if self._saved == self.checkpoint.iteration:
+        if self.saved == self.checkpoint.iteration:
             return
         # The log first: whoever finds a checkpoint can rely on the log up to it.
-        self._log.sync()
-        self._run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
-        self._saved = self.checkpoint.iteration
+        self.log.sync()
+        self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
+        self.saved = self.checkpoint.iteration
 
     def end(self) -> None:
         """Leave log and checkpoint in agreement, whatever was interrupted."""
-        self._log.cut(self.checkpoint.iteration)
+        self.log.cut(self.checkpoint.iteration)
         self.save()
 
     def _watch(self, progress: Progress) -> None:
@@ -131,62 +130,51 @@ class _Training:
         tasks = int(progress.info.get("nonfinite_tasks", 0))
         accepted = bool(progress.find("accepted"))
         if accepted or not (broken or tasks):
-            self._nonfinite = 0
+            self.nonfinite = 0
             return
-        self._nonfinite += 1
+        self.nonfinite += 1
         first = int(progress.info.get("first_nonfinite_task", -1))
         named = f" (task {first} is the first)" if first >= 0 else ""
         what = f"the loss of {tasks} tasks{named}" if tasks else f"`{broken[0]}`"
-        logger.warning(
-            "Iteration %d of `%s`: %s is not finite. The step was rejected; the policy is as "
-            "before.",
-            progress.iteration,
-            self._run.directory,
-            what,
-        )
-        if self._nonfinite == MAX_NONFINITE:
+        said = f"`{self.run.directory}`, iteration {progress.iteration}: {what} is not finite"
+        logger.warning("%s. The step was rejected; the policy is as before.", said)
+        if self.nonfinite == MAX_NONFINITE:
             raise TrainingError(
-                f"`{self._run.directory}`, iteration {progress.iteration}: {what} is not finite, "
-                f"for the {MAX_NONFINITE}th time in a row. The last good state is saved; look at "
-                "`metrics.jsonl`, and start a new run with smaller steps or a smaller penalty."
+                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved; "
+                "look at `metrics.jsonl`, and start a new run with smaller steps or a smaller "
+                "penalty."
             )
 
 
 def _compare_versions(run: Run) -> None:
+    message = (
+        "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit what it "
+        "would have become without the interruption."
+    )
     now = installed_versions(run.config.engine)
     for name, version in run.config.versions.items():
         if now.get(name) != version:
-            logger.warning(
-                "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit "
-                "what it would have become without the interruption.",
-                run.directory,
-                name,
-                version,
-                now.get(name),
-            )
+            logger.warning(message, run.directory, name, version, now.get(name))
 
 
+@dataclasses.dataclass(eq=False)
 class _Counter:
     """`Collect` that counts the control steps that it plays."""
 
-    def __init__(self, collect: Collect) -> None:
-        self._collect = collect
-        self.steps = 0
+    collect: Collector
+    steps: int = 0
 
     @property
     def num_tasks(self) -> int:
-        """See `Collect.num_tasks`."""
-        return self._collect.num_tasks
+        return self.collect.num_tasks
 
     @property
     def episodes_per_task(self) -> int:
-        """See `Collect.episodes_per_task`."""
-        return self._collect.episodes_per_task
+        return self.collect.episodes_per_task
 
     def __call__(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
-        """See `Collect`."""
-        episodes = self._collect(keys, agents, task_index, stage)
+        episodes = self.collect(keys, agents, task_index, stage)
         self.steps += int(np.asarray(episodes.valid).sum())
         return episodes

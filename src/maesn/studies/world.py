@@ -8,10 +8,9 @@ from typing import Any
 from maesn.envs import AnyEnv, Variant
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.record import Identity, adaptation_record
-from maesn.runs.beginning import check_sizes
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.run import Run
-from maesn.runs.starting import check_shown
+from maesn.runs.starting import check_policy, check_sizes
 from maesn.runs.task_sources import find_tasks, resolve_family
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, make_world
@@ -147,5 +146,6 @@ def check_world(runs: Sequence[Run], world: ComparisonWorld) -> None:
                 f"`{run.directory}` must be a run on {world.env.name} to be compared there, got "
                 f"one on {run.config.family}: leave it out, or give another --family."
             )
-        check_sizes(run, world.env, "compare it in the variant that it was trained in")
-        check_shown(run.learner.player(run.latest_state()), world.env)
+        remedy = "compare it in the variant that it was trained in"
+        check_sizes(run.directory, run.env(), world.env, remedy)
+        check_policy(run.learner, run.latest_state(), world.env)
