@@ -87,7 +87,7 @@ def test_episodes_are_repeatable(name: str) -> None:
     first, again = (play_in(env, tasks, pair[0]) for _ in range(2))
     assert_same(first, again)
     other = play(env, tasks, [pair[0]] * 2, episodes=4, cast=agents(env, 2), seed=1)
-    for field in ("action", "noise", "context"):
+    for field in ("action", "noise", "z"):
         draws = [np.asarray(getattr(episodes, field)) for episodes in (first, other)]
         if field == "action" and env.action_kind == "discrete":  # one of a few choices
             assert not np.array_equal(*draws)

@@ -54,7 +54,7 @@ def loop(
     stacked = jax.tree.map(lambda *steps: np.stack(steps), *record)
     last = env.observe(state)[None]
     stacked["observation"] = np.concatenate([stacked["observation"], last])
-    return {**stacked, "noise": noise, "context": context}
+    return {**stacked, "noise": noise, "z": context}
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,9 @@ class Played(NamedTuple):
 def played(request: pytest.FixtureRequest) -> Played:
     env, robot = request.param, ROBOTS[request.param.name]
     episodes, readings = collect(env, TASK_INDEX)
-    episodes = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), episodes)
+    episodes = jax.tree.map(
+        lambda leaf: np.asarray(leaf).reshape(len(TASK_INDEX) * EPISODES, *leaf.shape[2:]), episodes
+    )
     tasks = [collector(env).world.tasks[index] for index in TASK_INDEX for _ in range(EPISODES)]
     control = np.clip(robot.scale * episodes.action, -robot.scale, robot.scale)
     start = (readings[name][0].astype(np.float64) for name in ("qpos", "qvel"))
