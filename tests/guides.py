@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ _FEW = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-s
 _SMALL = {
     "train": [*_FEW, "--iterations", "1", "--checkpoint-every", "1"],
     "adapt": ["--episodes", "4", "--episodes-per-update", "4"],
+    "compare": ["--num-tasks", "2", "--episodes", "4", "--episodes-per-update", "4"],
     "plot": [],
     "render": ["--after", "0", "--shown", "1", "--episodes", "2", "--episodes-per-update", "2"],
     "export": [],
@@ -50,12 +52,17 @@ class Guide:
         """Write the file."""
         (directory / f"{self.module}.py").write_text("\n".join(self.files), encoding="utf-8")
 
-    def follow(self, *verbs: str) -> None:
-        """Run the commands that do one of these, in the current folder, with small numbers."""
+    def follow(self, *verbs: str, more: Sequence[str] = ()) -> None:
+        """Run the commands that do one of these, in the current folder, with small numbers.
+
+        Args:
+            verbs: of the commands.
+            more: further options.
+        """
         for line in self.commands:
             words = shlex.split(line)[1:]
             if words[0] in verbs:
-                assert cli.run([*words, *_SMALL[words[0]]]) == 0, line
+                assert cli.run([*words, *_SMALL[words[0]], *more]) == 0, line
 
     @property
     def _blocks(self) -> list[tuple[str, str]]:

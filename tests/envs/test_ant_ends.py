@@ -69,10 +69,11 @@ class Replacing:
 
     def __init__(self, collect: Collector, garbage: float) -> None:
         self.collect, self.garbage = collect, garbage
-        self.num_tasks, self.dead = collect.num_tasks, 0
+        self.num_tasks, self.episodes_per_task = collect.num_tasks, collect.episodes_per_task
+        self.dead = 0
 
-    def __call__(self, *arguments: Any) -> Episodes:
-        episodes = self.collect(*arguments)
+    def __call__(self, *arguments: Any, **named: Any) -> Episodes:
+        episodes = self.collect(*arguments, **named)
         self.dead += int(jnp.sum(episodes.terminated))
         steps = [episodes.action, episodes.reward, episodes.goal_reward, episodes.behaviour]
         steps = jax.tree.map(lambda x: self._replace(x, episodes.valid), steps)

@@ -257,8 +257,11 @@ def test_a_whole_training_set_is_a_permutation() -> None:
 
     class Recorder:
         num_tasks = 20
+        episodes_per_task = 4
 
-        def __call__(self, keys: jax.Array, agents: Agents, task_index: jax.Array) -> None:
+        def __call__(
+            self, keys: jax.Array, agents: Agents, task_index: jax.Array, stage: int = 0
+        ) -> None:
             index.extend(np.asarray(task_index).tolist())
             raise Asked
 

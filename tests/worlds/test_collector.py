@@ -103,7 +103,7 @@ def test_a_task_may_be_played_in_two_slots(env: AnyEnv) -> None:
 def test_other_keys_give_other_episodes(env: AnyEnv) -> None:
     collect, cast = collector(env), agents(env, 2)
     first, second = (collect(keys(2, seed), cast, jnp.array([0, 1])) for seed in (0, 1))
-    for name in ("noise", "context", "action", "reward"):
+    for name in ("noise", "z", "action", "reward"):
         assert not np.any(np.equal(getattr(first, name), getattr(second, name))), name
 
 
