@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.envs import RewardKind
+from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, default_rule
+from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice
 from maesn.storage import RunError
@@ -107,7 +108,7 @@ class Evaluation:
         chosen = [*self.wrappers] if rule is None else [rule, *self.wrappers]
         return " ".join(map(written_out, chosen))
 
-    def fast_learner(self, trained: Trained, method: str, env: Any) -> Any:
+    def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
         """Return what learns in the new tasks.
 
         Args:
@@ -128,7 +129,7 @@ class Evaluation:
             raise RunError(f"`{method}` cannot be adapted like this: {error}") from error
         return learner
 
-    def _check_fit(self, learner: Any) -> None:
+    def _check_fit(self, learner: AbstractFastLearner[Any]) -> None:
         """Refuse budgets that the learner can do nothing with."""
         capabilities = learner.capabilities
         if self.updates:
