@@ -15,7 +15,7 @@ from maesn.report.adaptation_table import DEPLOY, Line
 from maesn.report.figures.adaptation import plot_adaptation_curves
 from maesn.report.figures.learning import Trained, moving_mean, plot_learning_curves
 from maesn.report.published import published_curve
-from maesn.report.statistics import mean_interval
+from maesn.report.statistics import bootstrap, mean
 from maesn.report.style import METHOD_STYLES
 
 
@@ -106,7 +106,7 @@ def test_adaptation_curves() -> None:
 def test_the_band_is_the_interval() -> None:
     table = adaptation_table()
     figure = plot_adaptation_curves([method("maesn", table)], {})
-    interval = mean_interval(table.mean_return[None, :, -1])
+    interval = bootstrap(mean, table.mean_return[None, :, -1])
     band = figure.axes[0].collections[0].get_paths()[0].vertices
     at_end = band[band[:, 0] == 3.0, 1]
     assert {at_end.min(), at_end.max()} == {interval.low, interval.high}

@@ -8,7 +8,8 @@ import tyro
 
 from maesn.commands.options import parse
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.comparison_tables import print_summary
+from maesn.report.comparison import summary_tables
+from maesn.report.tables import print_tables
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings
 from maesn.storage import refusals
@@ -56,7 +57,7 @@ def main(arguments: list[str]) -> None:
     )
     for radius, comparison in done.items():
         print(f"Sparse reward, {radius_label(radius)}")
-        print_summary(comparison)
+        print_tables(summary_tables(comparison))
 
 
 def _asked_for(options: Options) -> Ablation:

@@ -9,7 +9,8 @@ import tyro
 from maesn.commands.evaluation import EvaluationOptions
 from maesn.commands.options import parse
 from maesn.evaluation.naming import rule_from_text
-from maesn.report.comparison_tables import print_summary
+from maesn.report.comparison import summary_tables
+from maesn.report.tables import print_tables
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.storage import RunError
 from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, Changes, compare
@@ -52,16 +53,15 @@ def main(arguments: list[str]) -> None:
     if asked.rule is not None:
         raise RunError("say of which method, as in `--rules maesn gradient`, instead of `--rule`.")
     rules = {method: rule_from_text(text) for method, text in options.rules.items()}
-    print_summary(
-        compare(
-            options.runs,
-            out=options.out,
-            evaluation=dataclasses.replace(asked, wrappers=()),
-            run_episodes=options.run_episodes,
-            scratch=options.scratch,
-            world=options.world,
-            oracle=options.oracle,
-            changes=Changes(asked.wrappers, options.twice, rules),
-            say=print,
-        )
+    compared = compare(
+        options.runs,
+        out=options.out,
+        evaluation=dataclasses.replace(asked, wrappers=()),
+        run_episodes=options.run_episodes,
+        scratch=options.scratch,
+        world=options.world,
+        oracle=options.oracle,
+        changes=Changes(asked.wrappers, options.twice, rules),
+        say=print,
     )
+    print_tables(summary_tables(compared))

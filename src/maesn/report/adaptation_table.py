@@ -48,8 +48,8 @@ def prior_reach(
 class AdaptationTable:
     """One `adaptation/<tasks>-<reward>.csv`: curves `[i, k]` of task i in column k.
 
-    The measures are those of the deployed agent where the file has them, else those of the
-    episodes that were learned from.
+    The measures (see `AdaptationCurves`) are those of the deployed agent where the file has them,
+    else those of the episodes that were learned from.
     """
 
     tasks: str
@@ -63,17 +63,11 @@ class AdaptationTable:
     episodes: Int[np.ndarray, " update"]
     """Episodes per task that the agent has learned from by then."""
     mean_return: Curves
-    """Mean undiscounted return."""
     goal_return: Curves
-    """The part of it that is due to the goal."""
     success_rate: Curves
-    """Share of the episodes that reach the goal region at some time."""
     final_success_rate: Curves
-    """Share of the episodes that end in the goal region."""
     time_in_region: Curves
-    """Share of the steps that are spent in the goal region."""
     solved_at_reset: Curves
-    """Share of the episodes that start in the goal region."""
     explored_success_rate: Curves
     """`success_rate` of the episodes that were learned from."""
     explored_episodes: int | None = None
@@ -97,8 +91,8 @@ class AdaptationTable:
         """First column that lies beyond what meta-training has prepared for; None without one."""
         if self.trial_episodes is None:
             return None
-        beyond = np.flatnonzero(self.episodes >= self.trial_episodes)
-        return int(beyond[0]) if len(beyond) else None
+        column = int(np.searchsorted(self.episodes, self.trial_episodes))
+        return column if column < len(self.episodes) else None
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
@@ -111,8 +105,7 @@ class AdaptationTable:
         episodes = self.explored_episodes or self.episodes_per_update
         if self.updates[0] or episodes is None:
             return None
-        rates, solved = self.explored_success_rate[:, 0], self.is_solved_at_reset
-        return prior_reach(rates, solved, episodes)
+        return prior_reach(self.explored_success_rate[:, 0], self.is_solved_at_reset, episodes)
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""

@@ -1,8 +1,8 @@
 """The published adaptation curves, to be drawn beside our own where they are comparable."""
 
 import csv
-from dataclasses import dataclass
 from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -24,14 +24,12 @@ _PUBLISHED_NAME = {
     "reinforce": "VPG",
 }
 
-
 # What the published returns depend on, beside the rewards of the reference code: the sparse radius
 # in metres (also the family's own, that of a run without one) and the episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 
 
-@dataclass(frozen=True)
-class PublishedCurve:
+class PublishedCurve(NamedTuple):
     """One published curve; updates that could not be read are absent."""
 
     name: str
@@ -42,9 +40,7 @@ class PublishedCurve:
 
 def comparable_curve(run: RecordedRun, table: AdaptationTable) -> PublishedCurve | None:
     """Return the published curve of a run's method; None if its table means another thing."""
-    if run.family not in _PROTOCOLS:
-        return None
-    radius, episodes = _PROTOCOLS[run.family]
+    radius, episodes = _PROTOCOLS.get(run.family, (None, None))
     is_comparable = (
         run.settings["variant"] == "reference"
         and run.settings.get("sparse_radius") in (None, radius)
@@ -59,12 +55,8 @@ def published_curve(family: str, method: str) -> PublishedCurve | None:
     name = _PUBLISHED_NAME.get(method, "")
     text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    points = [
-        (float(row["update"]), float(row[name]))
-        for row in rows
-        if row["family"] == family and row.get(name)
-    ]
-    if not points:
+    found = [row for row in rows if row["family"] == family and row.get(name)]
+    if not found:
         return None
-    update, mean_return = np.array(points).T
+    update, mean_return = np.array([(row["update"], row[name]) for row in found], float).T
     return PublishedCurve(name, update, mean_return)

@@ -1,6 +1,5 @@
 """Reading the table of an adaptation, and records of arrays."""
 
-import csv
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,21 +7,14 @@ from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 
-from maesn.report.adaptation_table import (
-    COLUMNS,
-    DEPLOY,
-    EXPLORE,
-    MEASURES,
-    AdaptationTable,
-    Curves,
-)
-from maesn.report.table_files import record_file, table_name
+from maesn.report import adaptation_table as table
+from maesn.report.table_files import read_rows, record_file, table_name
 from maesn.storage import RunError, read_arrays, read_json
 
 Record = TypeVar("Record")
 
 
-def read_adaptation(path: Path) -> AdaptationTable:
+def read_adaptation(path: Path) -> table.AdaptationTable:
     """Read a table of `maesn adapt`, and its record where there is one beside it.
 
     Args:
@@ -31,22 +23,26 @@ def read_adaptation(path: Path) -> AdaptationTable:
     Raises:
         RunError: a column, a row or a number is missing, or a row occurs twice.
     """
-    columns = _read_columns(path)
-    explored = _grids(columns, EXPLORE, path)
-    is_deployed = DEPLOY in columns["purpose"]
-    judged = _grids(columns, DEPLOY, path) if is_deployed else explored
+    rows = list(enumerate(read_rows(path, table.COLUMNS, remedy(path)), start=2))
+    columns = {
+        name: np.array([_value(name, row[name], path, line) for line, row in rows])
+        for name in table.COLUMNS
+    }
+    is_deployed = table.DEPLOY in columns["purpose"]
+    purpose = table.DEPLOY if is_deployed else table.EXPLORE
+    explored, judged = (_grids(columns, one, path) for one in (table.EXPLORE, purpose))
     episodes = judged["episodes"]
     if judged["update"].shape != explored["update"].shape or (episodes != episodes[:1]).any():
         what = f"the same `update` and `episodes` for every task and purpose in `{path}`"
         raise _broken(path, what, "different ones")
     name = table_name(path)
-    return AdaptationTable(
+    return table.AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,
-        purpose=DEPLOY if is_deployed else EXPLORE,
+        purpose=purpose,
         updates=judged["update"][0].astype(int),
         episodes=episodes[0].astype(int),
-        **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
+        **{measure: judged[measure] for measure in (*table.MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
         explored_episodes=_recorded(path, "episodes_per_update"),
         trial_episodes=_recorded(path, "trial_episodes"),
@@ -62,29 +58,12 @@ def _recorded(path: Path, name: str) -> int | None:
     return value
 
 
-def _read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table; all but `purpose` hold finite numbers."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            rows, present = list(reader), reader.fieldnames or ()
-    except (OSError, UnicodeError, csv.Error) as error:
-        raise _broken(path, f"a table at `{path}`", error) from error
-    for name in COLUMNS:
-        if name not in present:
-            found = ", ".join(present) or "an empty file"
-            raise _broken(path, f"the column `{name}` in `{path}`", found)
-    return {
-        name: np.array([_value(name, row[name], path, line) for line, row in enumerate(rows, 2)])
-        for name in COLUMNS
-    }
-
-
 def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
+    """Return a finite number, or a purpose."""
     where, found = f"for `{name}` in `{path}`, line {line}", text or "nothing"
     if name == "purpose":
-        if found not in (EXPLORE, DEPLOY):
-            raise _broken(path, f"{EXPLORE} or {DEPLOY} {where}", found)
+        if found not in table.JUDGED:
+            raise _broken(path, f"{' or '.join(table.JUDGED)} {where}", found)
         return found
     try:
         number = float(found)
@@ -98,7 +77,7 @@ def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
     return number
 
 
-def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[str, Curves]:
+def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[str, table.Curves]:
     """Arrange the numbers of one purpose as `[task, update]`; tasks count from 0."""
     chosen = columns["purpose"] == purpose
     rows = {name: column[chosen] for name, column in columns.items() if name != "purpose"}
@@ -115,13 +94,13 @@ def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[
     return {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
 
 
-def remedy(table: Path) -> str:
+def remedy(path: Path) -> str:
     """Return what to do about a broken file of an adaptation."""
-    return f"write `{table.name}` again with `maesn adapt`"
+    return f"write `{path.name}` again with `maesn adapt`"
 
 
-def _broken(table: Path, expected: str, found: object) -> RunError:
-    return RunError(f"Expected {expected}, got {found}; {remedy(table)}.")
+def _broken(path: Path, expected: str, found: object) -> RunError:
+    return RunError(f"Expected {expected}, got {found}; {remedy(path)}.")
 
 
 def read_record(

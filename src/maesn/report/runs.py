@@ -67,13 +67,13 @@ class RecordedRun:
 
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the usual adaptation to a task set with a reward; None if there is none."""
-        file = self.tables().get(TableName(tasks, reward))
-        return None if file is None else read_adaptation(file)
+        file = TableName(tasks, reward).path(self.path)
+        return read_adaptation(file) if file.exists() else None
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
         """Return the latents of the same adaptation; None if there are none."""
-        table = self.tables().get(TableName(tasks, reward))
-        if table is None or not latents_file(table).exists():
+        table = TableName(tasks, reward).path(self.path)
+        if not latents_file(table).exists():
             return None
         adapted = read_adaptation(table)
         sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}

@@ -24,19 +24,19 @@ _COLUMNS = 16  # of which there are so many at a time
 # Share of the values that an interquartile mean leaves out at each end.
 _OUTER_QUARTER = 0.25
 
-Values = Float[np.ndarray, "_ _"]
+Values = Float[np.ndarray, "*batch _ _"]
 """One value per seed and task. Samples that are compared may differ in their number of seeds."""
 
-# A number that describes samples; each is `[column, *resample, seed, task]`, the result
-# `[column, *resample]`.
-_Statistic: TypeAlias = Callable[..., Float[np.ndarray, "column *resample"]]
+Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
+"""A number that describes samples, `Values` each; one number for each element of the batch."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean (or whatever the label says) and what a repetition might have given instead."""
+    """A statistic, and what a repetition might have given instead."""
 
     mean: float
+    """The statistic of the values themselves."""
     low: float
     """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
     high: float
@@ -50,8 +50,61 @@ class Interval:
         return bool(np.isfinite(self.low))
 
 
-def mean_interval(values: Values) -> Interval:
-    """Return the mean over seeds and tasks with its 95 % percentile bootstrap interval.
+def mean(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean over seeds and tasks."""
+    return np.asarray(x.mean((-2, -1)))
+
+
+def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean of the middle half of all values.
+
+    Unlike the mean it does not depend on a few outliers, and unlike the median it uses more than
+    the one in the middle (Agarwal et al., "Deep reinforcement learning at the edge of the
+    statistical precipice", NeurIPS 2021).
+    """
+    flat = x.reshape(*x.shape[:-2], -1)
+    return np.asarray(scipy.stats.trim_mean(flat, _OUTER_QUARTER, axis=-1))
+
+
+def difference(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean of x minus that of y."""
+    return mean(x) - mean(y)
+
+
+def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the probability that x is better than y in a task. Larger values are better.
+
+        P = 1/(S S' T) Σ_t Σ_s Σ_s' ( 1[x_st > y_s't] + 1/2 1[x_st = y_s't] )
+
+    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al. 2021, "probability of
+    improvement").
+    """
+    # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
+    signs = np.sign(x[..., :, None, :] - y[..., None, :, :])
+    return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
+
+
+def score(x: Values, oracle: Values, *baselines: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the normalised score of x; NaN where the oracle is not above the baseline.
+
+    score = (m(x) - b) / (m(oracle) - b),   b the largest m of the baselines, m the mean
+    """
+    baseline = np.max([mean(one) for one in baselines], axis=0)
+    above = mean(oracle) - baseline
+    return np.asarray((mean(x) - baseline) / np.where(above > 0, above, np.nan))
+
+
+_NAMES: dict[Statistic, str] = {
+    mean: "",
+    interquartile_mean: " of the interquartile mean",
+    difference: " of the paired difference",
+    improvement: " of the paired probability",
+    score: " of the score",
+}
+
+
+def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "_ _"]) -> Interval:
+    """Return a statistic with its 95 % percentile bootstrap interval. Of the mean:
 
         m* = 1/(S T) Σ_s Σ_t x[a_s, b_t],   a_s uniform on seeds, b_t uniform on tasks, iid
 
@@ -59,112 +112,29 @@ def mean_interval(values: Values) -> Interval:
     one level is not resampled: with one seed the interval says nothing about other seeds. With
     fewer than five seeds it is narrower than it should be (a bootstrap of S values has (S - 1)/S
     of their variance). Values that are all equal give an interval of width 0.
+
+    Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
+    task easy for all cancels. Their seeds are unrelated and drawn independently.
+
+    Args:
+        statistic: one of this module's.
+        samples: `[seed, task]`; the same tasks in the same order.
+
+    Raises:
+        ValueError: the numbers of tasks differ.
     """
-    return _interval("", _mean, values)
+    (interval,) = _bootstrap(statistic, *(sample[None].copy() for sample in samples))
+    return interval
 
 
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
     """Return one interval per update. All draw the same resamples, so that curves are smooth."""
     columns = np.moveaxis(values, -1, 0).copy()
     blocks = [columns[first : first + _COLUMNS] for first in range(0, len(columns), _COLUMNS)]
-    return [interval for block in blocks for interval in _intervals("", _mean, [block])]
+    return [interval for block in blocks for interval in _bootstrap(mean, block)]
 
 
-def interquartile_mean_interval(values: Values) -> Interval:
-    """Return the interquartile mean over seeds and tasks, with an interval as of `mean_interval`.
-
-    The mean of the middle half of all S T values: unlike the mean it does not depend on a few
-    outliers, and unlike the median it uses more than the one in the middle (Agarwal et al., "Deep
-    reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
-    """
-    return _interval(" of the interquartile mean", _interquartile_mean, values)
-
-
-def improvement_interval(first: Values, second: Values) -> Interval:
-    """Return the probability that `first` is better than `second` in a task, with its interval.
-
-        P = 1/(S S' T) Σ_t Σ_s Σ_s' ( 1[x_st > y_s't] + 1/2 1[x_st = y_s't] )
-
-    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al. 2021, "probability of
-    improvement"). Larger values are better. Paired by tasks, as `difference_interval` is.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    return _interval(" of the paired probability", _improvement, first, second)
-
-
-def difference_interval(first: Values, second: Values) -> Interval:
-    """Return the mean of `first` minus `second` over the same tasks, with its interval.
-
-    Paired: one resample takes the same tasks for both, so what makes a task easy for both cancels.
-    The seeds of the two are unrelated and drawn independently.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    return _interval(" of the paired difference", lambda x, y: _mean(x) - _mean(y), first, second)
-
-
-def score_interval(values: Values, baselines: Sequence[Values], oracle: Values) -> Interval:
-    """Return the normalised score with its interval.
-
-        score = (m(x) - b) / (m(o) - b),   b the largest m of the baselines, m as in `mean_interval`
-
-    One resample takes the same tasks for all, and seeds of each. If in any resample the oracle is
-    not above the baseline, the ratio has no interval.
-
-    Args:
-        values: x.
-        baselines: of the agents that learn nothing, in the same tasks in the same order.
-        oracle: o, of the agent that is given the task, as well.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    with warnings.catch_warnings():
-        # `is_known` says that an interval has no ends.
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        return _interval(" of the score", _score, values, oracle, *baselines)
-
-
-def _mean(x: np.ndarray) -> np.ndarray:
-    return np.asarray(x.mean((-2, -1)))
-
-
-def _interquartile_mean(x: np.ndarray) -> np.ndarray:
-    flat = x.reshape(*x.shape[:-2], -1)
-    return np.asarray(scipy.stats.trim_mean(flat, _OUTER_QUARTER, axis=-1))
-
-
-def _improvement(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
-    signs = np.sign(x[..., :, None, :] - y[..., None, :, :])
-    return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
-
-
-def _score(x: np.ndarray, oracle: np.ndarray, *baselines: np.ndarray) -> np.ndarray:
-    baseline = np.max([_mean(one) for one in baselines], axis=0)
-    above = _mean(oracle) - baseline
-    return np.asarray((_mean(x) - baseline) / np.where(above > 0, above, np.nan))
-
-
-def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
-    """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
-    # Of the flattened values: much faster than two indices.
-    seeds, tasks = seeds.astype(int)[..., :, None], tasks.astype(int)[..., None, :]
-    chosen = seeds * values.shape[-1] + tasks
-    return np.take(values.reshape(len(values), -1), chosen, axis=-1)
-
-
-def _interval(what: str, statistic: _Statistic, *samples: Values) -> Interval:
-    (interval,) = _intervals(what, statistic, [sample[None].copy() for sample in samples])
-    return interval
-
-
-def _intervals(
-    what: str, statistic: _Statistic, samples: Sequence[Float[np.ndarray, "column _ _"]]
-) -> list[Interval]:
+def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) -> list[Interval]:
     """Bootstrap a statistic of every column with the same resamples.
 
     SciPy draws *indices*, which keeps the factors crossed.
@@ -185,22 +155,33 @@ def _intervals(
         return statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs))
 
     values = statistic(*samples).tolist()
-    label = _label(sizes[0], sizes[1:], what)
+    label = _label(sizes[0], sizes[1:], _NAMES[statistic])
     if not resampled:
         return [Interval(value, np.nan, np.nan, np.nan, label) for value in values]
-    result = scipy.stats.bootstrap(
-        [np.arange(sizes[factor], dtype=float) for factor in resampled],
-        of_indices,
-        n_resamples=NUM_RESAMPLES,
-        batch=_BATCH,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(0),  # the same numbers in every table and figure
-    )
+    with warnings.catch_warnings():
+        # `is_known` says that an interval has no ends.
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
+        result = scipy.stats.bootstrap(
+            [np.arange(sizes[factor], dtype=float) for factor in resampled],
+            of_indices,
+            n_resamples=NUM_RESAMPLES,
+            batch=_BATCH,
+            vectorized=True,
+            confidence_level=CONFIDENCE,
+            method="percentile",
+            rng=np.random.default_rng(0),  # the same numbers in every table and figure
+        )
     ends = result.confidence_interval
     numbers = (values, ends.low.tolist(), ends.high.tolist(), result.standard_error.tolist())
     return [Interval(*row, label) for row in zip(*numbers, strict=True)]
+
+
+def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
+    """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
+    # Of the flattened values: much faster than two indices.
+    seeds, tasks = seeds.astype(int)[..., :, None], tasks.astype(int)[..., None, :]
+    chosen = seeds * values.shape[-1] + tasks
+    return np.take(values.reshape(len(values), -1), chosen, axis=-1)
 
 
 def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:

@@ -1,11 +1,13 @@
-"""The names of the files that an adaptation leaves, and what such a name says."""
+"""The files that an adaptation leaves: their names, and tables of all kinds as `.csv` files."""
 
+import csv
+import io
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-# Names of task sets; anything else is a file.
-_TASK_SETS = ("test", "validation", "training", "ood")
+from maesn.storage import RunError, explained, write_whole
 
 # TASKS-REWARD, and behind it what differs from the usual, as in `-then-trpo` or `-on-mjx`.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
@@ -21,27 +23,9 @@ class TableName(NamedTuple):
     changed: str = ""
     """What differs from the usual rule, radius or engine, with a hyphen before it."""
 
-
-def table_path(
-    directory: Path, tasks: str, reward: str, *, first_update: int = 0, changed: str = ""
-) -> Path:
-    """Return where the table of an adaptation goes by default.
-
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM` for a user's
-    own file.
-
-    Args:
-        directory: of the run.
-        tasks: name of a set, or path of a file of tasks.
-        reward: "sparse" or "dense".
-        first_update: number of updates of the earlier adaptation that this one continues; puts
-            `from-UPDATE-` before TASKS.
-        changed: what differs from the usual rule, radius or engine, with a hyphen before it; stands
-            behind the reward.
-    """
-    name = tasks if tasks in _TASK_SETS else f"file-{Path(tasks).stem}"
-    start = f"from-{first_update}-" if first_update else ""
-    return directory / "adaptation" / f"{start}{name}-{reward}{changed}.csv"
+    def path(self, directory: Path) -> Path:
+        """Return where such a table of a run goes by default."""
+        return directory / "adaptation" / f"{self.tasks}-{self.reward}{self.changed}.csv"
 
 
 def table_name(path: Path) -> TableName:
@@ -63,3 +47,41 @@ def record_of_latents(latents: Path) -> Path:
 def record_file(table: Path) -> Path:
     """Return the path of the file that says how a table was made."""
     return table.with_suffix(".settings.json")
+
+
+def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows of the same columns, at least one, as a `.csv` file."""
+    first, *others = rows
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows([first, *others])
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text.getvalue().encode())
+
+
+def read_rows(
+    path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
+) -> list[dict[str, Any]]:
+    """Return the rows of a `.csv` file as texts.
+
+    Args:
+        path: of the file.
+        columns: that it must have; it may have others.
+        remedy: what the user should do if the file is wrong.
+
+    Raises:
+        RunError: it cannot be read, or a column is missing.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows, present = list(reader), reader.fieldnames or ()
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
+    for name in columns:
+        if name not in present:
+            found = ", ".join(present) or "an empty file"
+            raise RunError(f"Expected the column `{name}` in `{path}`, got {found}; {remedy}.")
+    return rows

@@ -19,7 +19,8 @@ from maesn.report.adaptation_table import (
     stack_seeds,
 )
 from maesn.report.reading import read_adaptation
-from maesn.report.statistics import Interval, difference_interval, mean_intervals
+from maesn.report.statistics import Interval, bootstrap, difference, mean_intervals
+from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
@@ -39,9 +40,8 @@ class Unit(NamedTuple):
 
     def ends(self, interval: Interval, sign: str = "") -> str:
         """Return the mean and both ends of its interval, where it has any."""
-        mean, low, high = (
-            self.number(x, sign) for x in (interval.mean, interval.low, interval.high)
-        )
+        numbers = interval.mean, interval.low, interval.high
+        mean, low, high = (self.number(x, sign) for x in numbers)
         return f"{mean} [{low}, {high}]" if interval.is_known else mean
 
     def half_width(self, interval: Interval) -> str:
@@ -58,6 +58,7 @@ UNITS: dict[str, Unit] = {
     "final_success_rate": Unit("ends at goal (%)", _PERCENT),
     "time_in_region": Unit("time at goal (%)", _PERCENT),
 }
+_HEADINGS = tuple(unit.heading for unit in UNITS.values())
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,11 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
 
+def write_tables(tables: Sequence[TextTable], path: Path) -> None:
+    """Write tables as Markdown."""
+    write_whole(path, "\n".join(table.to_markdown() for table in tables).encode())
+
+
 def summary_tables(
     tables: Sequence[AdaptationTable], title: str, *, brief: bool = False
 ) -> list[TextTable]:
@@ -132,7 +138,7 @@ def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool
     notes = [note, f"± half the {labels}", judged]
     return TextTable(
         title,
-        ("update", "episodes", *(UNITS[name].heading for name in MEASURES)),
+        ("update", "episodes", *_HEADINGS),
         tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
         tuple(filter(None, notes)) if brief else (_join(f"In brackets: {labels}.", note, judged),),
     )
@@ -149,21 +155,15 @@ def difference_table(
     """
     rows, intervals = [], []
     for name, tables in others.items():
-        cells = [name]
-        for measure in MEASURES:
-            ends = (stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
-            intervals.append(difference_interval(*ends))
-            cells.append(UNITS[measure].ends(intervals[-1], sign="+"))
-        rows.append(tuple(cells))
+        ends = [[stack_seeds(x, one)[..., -1] for x in (tables, reference)] for one in MEASURES]
+        found = [bootstrap(difference, *pair) for pair in ends]
+        units = zip(UNITS.values(), found, strict=True)
+        rows.append((name, *(unit.ends(interval, sign="+") for unit, interval in units)))
+        intervals += found
     beyond = [f"{name}: {said}" for name, tables in others.items() if (said := _beyond(tables[0]))]
     solved = note_on_solved(solved_at_reset(reference))
-    return TextTable(
-        title,
-        ("method", *(UNITS[name].heading for name in MEASURES)),
-        tuple(rows),
-        (_join(f"In brackets: {labels_of(intervals)}.", solved, *beyond),),
-        is_named=True,
-    )
+    note = _join(f"In brackets: {labels_of(intervals)}.", solved, *beyond)
+    return TextTable(title, ("method", *_HEADINGS), tuple(rows), (note,), is_named=True)
 
 
 def print_adaptation_summary(path: Path, console: Console | None = None) -> None:

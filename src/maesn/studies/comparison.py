@@ -12,13 +12,14 @@ from maesn.api import changed
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper
 from maesn.report.adaptation_table import Line
-from maesn.report.comparison import Comparison, write_tidy_table
-from maesn.report.comparison_tables import write_summary
+from maesn.report.comparison import Comparison, summary_tables, tidy_rows
 from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
+from maesn.report.table_files import write_rows
+from maesn.report.tables import write_tables
 from maesn.runs.run import Run
 from maesn.storage import RunError, explained
 from maesn.studies.curves import Say, curves_of
@@ -128,8 +129,8 @@ def compare_lines(
     )
     with explained("make", out):
         out.mkdir(parents=True, exist_ok=True)
-    write_tidy_table(comparison, out / TABLE)
-    write_summary(comparison, out / SUMMARY)
+    write_rows(out / TABLE, tidy_rows(comparison))
+    write_tables(summary_tables(comparison), out / SUMMARY)
     for path in (*save_figure(plot_comparison(comparison), out, FIGURE), out / TABLE):
         say(str(path))
     return comparison

@@ -29,16 +29,22 @@ def plot_adaptation_curves(
     """
     figure = new_figure(TWO_COLUMNS, 2.35)
     panels = figure.subplots(1, 3, width_ratios=_WIDTHS)
+    lengths = {line.label: line.table.episodes_per_update for line in lines}
     measures = ("mean_return", "success_rate", "time_in_region")
     for axes, measure in zip(panels, measures, strict=True):
         labels = {line.label: draw_line(axes, line.table.updates, line, measure) for line in lines}
         axes.set_xlabel("update")
-        _episodes_axis(axes, lines)
+        _episodes_axis(axes, set(lengths.values()))
     panels[0].set_ylabel(f"mean {lines[0].table.reward} return")
     percent_axis(panels[1], "success rate")
     percent_axis(panels[2], "time in goal region")
     _draw_published(panels[0], lines, published)
-    explain(figure, panels[0], [*note_on_lines(lines, labels), *_note_on_updates(lines)])
+    notes = note_on_lines(lines, labels)
+    known = {label: length for label, length in lengths.items() if length is not None}
+    if len(set(known.values())) > 1:
+        updates = ", ".join(f"{label} {length}" for label, length in known.items())
+        notes.append(f"episodes per update: {updates}")
+    explain(figure, panels[0], notes)
     return figure
 
 
@@ -54,10 +60,11 @@ def plot_comparison(comparison: Comparison) -> Figure:
     most_tasks = max(line.num_tasks for line in lines)
     figure = new_figure(ONE_COLUMN, 3.4)
     panels = figure.subplots(2, 1, sharex=True, height_ratios=_HEIGHTS)
+    labels = {}
     for axes, measure in zip(panels, ("mean_return", "success_rate"), strict=True):
-        labels = {}
         for line in lines:
-            fewer = "" if line.num_tasks == most_tasks else f" ({_first_tasks(line.num_tasks)})"
+            first = "first task" if line.num_tasks == 1 else f"first {line.num_tasks} tasks"
+            fewer = "" if line.num_tasks == most_tasks else f" ({first})"
             labels[line.label] = draw_line(axes, comparison.steps(line), line, measure, fewer)
     bounds = comparison.bounds(most_tasks)
     for height, name, style in zip(bounds, ("baseline", "oracle"), (_DOTTED, "-"), strict=True):
@@ -80,45 +87,21 @@ def _draw_published(
             continue
         drawn.add(curve.name)
         shown = curve.update <= max(table.updates[-1] for table in line.tables)
-        axes.plot(
-            curve.update[shown],
-            curve.mean_return[shown],
-            color=line.style.colour,
-            linestyle=(0, (3, 2)),
-            linewidth=0.7,
-            label=f"{curve.name}, published",
-        )
+        style = {"color": line.style.colour, "linestyle": (0, (3, 2)), "linewidth": 0.7}
+        label = f"{curve.name}, published"
+        axes.plot(curve.update[shown], curve.mean_return[shown], label=label, **style)
 
 
-def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
+def _episodes_axis(axes: Axes, lengths: set[int | None]) -> None:
     """Count episodes along the top, where every update of every line has the same number."""
-    counts = {line.table.episodes_per_update for line in lines}
-    per_update = counts.pop()
-    if counts or per_update is None:
+    length, *others = lengths
+    if others or length is None:
         return
-    scale = float(per_update)
-    top = axes.secondary_xaxis(
-        "top",
-        functions=(
-            lambda update: np.multiply(update, scale),
-            lambda count: np.divide(count, scale),
-        ),
-    )
+    scale = float(length)
+    functions = (lambda update: np.multiply(update, scale), lambda count: np.divide(count, scale))
+    top = axes.secondary_xaxis("top", functions=functions)
     top.set_xlabel("episodes learned from")
     top.spines["top"].set_visible(True)
-
-
-def _note_on_updates(lines: Sequence[Line]) -> list[str]:
-    """Say how long an update is, where lines differ in it."""
-    counts = {line.label: line.table.episodes_per_update for line in lines}
-    known = {label: count for label, count in counts.items() if count is not None}
-    if len(set(known.values())) < 2:
-        return []
-    return [f"episodes per update: {', '.join(f'{one} {count}' for one, count in known.items())}"]
-
-
-def _first_tasks(number: int) -> str:
-    return "first task" if number == 1 else f"first {number} tasks"
 
 
 def _steps_axis(axes: Axes, comparison: Comparison) -> None:

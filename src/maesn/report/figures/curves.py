@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -23,23 +24,19 @@ _LEGEND_LINE = 0.145  # inches
 _LINE_CHARACTERS = 110  # of a note across two columns
 _HANDLE_CHARACTERS = 10  # as wide as a legend's sample line and the gap beside it
 
-Coordinates = Real[np.ndarray, " point"]
-Values = Float[np.ndarray, " point"]
+Curve = Float[np.ndarray, "mean_low_high point"]
+"""A line and the ends of its band."""
 
 
 def draw_curve(
-    axes: Axes,
-    x: Coordinates,
-    y: Values,
-    ends: tuple[Values, Values],
-    style: MethodStyle,
-    num_seeds: int,
+    axes: Axes, x: Real[np.ndarray, " point"], curve: Curve, style: MethodStyle, num_seeds: int
 ) -> None:
     """Draw a line and its band in its method's style; the label says if it has several seeds."""
+    mean, *ends = curve
     axes.fill_between(x, *ends, color=style.colour, alpha=_BAND_OPACITY, linewidth=0)
     axes.plot(
         x,
-        y,
+        mean,
         color=style.colour,
         linestyle=style.line,
         marker=style.marker,
@@ -51,7 +48,9 @@ def draw_curve(
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
 
 
-def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: str = "") -> str:
+def draw_line(
+    axes: Axes, x: Real[np.ndarray, " point"], line: Line, measure: str, addition: str = ""
+) -> str:
     """Draw the mean of a measure with its intervals, and return what the intervals resample.
 
     What meta-training has not prepared a method for is faint.
@@ -59,21 +58,21 @@ def draw_line(axes: Axes, x: Coordinates, line: Line, measure: str, addition: st
     Each column of the line's tables stands at its `x`. The legend puts `addition` behind the label.
     """
     intervals = mean_intervals(line.measure(measure))
-    mean, low, high = np.array([(one.mean, one.low, one.high) for one in intervals]).T
+    curve = np.array([(one.mean, one.low, one.high) for one in intervals]).T
     style = replace(line.style, label=line.label + addition)
-    end = len(x) if line.table.first_beyond is None else max(line.table.first_beyond, 1)
-    draw_curve(axes, x[:end], mean[:end], (low[:end], high[:end]), style, len(line.seeds))
+    beyond = line.table.first_beyond
+    end = len(x) if beyond is None else max(beyond, 1)
+    draw_curve(axes, x[:end], curve[:, :end], style, len(line.seeds))
     if end < len(x):
-        x, mean, low, high = (values[end - 1 :] for values in (x, mean, low, high))
+        x, (mean, *ends) = x[end - 1 :], curve[:, end - 1 :]
         axes.plot(x, mean, color=style.colour, linestyle=":", alpha=_FAINT)
-        axes.fill_between(x, low, high, color=style.colour, alpha=_FAINT / 4, linewidth=0)
+        axes.fill_between(x, *ends, color=style.colour, alpha=_FAINT / 4, linewidth=0)
     return intervals[0].label
 
 
 def percent_axis(axes: Axes, label: str) -> None:
     """Let the vertical axis run from 0 to 100 %."""
-    axes.set_ylabel(label)
-    axes.set_ylim(-0.03, 1.03)
+    axes.set(ylabel=label, ylim=(-0.03, 1.03))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
 
 
@@ -82,18 +81,18 @@ def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]
 
     `labels` says by the line's label what its band resamples.
     """
-    members: dict[str, list[str]] = {}
+    members: defaultdict[str, list[str]] = defaultdict(list)
     for name, label in labels.items():
-        members.setdefault(label, []).append(name)
+        members[label].append(name)
     *exceptions, rule = sorted(members, key=lambda label: len(members[label]))
     bands = [f"bands of {', '.join(members[label])}: {label}" for label in exceptions]
+    bands.append(f"{'other bands' if bands else 'bands'}: {rule}")
     faint = [
         f"{line.label}, faint: beyond the {line.table.trial_episodes} episodes that it was trained "
         "for"
         for line in lines
         if line.table.first_beyond is not None
     ]
-    bands.append(f"{'other bands' if bands else 'bands'}: {rule}")
     return [*bands, note_on_judging(lines), *faint]
 
 

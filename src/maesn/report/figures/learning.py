@@ -1,11 +1,10 @@
 """Learning curves of meta-training, before and after the inner update."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from maesn.report.figures.curves import draw_curve, explain, percent_axis
@@ -16,11 +15,8 @@ from maesn.report.style import TWO_COLUMNS, MethodStyle, new_figure, publication
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
 _WINDOW_SHARE = 1 / 30
 
-_METRICS = ("return_before", "return_after", "success_after")
 
-
-@dataclass(frozen=True)
-class Trained:
+class Trained(NamedTuple):
     """The learning curves of one method's seeds."""
 
     style: MethodStyle
@@ -30,10 +26,6 @@ class Trained:
     def iteration(self) -> Float[np.ndarray, " iteration"]:
         """The iterations that every seed has finished."""
         return min((curve.iteration for curve in self.curves), key=len)
-
-    def seeds(self, metric: str) -> Float[np.ndarray, "seed iteration"]:
-        """Return a metric in these iterations."""
-        return np.stack([getattr(curve, metric)[: len(self.iteration)] for curve in self.curves])
 
     @property
     def window(self) -> int:
@@ -52,25 +44,24 @@ def plot_learning_curves(trained: Sequence[Trained], reward: str) -> Figure:
     figure = new_figure(TWO_COLUMNS, 2.05)
     panels = figure.subplots(1, 3)
     panels[1].sharey(panels[0])
-    for axes, metric in zip(panels, _METRICS, strict=True):
+    metrics = ("return_before", "return_after", "success_after")
+    for axes, metric in zip(panels, metrics, strict=True):
         for line in trained:
-            _draw_seeds(axes, line, metric)
+            x, style = line.iteration, line.style
+            values = np.stack([getattr(curve, metric)[: len(x)] for curve in line.curves])
+            if np.isnan(values).all():
+                continue
+            if len(values) == 1:
+                axes.plot(x, values[0], color=style.colour, linewidth=0.5, alpha=0.3)
+            smooth = moving_mean(values, line.window)
+            curve = np.stack([smooth.mean(0), smooth.min(0), smooth.max(0)])
+            draw_curve(axes, x, curve, style, len(values))
         axes.set_title(f"{metric.rpartition('_')[2]} the inner update")
         axes.set_xlabel("meta-iteration")
     panels[0].set_ylabel(f"mean {reward} return")
     percent_axis(panels[2], "success rate")
     explain(figure, panels[1], [_note(trained)])
     return figure
-
-
-def _draw_seeds(axes: Axes, line: Trained, metric: str) -> None:
-    x, values, style = line.iteration, line.seeds(metric), line.style
-    if np.isnan(values).all():
-        return
-    smooth = moving_mean(values, line.window)
-    if len(values) == 1:
-        axes.plot(x, values[0], color=style.colour, linewidth=0.5, alpha=0.3)
-    draw_curve(axes, x, smooth.mean(0), (smooth.min(0), smooth.max(0)), style, len(values))
 
 
 def moving_mean(
