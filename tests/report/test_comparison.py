@@ -12,11 +12,11 @@ from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named
 
+from maesn.evaluation.tables import write_rows
 from maesn.report.adaptation_table import AdaptationTable, Line
 from maesn.report.comparison import Comparison, summary_tables, tidy_rows
 from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.style import METHOD_STYLES, ONE_COLUMN
-from maesn.report.table_files import write_rows
 from maesn.report.tables import print_tables, write_tables
 from maesn.storage import RunError
 

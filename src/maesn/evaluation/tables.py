@@ -1,6 +1,8 @@
 """The files that adaptation leaves: tables of curves, and the latents beside them."""
 
-from collections.abc import Mapping
+import csv
+import io
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,8 +12,15 @@ import numpy as np
 from maesn.context import AbstractContext, Latent
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.table_files import TableName, latents_file, record_file, write_rows
-from maesn.storage import RunError, explained, read_arrays, write_arrays, write_json
+from maesn.report.table_files import TableName, latents_file, record_file
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    write_arrays,
+    write_json,
+    write_whole,
+)
 
 # Names of task sets; anything else is a file.
 _TASK_SETS = ("test", "validation", "training", "ood")
@@ -35,6 +44,18 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     }
     changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
     return TableName(start + name, evaluation.reward, changed).path(directory)
+
+
+def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows of the same columns, at least one, as a `.csv` file."""
+    first, *others = rows
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows([first, *others])
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text.getvalue().encode())
 
 
 class Adapted(NamedTuple):

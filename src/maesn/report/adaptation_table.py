@@ -55,7 +55,6 @@ class AdaptationTable:
     tasks: str
     """Name of the task set."""
     reward: str
-    """Reward of the adaptation, "sparse" or "dense"."""
     purpose: str
     """What the measures judge, a key of `JUDGED`."""
     updates: Int[np.ndarray, " update"]
@@ -73,8 +72,7 @@ class AdaptationTable:
     explored_episodes: int | None = None
     """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None
-    """Number of episodes that meta-training has prepared for; None if there is no such limit, or no
-    record says so."""
+    """Number of episodes that meta-training has prepared for; None if no record says so."""
 
     @property
     def num_tasks(self) -> int:
@@ -115,12 +113,12 @@ class AdaptationTable:
         self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
     ) -> "AdaptationTable":
         """Return the table of some of the tasks and updates."""
-        curves: dict[str, Any] = {
-            name: x[tasks][:, columns] for name, x in vars(self).items() if np.ndim(x) == 2
+        changed: dict[str, Any] = {
+            name: x[tasks][:, columns] if x.ndim == 2 else x[columns]
+            for name, x in vars(self).items()
+            if isinstance(x, np.ndarray)
         }
-        return replace(
-            self, updates=self.updates[columns], episodes=self.episodes[columns], **curves
-        )
+        return replace(self, **changed)
 
     def first_part(self, num_tasks: int, updates: int) -> "AdaptationTable":
         """Return the table of the first so many tasks and updates.

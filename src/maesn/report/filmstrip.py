@@ -88,7 +88,7 @@ def _cell(cell: Cell, index: int) -> Picture:
     colour = BLUISH_GREEN if cell.success else DARK_GREY
     caption = _text(cell.caption, _CAPTION_SIZE, colour, picture.width)
     margins = ((0, _MARGIN), (0, _MARGIN), (0, 0))
-    return np.pad(np.vstack([picture, caption]), margins, constant_values=_WHITE)
+    return np.pad(np.vstack([np.asarray(picture), caption]), margins, constant_values=_WHITE)
 
 
 def _text(text: str, size: int, colour: str, width: int) -> Picture:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
+from jaxtyping import Real
 
 from maesn.report import adaptation_table as table
 from maesn.report.table_files import read_rows, record_file, table_name
@@ -15,10 +16,7 @@ Record = TypeVar("Record")
 
 
 def read_adaptation(path: Path) -> table.AdaptationTable:
-    """Read a table of `maesn adapt`, and its record where there is one beside it.
-
-    Args:
-        path: `<tasks>-<reward>.csv`; rows in any order.
+    """Read a table of `maesn adapt`, rows in any order, and its record where there is one.
 
     Raises:
         RunError: a column, a row or a number is missing, or a row occurs twice.
@@ -59,7 +57,6 @@ def _recorded(path: Path, name: str) -> int | None:
 
 
 def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
-    """Return a finite number, or a purpose."""
     where, found = f"for `{name}` in `{path}`, line {line}", text or "nothing"
     if name == "purpose":
         if found not in table.JUDGED:
@@ -109,13 +106,8 @@ def read_record(
     """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
 
     The annotations of the fields are the shapes that the arrays must have; an axis of one name has
-    one size in all of them. A field with a default may be absent or empty.
-
-    Args:
-        kind: the dataclass.
-        path: of the file.
-        remedy: what the user should do if the file is wrong.
-        sizes: of axes that are known before.
+    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
+    or empty. Messages of errors end with the remedy.
 
     Raises:
         RunError: an array is absent, not numeric, empty or of another shape.
@@ -130,16 +122,13 @@ def read_record(
         hint = next(iter(get_args(hints[field.name])), hints[field.name])
         axes = getattr(hint, "dim_str", "").split()
         wanted = [str(known.get(axis, axis)) for axis in axes]
-        expected = f"Expected `{field.name}` [{', '.join(wanted)}] in `{path}`"
-        if array is None:
-            present = ", ".join(sorted(arrays)) or "no arrays"
-            raise RunError(f"{expected}, got {present}; {remedy}.")
-        fits = array.ndim == len(axes) and all(
-            str(size) == one or not one.isdecimal()
-            for size, one in zip(array.shape, wanted, strict=True)
-        )
-        if not fits or array.dtype.kind not in "fiu" or not array.size:
-            raise RunError(f"{expected}, got {array.dtype} {list(array.shape)}; {remedy}.")
+        shape: Any = Real[np.ndarray, " ".join(wanted)]
+        if array is None or not isinstance(array, shape) or not array.size:
+            found = ", ".join(sorted(arrays)) or "no arrays"
+            if array is not None:
+                found = f"{array.dtype} {list(array.shape)}"
+            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
+            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
         known |= zip(axes, array.shape, strict=True)
         values[field.name] = array.astype(np.float64) if axes else hint(array)
     return kind(**values)

@@ -81,11 +81,7 @@ class RecordedRun:
 
 
 def read_run(path: Path) -> RecordedRun:
-    """Read a run's `config.json`.
-
-    Raises:
-        RunError: it is missing or lacks a setting.
-    """
+    """Read a run's `config.json`; a `RunError` says what is missing."""
     file = path / "config.json"
     config = read_json(file, _RUN_REMEDY)
     settings, learner = config.get("settings"), config.get("learner")
@@ -123,12 +119,11 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-
-    def column(name: str) -> np.ndarray:
-        values = (line.get(name) for line in lines)
-        return np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
-
-    curve = LearningCurve(*(column(field.name) for field in fields(LearningCurve)))
+    columns = (
+        [x if isinstance(x := line.get(field.name), int | float) else np.nan for line in lines]
+        for field in fields(LearningCurve)
+    )
+    curve = LearningCurve(*(np.array(column, float) for column in columns))
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
@@ -173,12 +168,6 @@ class RecordedExploration:
 
 
 def read_exploration(path: Path) -> RecordedExploration | None:
-    """Read a run's `figures/exploration.npz`; None if there is none.
-
-    Raises:
-        RunError: an array is missing or misshapen.
-    """
+    """Read a run's `figures/exploration.npz`; None if there is none."""
     file = path / "figures" / "exploration.npz"
-    if not file.exists():
-        return None
-    return read_record(RecordedExploration, file, _EXPLORE_REMEDY)
+    return read_record(RecordedExploration, file, _EXPLORE_REMEDY) if file.exists() else None

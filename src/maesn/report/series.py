@@ -69,14 +69,14 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     experiments: defaultdict[str, dict[int, RecordedRun]] = defaultdict(dict)
     order = {method: position for position, method in enumerate(METHOD_STYLES)}
     for run in sorted(runs, key=lambda run: order.get(run.method, len(order))):
-        members = experiments[_text(_experiment(run))]
-        if run.seed in members:
+        seeds = experiments[_text(_experiment(run))]
+        if run.seed in seeds:
             raise RunError(
                 f"Expected runs with different seeds or settings, got seed {run.seed} in both "
-                f"`{members[run.seed].path}` and `{run.path}`; give only one of them."
+                f"`{seeds[run.seed].path}` and `{run.path}`; give only one of them."
             )
-        members[run.seed] = run
-    groups = [tuple(members.values()) for members in experiments.values()]
+        seeds[run.seed] = run
+    groups = [tuple(seeds.values()) for seeds in experiments.values()]
     methods = [members[0].method for members in groups]
     series = []
     for position, (members, style) in enumerate(zip(groups, series_styles(methods), strict=True)):

@@ -1,13 +1,12 @@
-"""The files that an adaptation leaves: their names, and tables of all kinds as `.csv` files."""
+"""The files that an adaptation leaves: their names, and reading a table's rows."""
 
 import csv
-import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from maesn.storage import RunError, explained, write_whole
+from maesn.storage import RunError
 
 # TASKS-REWARD, and behind it what differs from the usual, as in `-then-trpo` or `-on-mjx`.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
@@ -49,30 +48,13 @@ def record_file(table: Path) -> Path:
     return table.with_suffix(".settings.json")
 
 
-def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows of the same columns, at least one, as a `.csv` file."""
-    first, *others = rows
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([first, *others])
-    with explained("write", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, text.getvalue().encode())
-
-
 def read_rows(
     path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
 ) -> list[dict[str, Any]]:
     """Return the rows of a `.csv` file as texts.
 
-    Args:
-        path: of the file.
-        columns: that it must have; it may have others.
-        remedy: what the user should do if the file is wrong.
-
     Raises:
-        RunError: it cannot be read, or a column is missing.
+        RunError: it cannot be read, or lacks one of the columns; the message ends with the remedy.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:

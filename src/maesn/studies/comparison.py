@@ -11,6 +11,7 @@ from typing import NamedTuple
 from maesn.api import changed
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper
+from maesn.evaluation.tables import write_rows
 from maesn.report.adaptation_table import Line
 from maesn.report.comparison import Comparison, summary_tables, tidy_rows
 from maesn.report.figures.adaptation import plot_comparison
@@ -18,7 +19,6 @@ from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
-from maesn.report.table_files import write_rows
 from maesn.report.tables import write_tables
 from maesn.runs.run import Run
 from maesn.storage import RunError, explained

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from maesn.evaluation.evaluate import adapt, as_rows, tasks_at_once
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.tables import adaptation_file, write_rows
 from maesn.learners import AbstractFastLearner
-from maesn.report.table_files import read_rows, record_file, write_rows
+from maesn.report.table_files import read_rows, record_file
 from maesn.runs.serialization import digest_of_document
 from maesn.storage import explained, read_json, write_json
 from maesn.studies.world import ComparisonWorld

@@ -16,6 +16,7 @@ _WIDTHS = (1.35, 1.0, 1.0)  # the panel that targets are stated for is the wides
 _HEIGHTS = (1.5, 1.0)  # return above, success below
 _LINE_CHARACTERS = 58  # of a note in one column
 _DOTTED = (0, (1.0, 1.5))
+_DASHED = (0, (3.0, 2.0))
 
 
 @publication_style()
@@ -87,9 +88,9 @@ def _draw_published(
             continue
         drawn.add(curve.name)
         shown = curve.update <= max(table.updates[-1] for table in line.tables)
-        style = {"color": line.style.colour, "linestyle": (0, (3, 2)), "linewidth": 0.7}
-        label = f"{curve.name}, published"
-        axes.plot(curve.update[shown], curve.mean_return[shown], label=label, **style)
+        (drawn_line,) = axes.plot(curve.update[shown], curve.mean_return[shown])
+        drawn_line.set(color=line.style.colour, linestyle=_DASHED, linewidth=0.7)
+        drawn_line.set_label(f"{curve.name}, published")
 
 
 def _episodes_axis(axes: Axes, lengths: set[int | None]) -> None:

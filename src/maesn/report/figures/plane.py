@@ -90,7 +90,8 @@ def draw_goals(axes: Axes, goals: Points, radius: float) -> None:
 
 def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4) -> None:
     """Draw a dot at each point."""
-    axes.scatter(*points.T, c=colours, s=size, linewidths=0, zorder=2.5)
+    x, y = points.T
+    axes.scatter(x, y, c=colours, s=size, linewidths=0, zorder=2.5)
 
 
 def draw_paths(axes: Axes, paths: Positions, colours: str | Colours) -> None:
