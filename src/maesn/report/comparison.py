@@ -181,7 +181,7 @@ def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[
     score, oracle = "", comparison.oracle
     if oracle is not None and comparison.score(last, line.num_tasks) is not None:
         bounds = [_start(one, line.num_tasks) for one in (oracle, *comparison.baselines)]
-        score = _SCORE.ends(bootstrap(statistics.score, last, *bounds))
+        score = _SCORE.text(bootstrap(statistics.score, last, *bounds))
     return {
         "method": line.label,
         "trained on": "" if steps is None else f"{steps / 1e6:.3g} M",
@@ -189,9 +189,9 @@ def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[
         "tasks": str(line.num_tasks),
         "updates": str(line.table.updates[-1]),
         "steps": f"{comparison.steps(line)[-1]:,}",
-        "return": UNITS["mean_return"].ends(returns),
-        "IQM": UNITS["mean_return"].ends(middle),
-        "reaches goal (%)": UNITS["success_rate"].ends(success),
+        "return": UNITS["mean_return"].text(returns),
+        "IQM": UNITS["mean_return"].text(middle),
+        "reaches goal (%)": UNITS["success_rate"].text(success),
         "score": score,
     }
 
@@ -210,7 +210,7 @@ def _beyond(line: Line) -> str:
     return (
         f"{line.label} was trained for trials of {line.table.trial_episodes} episodes, and is "
         f"beyond them from update {last + 1} on: after update {last}, the last that it was trained "
-        f"for, its return is {UNITS['mean_return'].ends(prepared)}."
+        f"for, its return is {UNITS['mean_return'].text(prepared)}."
     )
 
 
@@ -221,7 +221,7 @@ def _improvements(comparison: Comparison) -> TextTable:
         both = min(line.num_tasks for line in pair)
         ends = [line.measure("mean_return")[:, :both, -1] for line in pair]
         intervals.append(bootstrap(statistics.improvement, *ends))
-        rows.append((*(line.label for line in pair), _PROBABILITY.ends(intervals[-1])))
+        rows.append((*(line.label for line in pair), _PROBABILITY.text(intervals[-1])))
     beyond = [
         f"{line.label}: after update {line.table.updates[-1]}, beyond its trials."
         for line in comparison.lines

@@ -72,9 +72,9 @@ def _compose(title: str, rows: Sequence[Row], index: int) -> Image.Image:
     below = np.full((_MARGIN, width, 3), _WHITE, np.uint8)
     parts = [_text(title, _TITLE_SIZE, BLACK, width), below]
     for row, cells in zip(rows, drawn, strict=True):
-        beside = (0, width - cells.shape[1])
-        cells = np.pad(cells, ((0, 0), beside, (0, 0)), constant_values=_WHITE)
-        parts += [_text(row.title, _ROW_SIZE, BLACK, width), cells]
+        beside = ((0, 0), (0, width - cells.shape[1]), (0, 0))
+        parts.append(_text(row.title, _ROW_SIZE, BLACK, width))
+        parts.append(np.pad(cells, beside, constant_values=_WHITE))
     margins = ((_MARGIN, 0), (_MARGIN, 0), (0, 0))
     return Image.fromarray(np.pad(np.vstack(parts), margins, constant_values=_WHITE))
 

@@ -14,11 +14,17 @@ from rich.console import Console
 from maesn.report.figures import exploration
 from maesn.report.figures.adaptation import plot_adaptation_curves
 from maesn.report.figures.latents import plot_latents
-from maesn.report.figures.learning import Trained, plot_learning_curves
+from maesn.report.figures.learning import plot_learning_curves
 from maesn.report.published import comparable_curve
-from maesn.report.runs import RecordedRun, read_exploration, read_learning_curve, read_run
+from maesn.report.runs import (
+    LearningCurve,
+    RecordedRun,
+    read_exploration,
+    read_learning_curve,
+    read_run,
+)
 from maesn.report.series import Series, group_series, group_worlds
-from maesn.report.style import save_figure
+from maesn.report.style import MethodStyle, save_figure
 from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
@@ -67,15 +73,15 @@ def plot_run_directories(
 
 def _learning(series: Sequence[Series], say: Say) -> Figures:
     """Draw one figure per training reward; returns of two rewards have no common axis."""
-    trained: dict[str, list[Trained]] = {}
-    missing: list[RecordedRun] = []
-    for one in series:
-        curves = {run: read_learning_curve(run.path) for run in one.runs}
-        missing += [run for run, curve in curves.items() if curve is None]
-        finished = tuple(curve for curve in curves.values() if curve is not None)
-        if finished:
-            reward = str(one.runs[0].settings.get("reward", "dense"))
-            trained.setdefault(reward, []).append(Trained(one.style, finished))
+    trained: dict[str, dict[MethodStyle, list[LearningCurve]]] = {}
+    missing = []
+    for style, run in ((one.style, run) for one in series for run in one.runs):
+        curve = read_learning_curve(run.path)
+        if curve is None:
+            missing.append(run)
+            continue
+        reward = str(run.settings.get("reward", "dense"))
+        trained.setdefault(reward, {}).setdefault(style, []).append(curve)
     _say_missing(missing, "metrics", "`maesn train` or `maesn resume DIR` writes them", say)
     for reward, lines in trained.items():
         yield f"learning-curves-{reward}", plot_learning_curves(lines, reward)

@@ -7,7 +7,6 @@ Annals of Applied Statistics 1(2), 2007). Drawing tasks afresh within every seed
 task as several lucky ones and make the interval too narrow.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -104,21 +103,17 @@ _NAMES: dict[Statistic, str] = {
 
 
 def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "_ _"]) -> Interval:
-    """Return a statistic with its 95 % percentile bootstrap interval. Of the mean:
+    """Return a statistic of samples `[seed, task]` with its 95 % percentile bootstrap interval.
 
         m* = 1/(S T) Σ_s Σ_t x[a_s, b_t],   a_s uniform on seeds, b_t uniform on tasks, iid
 
-    with s in [1, S] and t in [1, T]; the interval lies between the quantiles of m*. A factor with
-    one level is not resampled: with one seed the interval says nothing about other seeds. With
-    fewer than five seeds it is narrower than it should be (a bootstrap of S values has (S - 1)/S
-    of their variance). Values that are all equal give an interval of width 0.
+    with s in [1, S] and t in [1, T], here of the mean; the interval lies between the quantiles of
+    m*. A factor with one level is not resampled: with one seed the interval says nothing about
+    other seeds. With fewer than five seeds it is narrower than it should be (a bootstrap of S
+    values has (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
 
     Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
     task easy for all cancels. Their seeds are unrelated and drawn independently.
-
-    Args:
-        statistic: one of this module's.
-        samples: `[seed, task]`; the same tasks in the same order.
 
     Raises:
         ValueError: the numbers of tasks differ.
@@ -135,10 +130,7 @@ def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interv
 
 
 def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) -> list[Interval]:
-    """Bootstrap a statistic of every column with the same resamples.
-
-    SciPy draws *indices*, which keeps the factors crossed.
-    """
+    """Bootstrap a statistic of every column with the same resamples."""
     num_tasks = [sample.shape[-1] for sample in samples]
     if len(set(num_tasks)) > 1:
         raise ValueError(
@@ -146,41 +138,24 @@ def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) 
             f"{' and '.join(map(str, num_tasks))}; compare results on one task set."
         )
     sizes = [num_tasks[0], *(sample.shape[-2] for sample in samples)]
-    resampled = [factor for factor, size in enumerate(sizes) if size > 1]
-
-    def of_indices(*drawn: np.ndarray, axis: int) -> np.ndarray:
-        indices = dict(zip(resampled, drawn, strict=True))
-        tasks, *seeds = (indices.get(factor, np.zeros(1)) for factor in range(len(sizes)))
+    generator = np.random.default_rng(0)  # the same numbers in every table and figure
+    batches = []
+    for _ in range(NUM_RESAMPLES // _BATCH):
+        tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
         pairs = zip(samples, seeds, strict=True)
-        return statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs))
-
-    values = statistic(*samples).tolist()
+        batches.append(statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs)))
+    drawn = np.concatenate(batches, axis=-1) if max(sizes) > 1 else np.full((1, 2), np.nan)
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(drawn, (tail, 100 - tail), axis=-1)
+    numbers = np.broadcast_arrays(statistic(*samples), low, high, drawn.std(axis=-1, ddof=1))
     label = _label(sizes[0], sizes[1:], _NAMES[statistic])
-    if not resampled:
-        return [Interval(value, np.nan, np.nan, np.nan, label) for value in values]
-    with warnings.catch_warnings():
-        # `is_known` says that an interval has no ends.
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        result = scipy.stats.bootstrap(
-            [np.arange(sizes[factor], dtype=float) for factor in resampled],
-            of_indices,
-            n_resamples=NUM_RESAMPLES,
-            batch=_BATCH,
-            vectorized=True,
-            confidence_level=CONFIDENCE,
-            method="percentile",
-            rng=np.random.default_rng(0),  # the same numbers in every table and figure
-        )
-    ends = result.confidence_interval
-    numbers = (values, ends.low.tolist(), ends.high.tolist(), result.standard_error.tolist())
-    return [Interval(*row, label) for row in zip(*numbers, strict=True)]
+    return [Interval(*map(float, row), label=label) for row in zip(*numbers, strict=True)]
 
 
 def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
     """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
     # Of the flattened values: much faster than two indices.
-    seeds, tasks = seeds.astype(int)[..., :, None], tasks.astype(int)[..., None, :]
-    chosen = seeds * values.shape[-1] + tasks
+    chosen = seeds[..., :, None] * values.shape[-1] + tasks[..., None, :]
     return np.take(values.reshape(len(values), -1), chosen, axis=-1)
 
 

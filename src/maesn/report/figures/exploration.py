@@ -6,6 +6,7 @@ The paper's Fig. 4 (right), 6 and 8.
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,13 +85,11 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
     The untrained policy is that of the first run. All are in one world.
     """
     first = explorers[0].exploration
-    drawn = [
-        (one.exploration, one.exploration.prior_paths, one.style.colour, one.style.label, one.reach)
-        for one in explorers
-    ]
-    untrained = (style.BLACK, "untrained policy", first.untrained_reach)
-    drawn.append((first, first.untrained_paths, *untrained))
-    limits = plane.shared_limits([first.goals, *(one[1] for one in drawn)], first.sparse_radius)
+    untrained = replace(explorers[0].style, label="untrained policy", colour=style.BLACK)
+    drawn = [(one, one.exploration.prior_paths) for one in explorers]
+    last = ExplorationPanel(untrained, first, first.untrained_reach)
+    drawn.append((last, first.untrained_paths))
+    limits = plane.shared_limits([first.goals, *(paths for _, paths in drawn)], first.sparse_radius)
     columns = 2 if len(drawn) in (2, 4) else 3
     rows = math.ceil(len(drawn) / columns)
     # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
@@ -99,12 +98,12 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for unused in panels[len(drawn) :]:
         unused.remove()
-    for position, (exploration, paths, colour, name, reach) in enumerate(drawn):
+    for position, (one, paths) in enumerate(drawn):
         axes = panels[position]
-        _draw_explored(axes, limits, exploration, paths, colour)
-        title = textwrap.fill(name, _TITLE_CHARACTERS)
-        if reach is not None:
-            title += f"\n{reach.share:.0%} of the goals in {reach.episodes} episodes"
+        _draw_explored(axes, limits, one.exploration, paths, one.style.colour)
+        title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
+        if one.reach is not None:
+            title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
         axes.set_title(title)
         if position % columns:
             _drop_y_label(axes)
@@ -143,18 +142,15 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
         axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
     if latents is not None and has_latents:
         colours = plane.direction_colours(scale, plane.final_positions(sampled))
-        _draw_latents(panels[0], latents[:, :2], colours)
+        plane.draw_dots(panels[0], latents[:, :2], colours, size=7)
+        plane.draw_prior(panels[0])
+        reach = np.full(2, 1.15 * float(np.abs(latents[:, :2]).max()))
+        labels = {"xlabel": "latent component 1", "ylabel": "latent component 2"}
+        box = plane.Limits(-reach, reach)
+        plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
     _drop_y_label(panels[-1])
     plane.direction_bar(figure, panels, scale, "final direction (°)")
     return figure
-
-
-def _draw_latents(axes: Axes, latents: plane.Points, colours: plane.Colours) -> None:
-    plane.draw_dots(axes, latents, colours, size=7)
-    plane.draw_prior(axes)
-    reach = np.full(2, 1.15 * float(np.abs(latents).max()))
-    plane.equal_axes(axes, plane.Limits(-reach, reach), title="the sampled z\n")
-    axes.set(xlabel="latent component 1", ylabel="latent component 2")
 
 
 def _draw_explored(
