@@ -121,11 +121,7 @@ class AdaptationTable:
         return replace(self, **changed)
 
     def first_part(self, num_tasks: int, updates: int) -> "AdaptationTable":
-        """Return the table of the first so many tasks and updates.
-
-        Raises:
-            RunError: the table holds less.
-        """
+        """Return the table of the first so many tasks and updates, or raise a `RunError`."""
         if self.updates[0] or self.num_tasks < num_tasks or len(self.updates) <= updates:
             raise RunError(
                 f"Expected {num_tasks} tasks with {updates} updates from the start, got "
@@ -138,11 +134,7 @@ class AdaptationTable:
 def stack_seeds(
     tables: Sequence[AdaptationTable], measure: str
 ) -> Float[np.ndarray, "seed task update"]:
-    """Return one measure of several runs that differ in their seed.
-
-    Raises:
-        RunError: the runs were not adapted to as many tasks, or not with as many updates.
-    """
+    """Return one measure of several seeds; a `RunError` says if they were not adapted alike."""
     extents = sorted({(t.num_tasks, int(t.updates[0]), int(t.updates[-1])) for t in tables})
     if len(extents) > 1:
         found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)

@@ -44,11 +44,7 @@ class Comparison:
         return solved_at_reset([table for line in self.baselines for table in line.tables])
 
     def steps(self, line: Line) -> Int[np.ndarray, " update"]:
-        """Return the environment steps per task that a method has learned from by each update.
-
-        Episodes that end early are counted with their full time, so that one number holds for all
-        tasks.
-        """
+        """Return the steps per task that a method has learned from, of episodes of full length."""
         return line.table.episodes * self.horizon
 
     def bounds(self, num_tasks: int) -> tuple[float, float | None]:
@@ -60,12 +56,11 @@ class Comparison:
     def score(
         self, returns: Float[np.ndarray, "*batch"], num_tasks: int
     ) -> Float[np.ndarray, "*batch"] | None:
-        """Return the normalised score, never clipped; None where it has no meaning.
+        """Return the score of returns in the first so many tasks; None where it has no meaning.
 
-            score = (return - baseline) / (oracle - baseline)
+            score = (return - baseline) / (oracle - baseline), never clipped
 
-        Baseline and oracle are means over the first `num_tasks` tasks, those of the returns, at the
-        same reward: 0 is the score of learning nothing, 1 that of being given the task.
+        with the means of baseline and oracle over the same tasks.
         """
         baseline, oracle = self.bounds(num_tasks)
         if oracle is None or oracle <= baseline:
@@ -91,12 +86,9 @@ class Comparison:
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
         lines = [line.of_tasks(chosen) for line in self.lines if chosen[: line.num_tasks].any()]
-        return replace(
-            self,
-            lines=tuple(lines),
-            baselines=tuple(line.of_tasks(chosen) for line in self.baselines),
-            oracle=None if self.oracle is None else self.oracle.of_tasks(chosen),
-        )
+        baselines = tuple(line.of_tasks(chosen) for line in self.baselines)
+        oracle = None if self.oracle is None else self.oracle.of_tasks(chosen)
+        return replace(self, lines=tuple(lines), baselines=baselines, oracle=oracle)
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:

@@ -116,25 +116,10 @@ def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
 
 def _exploration(series: Sequence[Series], say: Say) -> Figures:
     """Draw the tasks, what the prior explores, and what its latents contribute."""
-    found = {one.name: _explorer(one, say) for one in series}
-    explorers = {name: panel for name, panel in found.items() if panel is not None}
-    missing = [one.runs[0] for one in series if one.name not in explorers]
-    _say_missing(missing, "exploration trajectories", _RECORDING, say)
-    if not explorers:
-        return
-    first, *_ = panels = list(explorers.values())
-    yield "task-distribution", exploration.plot_task_distribution(first.exploration)
-    yield "exploration", exploration.plot_exploration(panels)
-    for name, panel in explorers.items():
-        if panel.exploration.fixed_paths is not None:
-            figure = exploration.plot_structured_noise(panel.exploration)
-            yield f"structured-noise-{name}", figure
-
-
-def _explorer(series: Series, say: Say) -> exploration.ExplorationPanel | None:
-    """Return what the first run with trajectories explores, and say how many goals it reaches."""
-    for run in series.runs:
-        recorded = read_exploration(run.path)
+    panels: dict[str, exploration.ExplorationPanel] = {}
+    for one in series:
+        found = ((run, read_exploration(run.path)) for run in one.runs)
+        run, recorded = next((pair for pair in found if pair[1]), (one.runs[0], None))
         if recorded is None:
             continue
         table = run.adaptation(_RECORDED_TASKS, "sparse")
@@ -142,11 +127,20 @@ def _explorer(series: Series, say: Say) -> exploration.ExplorationPanel | None:
         reach = table.prior_reach if table is not None and has_goals else None
         if reach is not None:
             say(
-                f"{series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
+                f"{one.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
                 f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
             )
-        return exploration.ExplorationPanel(series.style, recorded, reach)
-    return None
+        panels[one.name] = exploration.ExplorationPanel(one.style, recorded, reach)
+    missing = [one.runs[0] for one in series if one.name not in panels]
+    _say_missing(missing, "exploration trajectories", _RECORDING, say)
+    if panels:
+        first, *_ = panels.values()
+        yield "task-distribution", exploration.plot_task_distribution(first.exploration)
+        yield "exploration", exploration.plot_exploration(list(panels.values()))
+    for name, panel in panels.items():
+        if panel.exploration.fixed_paths is not None:
+            figure = exploration.plot_structured_noise(panel.exploration)
+            yield f"structured-noise-{name}", figure
 
 
 def _latents(series: Sequence[Series], _: Say) -> Figures:

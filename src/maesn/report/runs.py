@@ -29,11 +29,6 @@ class Latents:
     first_update: int = 0
     """Number of updates that lie before the first column."""
 
-    @property
-    def last_update(self) -> int:
-        """Number of updates that lie before the last column."""
-        return self.first_update + int(self.mean.shape[1]) - 1
-
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:

@@ -34,14 +34,14 @@ Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
 class Interval:
     """A statistic, and what a repetition might have given instead."""
 
+    label: str
+    """What the interval is and what it resamples, to be printed beside it."""
     mean: float
     """The statistic of the values themselves."""
     low: float
     """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
     high: float
     standard_error: float
-    label: str
-    """What the interval is and what it resamples, to be printed beside it."""
 
     @property
     def is_known(self) -> bool:
@@ -149,7 +149,7 @@ def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) 
     low, high = np.percentile(drawn, (tail, 100 - tail), axis=-1)
     numbers = np.broadcast_arrays(statistic(*samples), low, high, drawn.std(axis=-1, ddof=1))
     label = _label(sizes[0], sizes[1:], _NAMES[statistic])
-    return [Interval(*map(float, row), label=label) for row in zip(*numbers, strict=True)]
+    return [Interval(label, *map(float, row)) for row in zip(*numbers, strict=True)]
 
 
 def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:

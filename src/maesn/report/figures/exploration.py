@@ -17,7 +17,7 @@ from matplotlib.patches import Circle
 from maesn.report import style
 from maesn.report.adaptation_table import PriorReach
 from maesn.report.figures import plane
-from maesn.report.runs import Positions, RecordedExploration
+from maesn.report.runs import RecordedExploration
 from maesn.report.style import MethodStyle
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
@@ -100,7 +100,7 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
         unused.remove()
     for position, (one, paths) in enumerate(drawn):
         axes = panels[position]
-        _draw_explored(axes, limits, one.exploration, paths, one.style.colour)
+        plane.draw_explored(axes, limits, one.exploration, paths, one.style.colour)
         title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
         if one.reach is not None:
             title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
@@ -136,7 +136,7 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     for axes, (title, paths) in zip(panels[-2:], drawn.items(), strict=True):
         final = plane.final_positions(paths)
         colours = plane.direction_colours(scale, final)
-        _draw_explored(axes, limits, exploration, paths, colours)
+        plane.draw_explored(axes, limits, exploration, paths, colours)
         # Root mean square distance from their mean.
         spread = float(np.sqrt(final.var(0).sum()))
         axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
@@ -151,19 +151,6 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     _drop_y_label(panels[-1])
     plane.direction_bar(figure, panels, scale, "final direction (°)")
     return figure
-
-
-def _draw_explored(
-    axes: Axes,
-    limits: plane.Limits,
-    exploration: RecordedExploration,
-    paths: Positions,
-    colours: str | plane.Colours,
-) -> None:
-    """Draw paths over the goals of a world."""
-    plane.plane_axes(axes, limits)
-    plane.draw_goals(axes, exploration.goals, exploration.sparse_radius)
-    plane.draw_paths(axes, paths, colours)
 
 
 def _drop_y_label(axes: Axes) -> None:

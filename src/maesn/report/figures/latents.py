@@ -32,13 +32,13 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
         scale = plane.direction_scale(goals)
         colours = plane.direction_colours(scale, goals)
         plane.direction_bar(figure, panels, scale, "direction of the goal (°)")
-    for column, update in enumerate((latents.first_update, latents.last_update)):
+    for column, later in enumerate((0, latents.mean.shape[1] - 1)):
         axes, centres = panels[column], mean[:, column]
         style = {"facecolors": "none", "edgecolors": colours, "linewidths": 0.7, "alpha": 0.8}
         plane.draw_ellipses(axes, centres, std[:, column], **style)
         plane.draw_dots(axes, centres, colours)
         plane.draw_prior(axes)
-        plane.equal_axes(axes, limits, title=_title(update))
+        plane.equal_axes(axes, limits, title=_title(latents.first_update + later))
         axes.set_xlabel(f"latent component {chosen[0] + 1}")
     panels[0].set_ylabel(f"latent component {chosen[1] + 1}")
     legend = {

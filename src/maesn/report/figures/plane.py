@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
 
-from maesn.report.runs import Positions
+from maesn.report.runs import Positions, RecordedExploration
 from maesn.report.style import BLACK, DARK_GREY, GREY
 
 # Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
@@ -80,22 +80,26 @@ def draw_prior(axes: Axes) -> None:
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **PRIOR_LINE))
 
 
-def draw_goals(axes: Axes, goals: Points, radius: float) -> None:
-    """Draw goal regions as translucent discs, and the goals in their middle."""
-    opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
-    discs = np.full_like(goals, radius)
-    draw_ellipses(axes, goals, discs, facecolor=GREY, edgecolor="none", alpha=opacity, zorder=0.5)
-    axes.plot(*goals.T, ".", color=DARK_GREY, markersize=2.5, markeredgewidth=0, zorder=0.6)
-
-
 def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4) -> None:
     """Draw a dot at each point."""
     x, y = points.T
     axes.scatter(x, y, c=colours, s=size, linewidths=0, zorder=2.5)
 
 
-def draw_paths(axes: Axes, paths: Positions, colours: str | Colours) -> None:
-    """Draw one line per episode and a dot where it ends."""
+def draw_explored(
+    axes: Axes,
+    limits: Limits,
+    exploration: RecordedExploration,
+    paths: Positions,
+    colours: str | Colours,
+) -> None:
+    """Draw goals in translucent regions, and one line per episode with a dot where it ends."""
+    plane_axes(axes, limits)
+    goals = exploration.goals
+    opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
+    discs = np.full_like(goals, exploration.sparse_radius)
+    draw_ellipses(axes, goals, discs, facecolor=GREY, edgecolor="none", alpha=opacity, zorder=0.5)
+    axes.plot(*goals.T, ".", color=DARK_GREY, markersize=2.5, markeredgewidth=0, zorder=0.6)
     lines = LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6, zorder=2)
     axes.add_collection(lines)
     draw_dots(axes, final_positions(paths), colours)
