@@ -19,7 +19,7 @@ from maesn.evaluation.tables import (
 )
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
-from maesn.report.table_files import record_of_latents
+from maesn.report.reading import RECORD
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import export_policy
@@ -214,7 +214,7 @@ def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tu
             "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
             "index of the task whose latent to start from."
         )
-    record = record_of_latents(Path(latents))
+    record = Path(latents).with_suffix("").with_suffix(RECORD)
     if record.exists() and read_json(record).get("weights") != identity_of_run(run).weights:
         raise RunError(
             f"`{latents}` was adapted with other weights than the latest checkpoint of "

@@ -11,8 +11,7 @@ from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import adaptation_file
 from maesn.report.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
-from maesn.report.reading import read_adaptation
-from maesn.report.table_files import TableName, table_name
+from maesn.report.reading import TableName, read_adaptation, table_name
 from maesn.report.tables import summary_tables
 from maesn.storage import RunError
 

@@ -12,7 +12,7 @@ import numpy as np
 from maesn.context import AbstractContext, Latent
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.table_files import TableName, latents_file, record_file
+from maesn.report.reading import LATENTS, RECORD, TableName
 from maesn.storage import (
     RunError,
     explained,
@@ -85,10 +85,10 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
         What was written, and where.
     """
     # In this order: a record never stands beside curves that it does not belong to.
-    with explained("replace", record_file(table)):
-        record_file(table).unlink(missing_ok=True)
+    with explained("replace", table.with_suffix(RECORD)):
+        table.with_suffix(RECORD).unlink(missing_ok=True)
     write_rows(table, as_rows(outcome))
-    write_json(record_file(table), dict(record))
+    write_json(table.with_suffix(RECORD), dict(record))
     if not isinstance(outcome.contexts, Latent):
         return Adapted(outcome, table, None)
     arrays = {
@@ -96,8 +96,8 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
         "log_std": outcome.contexts.log_std,
         "first_update": np.asarray(outcome.first_update),
     }
-    write_arrays(latents_file(table), arrays)
-    return Adapted(outcome, table, latents_file(table))
+    write_arrays(table.with_suffix(LATENTS), arrays)
+    return Adapted(outcome, table, table.with_suffix(LATENTS))
 
 
 def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:

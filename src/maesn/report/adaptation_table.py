@@ -1,6 +1,6 @@
 """Adaptation curves: the table of one run, and the line of a method with all its seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -190,9 +190,12 @@ class Line:
 
 def note_on_judging(lines: Sequence[Line]) -> str:
     """Say which episodes the lines are judged on, by name where lines differ in it."""
-    judged: dict[str, list[str]] = {}
-    for line in lines:
-        judged.setdefault(JUDGED[line.table.purpose], []).append(line.label)
+    judged = by_text({line.label: JUDGED[line.table.purpose] for line in lines})
     if len(judged) == 1:
         return next(iter(judged))
     return "; ".join(f"{', '.join(labels)}: {how}" for how, labels in judged.items())
+
+
+def by_text(said: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return of which lines a text is said, by the text."""
+    return {text: [name for name in said if said[name] == text] for text in said.values()}

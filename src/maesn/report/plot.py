@@ -13,8 +13,7 @@ from rich.console import Console
 
 from maesn.report.figures import exploration
 from maesn.report.figures.adaptation import plot_adaptation_curves
-from maesn.report.figures.latents import plot_latents
-from maesn.report.figures.learning import plot_learning_curves
+from maesn.report.figures.curves import plot_learning_curves
 from maesn.report.published import comparable_curve
 from maesn.report.runs import (
     LearningCurve,
@@ -155,7 +154,7 @@ def _latents(series: Sequence[Series], _: Say) -> Figures:
             goals = None
             if recorded is not None and tasks == _RECORDED_TASKS:
                 goals = recorded.goals if len(recorded.goals) == len(latents.mean) else None
-            yield f"latents-{one.name}-{tasks}-{reward}", plot_latents(latents, goals)
+            yield f"latents-{one.name}-{tasks}-{reward}", exploration.plot_latents(latents, goals)
 
 
 def _say_missing(runs: Sequence[RecordedRun], what: str, command: str, say: Say) -> None:

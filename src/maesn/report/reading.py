@@ -1,18 +1,67 @@
-"""Reading the table of an adaptation, and records of arrays."""
+"""The files that an adaptation leaves: their names, tables of curves, and records of arrays."""
 
+import csv
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 from jaxtyping import Real
 
 from maesn.report import adaptation_table as table
-from maesn.report.table_files import read_rows, record_file, table_name
 from maesn.storage import RunError, read_arrays, read_json
 
 Record = TypeVar("Record")
+
+# TASKS-REWARD, and behind it what differs from the usual, as in `-then-trpo` or `-on-mjx`.
+_NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
+
+# Beside a table, of the same stem: the adapted latents, and how both were made.
+LATENTS, RECORD = ".latents.npz", ".settings.json"
+
+
+class TableName(NamedTuple):
+    """What the name of a table says."""
+
+    tasks: str
+    """Name of the task set, with `from-UPDATE-` before it if an earlier adaptation went on."""
+    reward: str
+    """Reward of the adaptation; empty if the file is called otherwise."""
+    changed: str = ""
+    """What differs from the usual rule, radius or engine, with a hyphen before it."""
+
+    def path(self, directory: Path) -> Path:
+        """Return where such a table of a run goes by default."""
+        return directory / "adaptation" / f"{self.tasks}-{self.reward}{self.changed}.csv"
+
+
+def table_name(path: Path) -> TableName:
+    """Return what the name of a table says."""
+    found = _NAME.fullmatch(path.stem)
+    return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
+
+
+def read_rows(
+    path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
+) -> list[dict[str, Any]]:
+    """Return the rows of a `.csv` file as texts.
+
+    Raises:
+        RunError: it cannot be read, or lacks one of the columns; the message ends with the remedy.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows, present = list(reader), reader.fieldnames or ()
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
+    for name in columns:
+        if name not in present:
+            found = ", ".join(present) or "an empty file"
+            raise RunError(f"Expected the column `{name}` in `{path}`, got {found}; {remedy}.")
+    return rows
 
 
 def read_adaptation(path: Path) -> table.AdaptationTable:
@@ -49,7 +98,7 @@ def read_adaptation(path: Path) -> table.AdaptationTable:
 
 def _recorded(path: Path, name: str) -> int | None:
     """Return a number of the record beside a table; None if there is no record."""
-    record = record_file(path)
+    record = path.with_suffix(RECORD)
     value = read_json(record, remedy(path)).get(name) if record.exists() else None
     if not isinstance(value, int | None):
         raise _broken(path, f"a whole number or null for `{name}` in `{record}`", repr(value))

@@ -9,8 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.report.reading import read_adaptation, read_record, remedy
-from maesn.report.table_files import TableName, latents_file, table_name
+from maesn.report.reading import (
+    LATENTS,
+    TableName,
+    read_adaptation,
+    read_record,
+    remedy,
+    table_name,
+)
 from maesn.storage import RunError, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -68,11 +74,11 @@ class RecordedRun:
     def latents(self, tasks: str, reward: str) -> Latents | None:
         """Return the latents of the same adaptation; None if there are none."""
         table = TableName(tasks, reward).path(self.path)
-        if not latents_file(table).exists():
+        if not table.with_suffix(LATENTS).exists():
             return None
         adapted = read_adaptation(table)
         sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-        return read_record(Latents, latents_file(table), remedy(table), sizes)
+        return read_record(Latents, table.with_suffix(LATENTS), remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:

@@ -80,7 +80,7 @@ def draw_prior(axes: Axes) -> None:
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **PRIOR_LINE))
 
 
-def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4) -> None:
+def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4.0) -> None:
     """Draw a dot at each point."""
     x, y = points.T
     axes.scatter(x, y, c=colours, s=size, linewidths=0, zorder=2.5)
