@@ -43,15 +43,12 @@ def plot_run_directories(
     Runs that differ in their seed alone become one line. Runs in different worlds (family, variant,
     sparse radius or engine) get a directory of figures each, because their returns cannot be
     compared. Sentences say what is missing, with the command that makes it, and which share of the
-    goals each method reaches before it adapts.
+    goals each method reaches before it adapts. A `RunError` says which file is missing or broken.
 
     Args:
         directories: of runs, as `maesn train` and `maesn adapt` leave them.
         out: where the figures go; made if need be.
         console: where the sentences go; None for standard output.
-
-    Raises:
-        RunError: a directory holds no run, or a file in it is broken.
     """
     if not directories:
         raise RunError("Expected at least one run directory in `directories`, got none.")

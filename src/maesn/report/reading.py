@@ -46,11 +46,7 @@ def table_name(path: Path) -> TableName:
 def read_rows(
     path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
 ) -> list[dict[str, Any]]:
-    """Return the rows of a `.csv` file as texts.
-
-    Raises:
-        RunError: it cannot be read, or lacks one of the columns; the message ends with the remedy.
-    """
+    """Return the rows of a `.csv` file as texts; a `RunError` says which column is missing."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -67,8 +63,7 @@ def read_rows(
 def read_adaptation(path: Path) -> table.AdaptationTable:
     """Read a table of `maesn adapt`, rows in any order, and its record where there is one.
 
-    Raises:
-        RunError: a column, a row or a number is missing, or a row occurs twice.
+    A `RunError` says which column, row or number is missing or occurs twice.
     """
     rows = list(enumerate(read_rows(path, table.COLUMNS, remedy(path)), start=2))
     columns = {

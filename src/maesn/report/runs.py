@@ -111,11 +111,7 @@ class LearningCurve:
 
 
 def read_learning_curve(path: Path) -> LearningCurve | None:
-    """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet.
-
-    Raises:
-        RunError: a line is broken or has no `iteration`.
-    """
+    """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet."""
     file = path / "metrics.jsonl"
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:

@@ -63,8 +63,7 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
 def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     """Return one series for each experiment, in the order of the methods' styles.
 
-    Raises:
-        RunError: if two runs have the same settings, the seed included.
+    A `RunError` names runs that have the same settings, the seed included.
     """
     experiments: defaultdict[str, dict[int, RecordedRun]] = defaultdict(dict)
     order = {method: position for position, method in enumerate(METHOD_STYLES)}

@@ -162,10 +162,10 @@ def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarra
 def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     """Say what is resampled, and what is not because there is only one of it."""
     if len(set(num_seeds)) == 1:
-        seeds = _count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
+        seeds = count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
     else:
         seeds = " against ".join(map(str, num_seeds)) + " seeds"
-    factors = {_count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
+    factors = {count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
     resampled = " and ".join(name for name, is_resampled in factors.items() if is_resampled)
     fixed = " and ".join(name for name, is_resampled in factors.items() if not is_resampled)
     if not resampled:
@@ -174,5 +174,6 @@ def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     return f"{level}; {fixed}" if fixed else level
 
 
-def _count(number: int, noun: str) -> str:
+def count(number: int, noun: str) -> str:
+    """Return a number of things, as in "1 seed" and "3 seeds"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -159,10 +159,7 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
     """Show one table of `maesn adapt` in the terminal.
 
     Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
-    tasks no episode reached the goal.
-
-    Raises:
-        RunError: the file is missing or broken.
+    tasks no episode reached the goal. A `RunError` says if the file is missing or broken.
     """
     console = console or Console()
     table = read_adaptation(path)

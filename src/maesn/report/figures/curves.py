@@ -56,9 +56,8 @@ def draw_line(
 ) -> str:
     """Draw the mean of a measure with its intervals, and return what the intervals resample.
 
-    What meta-training has not prepared a method for is faint.
-
-    Each column of the line's tables stands at its `x`. The legend puts `addition` behind the label.
+    Each column of the line's tables stands at its `x`. What meta-training has not prepared a method
+    for is faint. The legend puts `addition` behind the label.
     """
     intervals = mean_intervals(line.measure(measure))
     curve = np.array([(one.mean, one.low, one.high) for one in intervals]).T

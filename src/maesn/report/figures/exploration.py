@@ -17,6 +17,7 @@ from maesn.report import style
 from maesn.report.adaptation_table import PriorReach
 from maesn.report.figures import plane
 from maesn.report.runs import Latents, RecordedExploration
+from maesn.report.statistics import count
 from maesn.report.style import MethodStyle
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
@@ -126,9 +127,10 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     limits = plane.shared_limits([exploration.goals, sampled, fixed], exploration.sparse_radius)
     scale = plane.direction_scale(exploration.goals)
     latents = exploration.prior_latents
-    has_latents = latents is not None and latents.shape[1] >= 2
+    if latents is not None and latents.shape[1] < 2:
+        latents = None
     # The panel of latents is as high as the planes beside it.
-    widths = [*([limits.aspect] if has_latents else []), 1.0, 1.0]
+    widths = [1.0, 1.0] if latents is None else [limits.aspect, 1.0, 1.0]
     # Beside the panels labels and colour bar take 1.7 inches, above and below them text takes 0.8.
     height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.aspect + 0.8
     figure = style.new_figure(style.TWO_COLUMNS, height)
@@ -141,7 +143,7 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
         # Root mean square distance from their mean.
         spread = float(np.sqrt(final.var(0).sum()))
         axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
-    if latents is not None and has_latents:
+    if latents is not None:
         colours = plane.direction_colours(scale, plane.final_positions(sampled))
         plane.draw_dots(panels[0], latents[:, :2], colours, size=7.0)
         plane.draw_prior(panels[0])
@@ -179,7 +181,9 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
         plane.draw_ellipses(axes, centres, std[:, column], **outline)
         plane.draw_dots(axes, centres, colours)
         plane.draw_prior(axes)
-        plane.equal_axes(axes, limits, title=_title(latents.first_update + later))
+        update = latents.first_update + later
+        title = f"after {count(update, 'update')}" if update else "before adaptation"
+        plane.equal_axes(axes, limits, title=title)
         axes.set_xlabel(f"latent component {chosen[0] + 1}")
     panels[0].set_ylabel(f"latent component {chosen[1] + 1}")
     legend = {
@@ -188,12 +192,6 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
     return figure
-
-
-def _title(update: int) -> str:
-    if update == 0:
-        return "before adaptation"
-    return f"after {update} update" if update == 1 else f"after {update} updates"
 
 
 def _drop_y_label(axes: Axes) -> None:
