@@ -12,9 +12,8 @@ from synthetic_runs import adaptation_table, learning_curve
 from synthetic_runs import line as method
 
 from maesn.report.adaptation_table import DEPLOY, Line
-from maesn.report.figures.adaptation import plot_adaptation_curves
+from maesn.report.figures.adaptation import plot_adaptation_curves, published_curve
 from maesn.report.figures.curves import moving_mean, plot_learning_curves
-from maesn.report.published import published_curve
 from maesn.report.statistics import bootstrap, mean
 from maesn.report.style import METHOD_STYLES
 

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from maesn.report.figures import exploration
-from maesn.report.figures.adaptation import plot_adaptation_curves
+from maesn.report.figures.adaptation import comparable_curve, plot_adaptation_curves
 from maesn.report.figures.curves import plot_learning_curves
-from maesn.report.published import comparable_curve
 from maesn.report.runs import (
     LearningCurve,
     RecordedRun,

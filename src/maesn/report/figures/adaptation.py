@@ -1,15 +1,19 @@
-"""Adaptation curves on new tasks: over updates, and of a comparison over environment steps."""
+"""Adaptation curves: over updates, beside the published ones, and of a comparison over steps."""
 
+import csv
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from maesn.report.adaptation_table import Line
+from maesn.report.adaptation_table import AdaptationTable, Line
 from maesn.report.comparison import Comparison
 from maesn.report.figures.curves import draw_line, explain, note_on_lines, percent_axis
-from maesn.report.published import PublishedCurve
+from maesn.report.runs import RecordedRun
 from maesn.report.style import DARK_GREY, ONE_COLUMN, TWO_COLUMNS, new_figure, publication_style
 
 _WIDTHS = (1.35, 1.0, 1.0)  # the panel that targets are stated for is the widest
@@ -17,6 +21,57 @@ _HEIGHTS = (1.5, 1.0)  # return above, success below
 _LINE_CHARACTERS = 58  # of a note in one column
 _DOTTED = (0, (1.0, 1.5))
 _DASHED = (0, (3.0, 2.0))
+
+# Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
+# published; the table's header says what it is.
+_PUBLISHED_NAME = {
+    "maesn": "MAESN",
+    "latent_space": "LatentSpace",
+    "maml": "MAML",
+    "maml_bias": "MAML",
+    "maml_bias_only": "MAML",
+    "rl2": "RL2",
+    "vime": "VIME",
+    "trpo": "TRPO",
+    "reinforce": "VPG",
+}
+
+# What the published returns depend on, beside the rewards of the reference code: the sparse radius
+# in metres (also the family's own, that of a run without one) and the episodes per update.
+_PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
+
+
+class PublishedCurve(NamedTuple):
+    """One published curve; updates that could not be read are absent."""
+
+    name: str
+    """The method's name in the paper."""
+    update: Float[np.ndarray, " point"]
+    mean_return: Float[np.ndarray, " point"]
+
+
+def comparable_curve(run: RecordedRun, table: AdaptationTable) -> PublishedCurve | None:
+    """Return the published curve of a run's method; None if its table means another thing."""
+    radius, episodes = _PROTOCOLS.get(run.family, (None, None))
+    is_comparable = (
+        run.settings["variant"] == "reference"
+        and run.settings.get("sparse_radius") in (None, radius)
+        and table.reward == "sparse"
+        and table.episodes_per_update == episodes
+    )
+    return published_curve(run.family, run.method) if is_comparable else None
+
+
+def published_curve(family: str, method: str) -> PublishedCurve | None:
+    """Return what the paper shows for a preset; None if it shows nothing."""
+    name = _PUBLISHED_NAME.get(method, "")
+    text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    found = [row for row in rows if row["family"] == family and row.get(name)]
+    if not found:
+        return None
+    update, mean_return = np.array([(row["update"], row[name]) for row in found], float).T
+    return PublishedCurve(name, update, mean_return)
 
 
 @publication_style()
