@@ -194,7 +194,12 @@ def plot(
 
     Returns:
         The files that were written, PNG and PDF.
+
+    Raises:
+        RunError: no run is named, or one cannot be used.
     """
+    if not runs:
+        raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
     opened = [open_run(run, family) for run in runs]
     for run in opened:
         if not adaptation_file(run.directory, USUAL).exists():

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from maesn._version import __version__
 
-# Command -> its line of help. Each is the function `main` of `maesn.commands.<command>`.
+# Command -> its line of help.
 COMMANDS = {
     "train": "meta-train a method on a family of tasks",
     "resume": "go on with a run from its latest checkpoint",
@@ -19,6 +19,9 @@ COMMANDS = {
     "list": "list methods, rules, families of tasks, and policies that come with the library",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
+
+# Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
+_FILES = {"train": "train", "list": "list", "compare": "studies", "ablation": "studies"}
 
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
@@ -53,7 +56,8 @@ def run(arguments: list[str]) -> int:
 
 def _run_command(name: str, options: list[str]) -> int:
     try:
-        import_module(f"maesn.commands.{name}").main(options)
+        file = import_module(f"maesn.commands.{_FILES.get(name, 'runs')}")
+        getattr(file, name)(options)
     except SystemExit:  # of a parser that has said all; also keeps the imports below away
         raise
     except BrokenPipeError:  # whoever reads our output has seen enough
@@ -69,14 +73,11 @@ def _run_command(name: str, options: list[str]) -> int:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return the errors whose message is all that a user needs: no traceback."""
-    names = {
-        "maesn.storage": ("RunError",),
-        "maesn.physics": ("EngineError", "RenderingError"),
-        "maesn.worlds": ("EpisodeError",),
-    }
-    return tuple(
-        getattr(import_module(module), name) for module, all_ in names.items() for name in all_
-    )
+    from maesn.physics import EngineError, RenderingError
+    from maesn.storage import RunError
+    from maesn.worlds import EpisodeError
+
+    return RunError, EngineError, RenderingError, EpisodeError
 
 
 def _help() -> str:

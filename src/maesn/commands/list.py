@@ -1,11 +1,10 @@
 """`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
 
-import dataclasses
 import json
 from collections.abc import Iterator
 from typing import Any
 
-from maesn.commands.options import parse
+from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
 from maesn.evaluation.rules import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
@@ -14,14 +13,9 @@ from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.shipped import TRAINED, policy_names
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
+@command
+def list() -> None:  # noqa: A001
     """List methods, rules, families of tasks, and policies that come with the library."""
-
-
-def main(arguments: list[str]) -> None:
-    """Run the command."""
-    parse(Options, "list", arguments)
     print("methods:")
     for name, preset in PRESETS.items():
         print(f"  {name:16s}{_first_line(preset.__doc__)}")

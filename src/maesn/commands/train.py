@@ -11,6 +11,7 @@ import tyro
 
 from maesn import api
 from maesn.commands.options import parse
+from maesn.commands.runs import say_what_is_next
 from maesn.learners import (
     BONUS_SUFFIX,
     METHODS,
@@ -45,8 +46,8 @@ class Options:
     sizes to start from."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run the command."""
+def train(arguments: list[str]) -> None:
+    """Run `maesn train`, whose options depend on the method and the family."""
     method, rest = _method(arguments)
     options = read_options(method, rest)
     enable_compilation_cache()
@@ -57,8 +58,7 @@ def main(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
     run = api.train(learner, settings, directory, init_from=options.init_from)
-    next_command = f"maesn adapt {run.directory}{settings.family_option}"
-    print(f"trained: {run.directory}\nnext:    {next_command}")
+    say_what_is_next(run, settings.family_option)
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
