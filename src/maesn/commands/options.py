@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 
@@ -12,8 +12,6 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.storage import refusals
-
-Options = TypeVar("Options")
 
 # A union of settings keeps the preset's choice, and a boolean takes True or False: the options of
 # a command then do not depend on the values of others.
@@ -87,12 +85,7 @@ def command(function: Callable[..., None]) -> Callable[[list[str]], None]:
     return main
 
 
-def parse(
-    kind: Callable[..., Options],
-    name: str,
-    arguments: list[str],
-    default: Options | None = None,
-) -> Options:
+def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:
     """Build the options of a command; exits with code 2 if they are wrong.
 
     Args:
@@ -103,9 +96,5 @@ def parse(
     """
     with refusals():  # of a setting that cannot be; tyro reports those of nested ones
         return tyro.cli(
-            kind,
-            prog=f"maesn {name}",
-            args=arguments,
-            config=_CONFIGURATION,
-            default=tyro.MISSING_NONPROP if default is None else default,
+            kind, prog=f"maesn {name}", args=arguments, config=_CONFIGURATION, default=default
         )
