@@ -20,7 +20,6 @@ from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld
-from maesn.worlds.collector import Collector
 
 TASK, PLAYED, SHOWN, UPDATES = 3, 5, 2, [0, 2]
 
@@ -33,10 +32,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def played(run: Run) -> list[Playback]:
     learner = run.learner.fast_learner(run.latest_state())
-    collect = Collector(run.world(run.task_set("test"), "sparse"), PLAYED)
-    return record_adaptation(
-        learner, collect, task=TASK, updates=UPDATES, num_episodes=SHOWN, seed=4
-    )
+    world = run.world(run.task_set("test"), "sparse")
+    options = {"episodes_per_update": PLAYED, "num_episodes": SHOWN}
+    return record_adaptation(learner, world, task=TASK, updates=UPDATES, seed=4, **options)
 
 
 def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_path: Path) -> None:

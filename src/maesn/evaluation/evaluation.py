@@ -10,7 +10,7 @@ from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, default_rule
 from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
-from maesn.settings import check_choice
+from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError
 from maesn.worlds import EngineName
 
@@ -53,23 +53,15 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
-        least = {
-            "num_tasks": 1,
-            "episodes": 0,
-            "episodes_per_update": 1,
-            "deploy_episodes": 0,
-            "seed": 0,
-            "num_threads": 0,
-            "tasks_at_once": 1,
-        }
-        for name, smallest in least.items():
-            value = getattr(self, name)
-            if value is not None and value < smallest:
-                raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
-        if self.seed >= 2**32:
-            raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
-        if self.sparse_radius is not None and not self.sparse_radius > 0:
-            raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+        check_numbers(
+            self,
+            num_tasks=1,
+            episodes=0,
+            episodes_per_update=1,
+            deploy_episodes=0,
+            num_threads=0,
+            tasks_at_once=1,
+        )
         if self.episodes % self.episodes_per_update:
             raise ValueError(
                 f"`episodes` must be a multiple of `episodes_per_update`, got {self.episodes} and "

@@ -20,7 +20,6 @@ from maesn.report.filmstrip import Cell, Row, contact_sheet, film
 from maesn.runs.run import Run
 from maesn.storage import RunError, explained, write_whole
 from maesn.worlds import Scene, arena, places
-from maesn.worlds.collector import Collector
 
 _WIDTH, _HEIGHT = 300, 190  # of each episode's picture, in pixels
 _MOST_PICTURES = 50  # of a film: more make the file large and nothing clearer
@@ -75,7 +74,8 @@ def render(
         _refuse_blindness(env)
         played = record_adaptation(
             fast_learner(run, asked, world),
-            Collector(world, asked.episodes_per_update),
+            world,
+            episodes_per_update=asked.episodes_per_update,
             task=task,
             updates=updates,
             num_episodes=shown,

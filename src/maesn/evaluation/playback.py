@@ -1,17 +1,17 @@
 """Record what a robot does in one new task while it adapts to it, state by state."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from maesn.axes import HostReadings, TaskKeys
+from maesn.axes import HostReadings, Readings
 from maesn.evaluation.evaluate import adapt
-from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
+from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 
@@ -32,40 +32,11 @@ class Playback(NamedTuple):
     """Whether the episode reaches the goal region at some time."""
 
 
-class _Recorder(Collect):
-    """A collector that keeps the first episodes of some of its batches."""
-
-    def __init__(self, collect: Collector, updates: Collection[int], num_episodes: int) -> None:
-        self._collect = collect
-        self._wanted = updates
-        self._num_episodes = num_episodes
-        self.kept: list[tuple[Episodes, HostReadings]] = []
-
-    @property
-    def num_tasks(self) -> int:
-        """See `Collect`."""
-        return self._collect.num_tasks
-
-    @property
-    def episodes_per_task(self) -> int:
-        """See `Collect`."""
-        return self._collect.episodes_per_task
-
-    def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
-    ) -> Episodes:
-        """See `Collect`; with one task at a time, its episodes are the simulations."""
-        episodes, readings = self._collect.play(keys, agents, task_index)
-        if stage in self._wanted:
-            shown = jax.tree.map(lambda x: np.asarray(x[:, : self._num_episodes]), readings)
-            self.kept.append((episodes, shown))
-        return episodes
-
-
 def record_adaptation(
     learner: AbstractFastLearner[Any],
-    collect: Collector,
+    world: AbstractWorld,
     *,
+    episodes_per_update: int,
     task: int,
     updates: Sequence[int],
     num_episodes: int,
@@ -77,34 +48,37 @@ def record_adaptation(
 
     Args:
         learner: learns in the task.
-        collect: plays the episodes of each update.
+        world: where the episodes are played.
+        episodes_per_update: how many of them an update learns from.
         task: index of the task.
         updates: numbers of updates after which episodes are kept, ascending.
         num_episodes: how many are kept each time: the first ones that are played.
         seed: of the episodes.
     """
-    recorder = _Recorder(collect, updates, num_episodes)
-    outcome = adapt(
+    kept: list[tuple[Any, ...]] = []
+
+    def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
+        # With one task at a time, its episodes are the simulations.
+        if stage in updates:
+            shown = jax.tree.map(lambda x: np.asarray(x[:, :num_episodes]), readings)
+            kept.append((shown, *_of_each(episodes, num_episodes)))
+
+    curves = adapt(
         learner,
-        recorder,
-        episodes=max(updates) * collect.episodes_per_task,
+        Collector(world, episodes_per_update, keep),
+        episodes=max(updates) * episodes_per_update,
         seed=seed,
         tasks=[task],
-    )
-    curves = outcome.explored
+    ).explored
+    returns, rates = curves.mean_return[0], curves.success_rate[0]
     return [
-        Playback(
-            update,
-            float(curves.mean_return[0, update]),
-            float(curves.success_rate[0, update]),
-            readings,
-            *_of_each(episodes, num_episodes),
-        )
-        for update, (episodes, readings) in zip(updates, recorder.kept, strict=True)
+        Playback(update, float(returns[update]), float(rates[update]), *what)
+        for update, what in zip(updates, kept, strict=True)
     ]
 
 
 def _of_each(episodes: Episodes, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return number of steps, return and success of the first episodes of the only task."""
     valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
     returns = np.asarray(episodes.undiscounted_return[0])
     return valid.sum(-1)[:count], returns[:count], (valid & solved).any(-1)[:count]

@@ -100,7 +100,7 @@ def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
-        value, other = getattr(settings, field.name), getattr(usual, field.name)
+        value, other = (getattr(one, field.name) for one in (settings, usual))
         if dataclasses.is_dataclass(value) and type(value) is type(other):
             found |= differing(value, other, f"{prefix}{field.name}.")
         elif value != other:
@@ -183,22 +183,22 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     That is a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
     settings, or one of these or None.
     """
-    if value is None and type(None) in get_args(hint):
-        return None
     wanted = _required(hint)
-    if wanted is Any:
+    if wanted is Any or (value is None and wanted is not hint):
         return value
-    if get_origin(wanted) is tuple and isinstance(value, list):
-        item_hint = get_args(wanted)[0]
-        return tuple(_decode(item, item_hint, f"{where}[{i}]") for i, item in enumerate(value))
-    if get_origin(wanted) is dict and isinstance(value, dict):
-        item_hint = get_args(wanted)[1]
-        return {name: _decode(item, item_hint, f"{where}.{name}") for name, item in value.items()}
-    is_class = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
-    if isinstance(value, dict) and is_class and not issubclass(wanted, eqx.Module):
-        return fields_from_json(wanted, value)  # without a tag, because its class is known
-    decoded = from_json(value) if isinstance(value, dict) else value
-    decoded = float(decoded) if wanted is float and type(decoded) is int else decoded
+    origin, decoded = get_origin(wanted), value
+    if origin is tuple and isinstance(value, list):
+        item = get_args(wanted)[0]
+        return tuple(_decode(one, item, f"{where}[{i}]") for i, one in enumerate(value))
+    if origin is dict and isinstance(value, dict):
+        item = get_args(wanted)[1]
+        return {name: _decode(one, item, f"{where}.{name}") for name, one in value.items()}
+    if isinstance(value, dict):
+        # Of a plain dataclass the field tells the class; settings have a tag.
+        plain = dataclasses.is_dataclass(wanted) and not issubclass(wanted, eqx.Module)
+        decoded = fields_from_json(wanted, value) if plain else from_json(value)
+    elif wanted is float and type(value) is int:
+        decoded = float(value)
     if not _fits(decoded, wanted):
         name = wanted.__name__ if isinstance(wanted, type) else wanted
         raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")
@@ -219,5 +219,4 @@ def _fits(value: Any, hint: Any) -> bool:
         return value in get_args(hint)
     if isinstance(value, eqx.Module):
         return isinstance(value, get_origin(hint) or hint)
-    # Not `isinstance`: True is no number of tasks.
-    return type(value) is hint
+    return type(value) is hint  # not `isinstance`: True is no number of tasks

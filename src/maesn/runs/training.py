@@ -6,13 +6,11 @@ import logging
 import math
 import time
 from collections.abc import Generator
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Int
 
-from maesn.axes import TaskKeys
-from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
 from maesn.runs.compilation import compile_seconds
@@ -63,11 +61,11 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        collect = _Counter(Collector(world, run.settings.episodes_per_task))
-        training = _Training(run, collect, log, start, saved=start.iteration)
+        training = _Training(run, log, start, saved=start.iteration)
         stack.callback(training.end)
+        collect = Collector(world, run.settings.episodes_per_task, training.count)
         while training.checkpoint.iteration < total:
-            yield training.advance()
+            yield training.advance(collect)
 
 
 @dataclasses.dataclass
@@ -75,31 +73,35 @@ class _Training:
     """A run between two iterations."""
 
     run: Run
-    collect: "_Counter"
     log: RunLog
     checkpoint: Checkpoint
     saved: int
     """Iteration of the latest checkpoint on disk."""
+    steps: int = 0
+    """Control steps that were played in the present iteration."""
     nonfinite: int = 0
     """Iterations in a row whose step was not finite."""
 
-    def advance(self) -> Progress:
+    def count(self, episodes: Episodes, *_: Any) -> None:
+        """Count the control steps of episodes."""
+        self.steps += int(np.asarray(episodes.valid).sum())
+
+    def advance(self, collect: Collector) -> Progress:
         """Do one iteration and write it down."""
-        before, run, collect = self.checkpoint, self.run, self.collect
-        collect.steps = 0
+        before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
         start, compiled = time.perf_counter(), compile_seconds()
         state, info = run.learner.step(key, before.state, collect)
         jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
         seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
-        after = Checkpoint(state, before.iteration + 1, before.environment_steps + collect.steps)
+        after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
             info={name: float(value) for name, value in named_leaves(metrics).items()},
             seconds=seconds,
             compile_seconds=compiling,
-            steps_per_second=collect.steps / max(seconds - compiling, 1e-9),
+            steps_per_second=self.steps / max(seconds - compiling, 1e-9),
             environment_steps=after.environment_steps,
         )
         self.log.write(progress)
@@ -155,26 +157,3 @@ def _compare_versions(run: Run) -> None:
     for name, version in run.config.versions.items():
         if now.get(name) != version:
             logger.warning(message, run.directory, name, version, now.get(name))
-
-
-@dataclasses.dataclass(eq=False)
-class _Counter:
-    """`Collect` that counts the control steps that it plays."""
-
-    collect: Collector
-    steps: int = 0
-
-    @property
-    def num_tasks(self) -> int:
-        return self.collect.num_tasks
-
-    @property
-    def episodes_per_task(self) -> int:
-        return self.collect.episodes_per_task
-
-    def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
-    ) -> Episodes:
-        episodes = self.collect(keys, agents, task_index, stage)
-        self.steps += int(np.asarray(episodes.valid).sum())
-        return episodes
