@@ -11,12 +11,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.record import identity_of_run
 from maesn.evaluation.running import evaluate, open_run
-from maesn.evaluation.tables import (
-    Adapted,
-    adaptation_file,
-    adapted_latent,
-    write_outcome,
-)
+from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.table_files import record_of_latents
@@ -92,16 +87,15 @@ def adapt(
     family: str | TaskFamily | None = None,
     **settings: Any,
 ) -> Adapted:
-    """Adapt a trained policy to new tasks, and write the curves as a table.
+    """Adapt the latest checkpoint of a run to new tasks, and write the curves as a table.
 
     Args:
         run: itself, its directory, or the name of a policy that comes with the library, which is
             adapted in a copy, `maesn-NAME` in the current folder. A directory of that name wins.
-            The latest checkpoint is adapted, never the best one.
         evaluation: tasks, reward, rule, budgets, seed.
         out: path of the table; None for what `adaptation_file` says.
         start: an earlier `.latents.npz` of the same tasks to go on from.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        family: as for `resume`.
         settings: single settings of the evaluation by name, as in `episodes=100`.
 
     Returns:
@@ -112,23 +106,9 @@ def adapt(
         EpisodeError: an episode went wrong.
     """
     asked, opened = changed(evaluation, settings), open_run(run, family)
-    done = evaluate(opened, asked, None if start is None else Path(start))
-    table = adaptation_file(opened.directory, asked, done.outcome.first_update)
-    return write_outcome(table if out is None else Path(out), done.outcome, done.record)
-
-
-def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
-    """Return an evaluation with some of its settings changed.
-
-    Raises:
-        RunError: there is no such setting, or it cannot have that value.
-    """
-    known = [field.name for field in dataclasses.fields(Evaluation)]
-    for name in settings:
-        if name not in known:
-            raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
-    with refusals():
-        return dataclasses.replace(evaluation, **settings)
+    outcome, record = evaluate(opened, asked, None if start is None else Path(start))
+    table = adaptation_file(opened.directory, asked, outcome.first_update)
+    return write_outcome(table if out is None else Path(out), outcome, record)
 
 
 def export(
@@ -139,16 +119,15 @@ def export(
     latents: str | Path | None = None,
     task: int | None = None,
 ) -> Path:
-    """Write a trained policy as one `.npz` file for `maesn.runtime`.
+    """Write the latest checkpoint of a run as one `.npz` file for `maesn.runtime`.
 
     A robot starts at the prior, or at a latent that `adapt` has found. From there its step sizes go
     on as those of `adapt(..., start=latents)` would.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library; its latest
-            checkpoint is exported.
+        run: itself, its directory, or the name of a policy that comes with the library.
         path: of the file to write.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        family: as for `resume`.
         latents: file that `adapt` wrote for this run, `Adapted.latents`; given together with
             `task`.
         task: index of the task, in the set that was adapted to, whose last latent to start from.
@@ -160,18 +139,17 @@ def export(
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
-    description: dict[str, str | int | float] = {
+    description: dict[str, Any] = {
         "method": opened.settings.method,
         "iteration": checkpoint.iteration,
     }
     start = None
     if latents is not None or task is not None:
         start = _adapted_start(opened, latents, task)
-        description["task"] = int(task or 0)
-    try:
+        description["task"] = task
+    refused = f"`{opened.directory}` cannot be exported to `{path}`: "
+    with refusals(refused, (ValueError, OSError)):
         export_policy(learner, opened.env(), path, description, start)
-    except (ValueError, OSError) as error:
-        raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
 
 
@@ -187,10 +165,9 @@ def plot(
     training, `adapt` renews it.
 
     Args:
-        runs: themselves, their directories, or names of policies that come with the library, at
-            least one; several are compared in one figure.
+        runs: at least one, each as for `adapt`; several are compared in one figure.
         out: where the figures go; None for `figures` in the first directory.
-        family: the runs' family, if it is your own: itself, or `module:name`.
+        family: as for `resume`.
 
     Returns:
         The files that were written, PNG and PDF.
@@ -206,10 +183,22 @@ def plot(
             adapt(run)
         if run.env().planar:
             record_exploration(run)
-    first = opened[0].directory / "figures"
-    return plot_run_directories(
-        [run.directory for run in opened], first if out is None else Path(out)
-    )
+    directories = [run.directory for run in opened]
+    return plot_run_directories(directories, Path(out or directories[0] / "figures"))
+
+
+def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
+    """Return an evaluation with some of its settings changed.
+
+    Raises:
+        RunError: there is no such setting, or it cannot have that value.
+    """
+    known = [field.name for field in dataclasses.fields(Evaluation)]
+    for name in settings:
+        if name not in known:
+            raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
+    with refusals():
+        return dataclasses.replace(evaluation, **settings)
 
 
 def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:

@@ -1,7 +1,6 @@
 """Files: written whole or not at all, read without executing anything.
 
-Whatever goes wrong here, a missing file, a full disk, damaged content, is a `RunError`, whose
-message says in one sentence what to do.
+Whatever goes wrong here, such as a full disk or damaged content, is a `RunError`.
 """
 
 import contextlib
@@ -52,11 +51,13 @@ def explained(action: str, path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def refusals(before: str = "") -> Iterator[None]:
+def refusals(
+    before: str = "", kinds: tuple[type[Exception], ...] = (ValueError,)
+) -> Iterator[None]:
     """Turn a `ValueError`, by which code refuses a setting, into a `RunError`."""
     try:
         yield
-    except ValueError as error:
+    except kinds as error:
         raise RunError(f"{before}{error}") from error
 
 
@@ -87,8 +88,12 @@ def new_directory(directory: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that at any moment, power cuts included, it is the old one or the new one."""
+    """Write a file so that at any moment, power cuts included, it is the old one or the new one.
+
+    The directories above it are made.
+    """
     with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         archive.write_whole(path, content)
 
 

@@ -18,7 +18,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
 from maesn.runs.run import Run
-from maesn.storage import RunError, explained, write_whole
+from maesn.storage import RunError, write_whole
 from maesn.worlds import Scene, arena, places
 
 _WIDTH, _HEIGHT = 300, 190  # of each episode's picture, in pixels
@@ -90,7 +90,11 @@ def render(
     folder = run.directory / "render" if out is None else Path(out)
     period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
-    return _write(folder, {f"{name}.gif": moving, f"{name}.png": contact_sheet(title, rows)})
+    still = contact_sheet(title, rows)
+    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": still}
+    for path, content in written.items():
+        write_whole(path, content)
+    return list(written)
 
 
 def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
@@ -162,11 +166,3 @@ class _Stage:
 
 def _episodes(playback: Playback) -> range:
     return range(len(playback.num_steps))
-
-
-def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    with explained("make", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
@@ -33,13 +33,6 @@ def open_run(run: str | Path | Run, family: str | TaskFamily | None = None) -> R
     return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
 
 
-class Evaluated(NamedTuple):
-    """Outcome of an evaluation, and what decides it."""
-
-    outcome: AdaptationOutcome
-    record: dict[str, Any]
-
-
 @contextmanager
 def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
     """Open the world that a run is evaluated in.
@@ -62,16 +55,14 @@ def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
 def fast_learner(
     run: Run, evaluation: Evaluation, world: AbstractWorld
 ) -> AbstractFastLearner[Any]:
-    """Return what a run learns with in new tasks.
-
-    Raises:
-        RunError: rule and method do not fit.
-    """
+    """Return what a run learns with in new tasks; `RunError` if rule and method do not fit."""
     trained = Trained(run.learner, run.latest_state())
     return evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
-def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Evaluated:
+def evaluate(
+    run: Run, evaluation: Evaluation, start: Path | None = None
+) -> tuple[AdaptationOutcome, dict[str, Any]]:
     """Adapt the latest checkpoint of a run to new tasks.
 
     Args:
@@ -79,14 +70,16 @@ def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Eva
         evaluation: to what, and how.
         start: latents of an earlier adaptation to the same tasks to go on from.
 
+    Returns:
+        The outcome, and the record of what decides it.
+
     Raises:
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
+    judged = evaluation.deploy_episodes
     with new_tasks(run, evaluation) as world:
         learner = fast_learner(run, evaluation, world)
-        saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
-        judged = evaluation.deploy_episodes
         outcome = adapt(
             learner,
             Collector(world, evaluation.episodes_per_update),
@@ -98,14 +91,13 @@ def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Eva
                 max(evaluation.episodes_per_update, judged),
                 evaluation.tasks_at_once,
             ),
-            saved=saved,
+            saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),
             tasks=range(evaluation.count(world.tasks)),
         )
-        engine = run.settings.engine if evaluation.engine is None else evaluation.engine
-        record = adaptation_record(
-            identity_of_run(run), world, engine, evaluation, outcome.first_update
-        )
-    return Evaluated(outcome, record | {"trial_episodes": outcome.trial_episodes})
+        engine = evaluation.engine or run.settings.engine
+        first = outcome.first_update
+        record = adaptation_record(identity_of_run(run), world, engine, evaluation, first)
+    return outcome, record | {"trial_episodes": outcome.trial_episodes}
 
 
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:

@@ -194,9 +194,10 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
         item = get_args(wanted)[1]
         return {name: _decode(one, item, f"{where}.{name}") for name, one in value.items()}
     if isinstance(value, dict):
-        # Of a plain dataclass the field tells the class; settings have a tag.
-        plain = dataclasses.is_dataclass(wanted) and not issubclass(wanted, eqx.Module)
-        decoded = fields_from_json(wanted, value) if plain else from_json(value)
+        # Settings have a tag; of another dataclass the field tells the class.
+        known = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
+        untagged = known and not issubclass(wanted, eqx.Module)
+        decoded = fields_from_json(wanted, value) if untagged else from_json(value)
     elif wanted is float and type(value) is int:
         decoded = float(value)
     if not _fits(decoded, wanted):
