@@ -15,8 +15,8 @@ from maesn.experience.episodes import Collect, Episodes
 from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
 from maesn.worlds import EpisodeError
 
-# "Updates" that no adaptation reaches. Their keys are those of the learners themselves, and of the
-# episodes that judge a deployed agent.
+# "Updates" that no adaptation reaches: for the keys of the learners themselves, and of the episodes
+# that judge a deployed agent.
 _START = 0xFFFFFFFF
 _DEPLOYED = 0xFFFFFFFE
 
@@ -24,7 +24,7 @@ _DEPLOYED = 0xFFFFFFFE
 def tasks_at_once(
     max_simulations: int | None, episodes_per_update: int, most: int = CHUNK_SIZE
 ) -> int:
-    """Return how many tasks to adapt to at once.
+    """Return how many tasks to adapt to at once, at most as many as memory allows.
 
     Args:
         max_simulations: how many episodes a world can hold; None for any number.
@@ -116,15 +116,9 @@ def adapt(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
     trial_episodes = learner.capabilities.trial_episodes
-    return AdaptationOutcome(
-        explored,
-        deployed,
-        contexts,
-        first,
-        # Trials are played side by side: each has seen one episode more.
-        collect.episodes_per_task if trial_episodes is None else 1,
-        trial_episodes,
-    )
+    # Trials are played side by side: each has seen one episode more.
+    added = collect.episodes_per_task if trial_episodes is None else 1
+    return AdaptationOutcome(explored, deployed, contexts, first, added, trial_episodes)
 
 
 def _adapt_chunk(
@@ -136,6 +130,7 @@ def _adapt_chunk(
     seed: int,
     saved: SavedContexts | None,
 ) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
+    """Return curves and contexts of some tasks, `[task, update, ...]`."""
     if saved is not None:
         saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
     state = learner.init(_task_keys(seed, _START, slots), saved)
@@ -149,12 +144,13 @@ def _adapt_chunk(
     columns = []
     for update in updates:
         keys = _task_keys(seed, update, slots)
-        fresh = None if deploy is None else play(deploy, "deploy", _deploy_keys(keys), update)
+        judged = None
+        if deploy is not None:
+            fresh = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
+            judged = measure(play(deploy, "deploy", fresh, update))
         explored = play(collect, "explore", keys, update)
-        judged = None if fresh is None else measure(fresh)
-        columns.append(
-            jax.tree.map(np.asarray, (measure(explored), judged, learner.agents(state).context))
-        )
+        column = measure(explored), judged, learner.agents(state).context
+        columns.append(jax.tree.map(np.asarray, column))
         if update < updates[-1]:
             state = learner.update(state, explored)
     stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
@@ -193,21 +189,13 @@ def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
 
 
-def _deploy_keys(keys: TaskKeys) -> TaskKeys:
-    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
-
-
 def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
     """Yield the curves as rows of a table: `explore` and, if there are any, `deploy`.
 
     `episodes` is the number of episodes per task that the agent has learned from by then. Measures
     are in the precision that they were computed in, so that they are written with no more digits.
     """
-    judged: dict[Purpose, AdaptationCurves | None] = {
-        "explore": outcome.explored,
-        "deploy": outcome.deployed,
-    }
-    for purpose, curves in judged.items():
+    for purpose, curves in (("explore", outcome.explored), ("deploy", outcome.deployed)):
         if curves is None:
             continue
         measures = {name: np.asarray(values, np.float32) for name, values in vars(curves).items()}

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -31,25 +32,14 @@ def export_policy(
     learner: AbstractFastLearner[Any],
     env: AnyEnv,
     path: str | os.PathLike[str],
-    description: Mapping[str, str | int | float] | None = None,
+    description: Mapping[str, str | int | float] = MappingProxyType({}),
     start: tuple[Latent, int] | None = None,
 ) -> None:
-    """Write a fast learner as an `.npz` file of plain arrays.
+    """Write a fast learner as an `.npz` file of plain arrays, in place of any that is there.
 
-    Args:
-        learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
-        env: the environment that it acts in, for the sizes and the map from actions to controls.
-        path: of the file; one that exists is replaced.
-        description: whatever should be known of the policy on the robot, such as the run and its
-            iteration. Family, horizon and control period are added.
-        start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
-            it, which the step sizes go on from; None for the prior.
-
-    Raises:
-        ValueError: the runtime cannot learn as this learner does, or a number is not finite.
-        OSError: the file cannot be written.
+    Arguments and errors are those of `exported_policy`; `OSError` if the file cannot be written.
     """
-    exported = exported_policy(learner, env, description or {}, start)
+    exported = exported_policy(learner, env, description, start)
     write_snapshot(path, Snapshot(exported, None, Safeguards(), None))
 
 
@@ -59,16 +49,34 @@ def exported_policy(
     description: Mapping[str, str | int | float],
     start: tuple[Latent, int] | None = None,
 ) -> ExportedPolicy:
-    """Return what `export_policy` writes; see there."""
-    supported = _supported(learner)
-    prior = jax.tree.map(lambda x: x[0], supported.context.start_new(supported.context_table, 1))
+    """Return a fast learner as arrays for the runtime.
+
+    Args:
+        learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
+        env: the environment that it acts in, for the sizes and the map from actions to controls.
+        description: whatever should be known of the policy on the robot, such as the run and its
+            iteration. Family, horizon and control period are added.
+        start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
+            it, which the step sizes go on from; None for the prior.
+
+    Raises:
+        ValueError: the runtime cannot learn as this learner does, or a number is not finite.
+    """
+    obstacle = _obstacle(learner)
+    if obstacle is not None:
+        raise ValueError(
+            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
+            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
+        )
+    assert isinstance(learner, GradientFastLearner)
+    prior = jax.tree.map(lambda x: x[0], learner.context.start_new(learner.context_table, 1))
     latent, update = (prior, 0) if start is None else start
     if latent.mean.shape != prior.mean.shape:
         raise ValueError(
             f"the latents have {latent.mean.size} components, but the policy's z has "
             f"{prior.mean.size}; give latents to which this run was adapted."
         )
-    policy = _policy(supported)
+    policy = _policy(learner)
     size = policy.input_size - prior.mean.size
     if (size, policy.action_size) != (env.observation_size, env.action_size):
         raise ValueError(
@@ -81,7 +89,7 @@ def exported_policy(
         actuators=probe_actuators(env),
         start=RuntimeLatent(_float64(latent.mean), _float64(latent.log_std)),
         start_update=update,
-        rule=_rule(supported),
+        rule=_rule(learner),
         description={
             "family": env.name,
             "horizon": env.horizon,
@@ -131,19 +139,8 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     return actuators
 
 
-def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
-    """Return the learner if the runtime's closed-form update is the learner's own."""
-    obstacle = _obstacle(learner)
-    if obstacle is not None:
-        raise ValueError(
-            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
-            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
-        )
-    assert isinstance(learner, GradientFastLearner)
-    return learner
-
-
 def _obstacle(learner: AbstractFastLearner[Any]) -> str | None:
+    """Return why the runtime's update in closed form is not the learner's own; None if it is."""
     if isinstance(learner, BonusFastLearner):
         return "has a curiosity bonus, which needs a model"
     if not isinstance(learner, GradientFastLearner):
@@ -181,8 +178,8 @@ def _with_normalization(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fold the normalisation of observations into the first layer.
 
-    With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). So the robot computes
-    the same policy without knowing of it. In double precision, because the two parts may cancel.
+    With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). In double precision,
+    because the two parts may cancel.
     """
     mean, scaled = _float64(statistics.mean), weight.astype(np.float64)
     scaled[: len(mean)] /= _float64(statistics.scale)[:, None]
