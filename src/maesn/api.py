@@ -17,7 +17,7 @@ from maesn.report.plot import plot_run_directories
 from maesn.report.table_files import record_of_latents
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
-from maesn.runs.export import export_policy
+from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
@@ -149,7 +149,7 @@ def export(
         description["task"] = task
     refused = f"`{opened.directory}` cannot be exported to `{path}`: "
     with refusals(refused, (ValueError, OSError)):
-        export_policy(learner, opened.env(), path, description, start)
+        write_policy(path, exported_policy(learner, opened.env(), description, start))
     return Path(path)
 
 

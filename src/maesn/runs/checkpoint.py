@@ -1,12 +1,10 @@
-"""Checkpoints: any pytree of arrays as a safetensors file.
+"""Checkpoints: any pytree of arrays as a safetensors file, which can execute nothing.
 
 A tensor is named by its path in the tree, such as `parameters/policy/mlp/layers/0/weight`, and can
-be read from NumPy and PyTorch without this library. The format holds numbers and strings alone, so
-loading a checkpoint can execute nothing.
+be read from NumPy and PyTorch without this library.
 
-Safetensors recognises a file that was cut short, but not a flipped bit. So the metadata hold a
-SHA-256 of names, types, shapes, values and the other metadata. It is inside the file and not beside
-it: one rename then replaces both, and a copied checkpoint keeps it.
+Safetensors does not recognise a flipped bit. So the metadata hold a SHA-256 of all else. It is
+inside the file and not beside it: one rename then replaces both.
 """
 
 import hashlib

@@ -28,25 +28,15 @@ _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
 
 
-def export_policy(
-    learner: AbstractFastLearner[Any],
-    env: AnyEnv,
-    path: str | os.PathLike[str],
-    description: Mapping[str, str | int | float] = MappingProxyType({}),
-    start: tuple[Latent, int] | None = None,
-) -> None:
-    """Write a fast learner as an `.npz` file of plain arrays, in place of any that is there.
-
-    Arguments and errors are those of `exported_policy`; `OSError` if the file cannot be written.
-    """
-    exported = exported_policy(learner, env, description, start)
-    write_snapshot(path, Snapshot(exported, None, Safeguards(), None))
+def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
+    """Write what `exported_policy` returns as an `.npz` file, in place of any that is there."""
+    write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
 
 
 def exported_policy(
     learner: AbstractFastLearner[Any],
     env: AnyEnv,
-    description: Mapping[str, str | int | float],
+    description: Mapping[str, str | int | float] = MappingProxyType({}),
     start: tuple[Latent, int] | None = None,
 ) -> ExportedPolicy:
     """Return a fast learner as arrays for the runtime.

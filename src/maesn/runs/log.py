@@ -103,14 +103,12 @@ class JsonLines:
 class EventLog:
     """Events for TensorBoard, written at once and in this thread.
 
-    `tensorboardX.SummaryWriter` writes in a thread of its own. If that thread dies, for example
-    because the disk is full, the next event waits for it for ever.
+    If the thread of `tensorboardX.SummaryWriter` dies of a full disk, the next event waits for ever.
     """
 
     def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
         self._directory = directory
-        # TensorBoard looks for "tfevents". The iteration keeps the names of processes apart that
-        # begin within the same second.
+        # The iteration keeps apart the names of processes that begin within the same second.
         name = f"events.out.tfevents.{int(time.time())}.{iteration}"
         with explained("write", directory):
             directory.mkdir(exist_ok=True)
@@ -153,12 +151,8 @@ class RunLog(NamedTuple):
         """Write down one iteration; raises `RunError` if the disk is full, or the like."""
         steps = progress.environment_steps
         counts = {"iteration": progress.iteration, "environment_steps": steps}
-        timing = {
-            "seconds": progress.seconds,
-            "compile_seconds": progress.compile_seconds,
-            "steps_per_second": progress.steps_per_second,
-        }
-        self.timing.append(counts | timing)
+        timing = ("seconds", "compile_seconds", "steps_per_second")
+        self.timing.append(counts | {name: getattr(progress, name) for name in timing})
         self.metrics.append(counts | progress.info)
         scalars = {_TAGS.get(name, name): value for name, value in progress.info.items()}
         scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
@@ -169,7 +163,7 @@ class RunLog(NamedTuple):
         self.events.append(step=steps, summary=Summary(value=values))
 
     def sync(self) -> None:
-        """Make all that was written survive the end of the process, and a power cut."""
+        """Make all that was written survive a power cut."""
         for file in self:
             file.sync()
 

@@ -27,11 +27,10 @@ def train_live(
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
-    Returns the last iteration; None if there was nothing left to do. At Ctrl-C the state is saved,
-    and a line says how to go on. `console` is the standard output if none is given; all else is as
-    for `train`.
+    Returns the last iteration; None if there was nothing left to do. At Ctrl-C a line says how to
+    go on. All else is as for `train`.
     """
-    console = Console() if console is None else console
+    console = console or Console()
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
     try:
@@ -54,8 +53,7 @@ def train_live(
 
 def describe(progress: Progress) -> str:
     """Return one iteration in a line of text."""
-    info = progress.info
-    parts = []
+    info, parts = progress.info, []
     if "return_before" in info and "return_after" in info:
         parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
     if "success_after" in info:

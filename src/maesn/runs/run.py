@@ -88,8 +88,8 @@ class Run:
             learner: the method and its settings.
             settings: of the run.
             family: a family of your own; None for the one that `settings.family` names.
-            init_from: directory of a run, or name of a policy that comes with the library. Policy,
-                step sizes, and all else that tasks share come from there; what belongs to single
+            init_from: directory of a run, or name of a policy that comes with the library. What
+                tasks share comes from there, such as policy and step sizes; what belongs to single
                 tasks, such as the latents, begins afresh, and so does the count of iterations.
 
         Raises:
@@ -147,9 +147,7 @@ class Run:
     ) -> AnyEnv:
         """Return the run's environment as it was recorded, whatever the family's defaults are now.
 
-        Args:
-            reward_kind: dense or sparse; None for that of training.
-            sparse_radius: radius of the goal region in metres; None for that of training.
+        Reward and sparse radius, in metres, are those of training if they are None.
 
         Raises:
             RunError: the environment has become another, or cannot have that radius.
@@ -160,14 +158,11 @@ class Run:
             return rebuild_env(self.family, self.config.world, **overrides)
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
-        """Return tasks of the run's family.
+        """Return tasks of the run's family; `RunError` if there are none or they cannot be used.
 
         Args:
             name: `training` for what this run trains on, `validation`, `test` or `ood` for those
                 sets of the family, or the path of an `.npz` file.
-
-        Raises:
-            RunError: there is no such set, or the file cannot be used.
         """
         return self.training_tasks if name == "training" else find_tasks(name, self.family)
 
@@ -179,18 +174,11 @@ class Run:
         sparse_radius: float | None = None,
         num_threads: int | None = None,
     ) -> AbstractWorld:
-        """Return a world to play in.
-
-        Args:
-            tasks: None for what this run trains on.
-            reward_kind: as for `env`.
-            engine: what moves it; None for the run's own.
-            sparse_radius: as for `env`.
-            num_threads: threads of the engine; None for what the run's settings say.
+        """Return a world to play in. None stands for what the run itself trains with.
 
         Raises:
             EngineError: the engine is not installed.
-            RunError: the engine lacks something that the family needs.
+            RunError: the engine lacks something that the family needs; also as for `env`.
         """
         tasks = self.training_tasks if tasks is None else tasks
         engine = self.settings.engine if engine is None else engine
@@ -214,10 +202,8 @@ class Run:
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.
 
-        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table.
-
-        Raises:
-            RunError: the file is missing or damaged.
+        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table. A file
+        that is missing or damaged is a `RunError`.
         """
         return read_json_lines(self.directory / METRICS)
 
@@ -226,11 +212,7 @@ class Run:
         return checkpoint_paths(self.directory / CHECKPOINTS)
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
-        """Write a state, and how many control steps were played for it, and return the path.
-
-        Raises:
-            RunError: it cannot be written.
-        """
+        """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
         path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
         metadata = {
@@ -267,7 +249,7 @@ class Run:
 
         Raises:
             CheckpointError: no checkpoint is sound.
-            MismatchError: the latest sound one belongs to another run, or to other settings.
+            MismatchError: as for `load`.
         """
         return latest_sound(self.directory / CHECKPOINTS, self.load)
 
@@ -290,8 +272,8 @@ class Run:
 
     def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
         env, rows = self.env(), len(self.training_tasks) + more_tasks
-        description = jax.eval_shape(env.describe, self.training_tasks[0])
-        sizes = (env.observation_size, env.action_size, rows, description.size)
+        description = jax.eval_shape(env.describe, self.training_tasks[0]).size
+        sizes = (env.observation_size, env.action_size, rows, description)
         return self.learner, self.iteration_key(_UNTRAINED), *sizes
 
 

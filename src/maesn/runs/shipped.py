@@ -1,8 +1,4 @@
-"""Policies that come with the library, each a run directory of its last checkpoint alone.
-
-Commands take the name of such a policy instead of a directory. The installed directory is only
-read: a command that leaves files works in a copy in the current folder.
-"""
+"""Policies that come with the library, each a run directory of its last checkpoint alone."""
 
 import shutil
 from pathlib import Path
@@ -18,10 +14,7 @@ def policy_names() -> list[str]:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the directory to read a run from: itself, or that of the policy of this name.
-
-    What has the name in the current folder wins.
-    """
+    """Return a run's directory; of a policy's name, what is called so in the current folder wins."""
     if Path(run).exists():
         return Path(run)
     if str(run) in policy_names():
@@ -35,8 +28,8 @@ def find_run(run: str | Path) -> Path:
 def working_copy(run: str | Path) -> Path:
     """Return the directory of a run that may be written to.
 
-    This is the run's own, or `maesn-NAME` in the current folder for the policy `NAME` that comes
-    with the library. That one is a run directory like any other, made when it is first asked for.
+    This is the run's own. Of the policy `NAME` that comes with the library, whose directory is only
+    read, it is a copy, `maesn-NAME` in the current folder, made when it is first asked for.
     """
     source = find_run(run)
     if source.parent != TRAINED:

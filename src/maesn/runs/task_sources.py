@@ -1,7 +1,4 @@
-"""Where tasks come from: families by name, a user's own families, and `.npz` files.
-
-What cannot be found or used is a `RunError`.
-"""
+"""Where tasks come from: families by name, a user's own families, and `.npz` files."""
 
 import importlib
 from pathlib import Path
@@ -90,11 +87,11 @@ def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
 
 
 def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
-    """Read tasks of a family from an `.npz` file; nothing in it is executed.
+    """Read tasks of a family from an `.npz` file with the arrays `family.task_names`.
 
-    The file holds the arrays that `family.task_names` lists, each with one row per task: for
-    `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
-    integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
+    Each has one row per task. `wheeled` and `point` have the array `goal`, `[row, 2]` in metres;
+    `blockpush` beside it the integers `block`, `[row]`, and the places of the blocks `layout`,
+    `[row, 5, 2]` in metres.
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
@@ -106,11 +103,11 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
         _fitted(held[name], np.asarray(like), f"array `{name}` of `{path}`")
         for name, like in zip(names, drawn, strict=True)
     ]
-    rows = {len(array) for array in tasks}
+    rows = sorted({len(array) for array in tasks})
     if len(rows) != 1 or 0 in rows:
         raise RunError(
             f"the arrays of `{path}` must all have one row for each task, and at least one; "
-            f"they have {', '.join(map(str, sorted(rows)))} rows."
+            f"they have {', '.join(map(str, rows))} rows."
         )
     found = TaskSet(jax.tree.unflatten(structure, tasks))
     with refusals(f"the tasks of `{path}` cannot be used: "):

@@ -63,7 +63,7 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         world = stack.enter_context(contextlib.closing(run.world()))
         training = _Training(run, log, start, saved=start.iteration)
         stack.callback(training.end)
-        collect = Collector(world, run.settings.episodes_per_task, training.count)
+        collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
         while training.checkpoint.iteration < total:
             yield training.advance(collect)
 
