@@ -1,13 +1,25 @@
-"""The library's verbs, as functions of Python. The command line calls them, one for one."""
+"""The library's verbs. Their signatures and docstrings are the options and help of the commands.
 
-import dataclasses
+In Python a run is given as a `Run`, its directory or its policy's name, and a family as itself or
+as `module:name`.
+"""
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tyro.conf import Positional
+
 from maesn.context import Latent
 from maesn.envs import TaskFamily
-from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.arguments import (
+    AnyEvaluation,
+    AnyFamily,
+    AnyPath,
+    AnyRun,
+    OptionalPath,
+)
+from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.record import identity_of_run
 from maesn.evaluation.running import evaluate, open_run
@@ -21,8 +33,6 @@ from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.progress import train_live
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
-
-USUAL = Evaluation()
 
 
 def train(
@@ -79,23 +89,24 @@ def resume(
 
 
 def adapt(
-    run: str | Path | Run,
-    evaluation: Evaluation = USUAL,
+    run: Positional[AnyRun],
+    evaluation: AnyEvaluation = USUAL,
     *,
-    out: str | Path | None = None,
-    start: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    out: OptionalPath = None,
+    start: OptionalPath = None,
+    family: AnyFamily = None,
     **settings: Any,
 ) -> Adapted:
-    """Adapt the latest checkpoint of a run to new tasks, and write the curves as a table.
+    """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library, which is
-            adapted in a copy, `maesn-NAME` in the current folder. A directory of that name wins.
+        run: Directory of the run, or the name of a policy that comes with the library (`maesn
+            list`). A directory of that name in the current folder wins; without one, files go to
+            `maesn-NAME` there, a run directory like any other.
         evaluation: tasks, reward, rule, budgets, seed.
-        out: path of the table; None for what `adaptation_file` says.
-        start: an earlier `.latents.npz` of the same tasks to go on from.
-        family: as for `resume`.
+        out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
+        start: Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from.
+        family: The run's family as `module:name`, if it is your own.
         settings: single settings of the evaluation by name, as in `episodes=100`.
 
     Returns:
@@ -105,32 +116,33 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    asked, opened = changed(evaluation, settings), open_run(run, family)
+    asked, opened = evaluation.changed(**settings), open_run(run, family)
     outcome, record = evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
     return write_outcome(table if out is None else Path(out), outcome, record)
 
 
 def export(
-    run: str | Path | Run,
-    path: str | Path,
-    family: str | TaskFamily | None = None,
+    run: Positional[AnyRun],
+    path: Positional[AnyPath],
+    family: AnyFamily = None,
     *,
-    latents: str | Path | None = None,
+    latents: OptionalPath = None,
     task: int | None = None,
 ) -> Path:
-    """Write the latest checkpoint of a run as one `.npz` file for `maesn.runtime`.
+    """Write the last checkpoint of a run as one file for the NumPy runtime.
 
-    A robot starts at the prior, or at a latent that `adapt` has found. From there its step sizes go
-    on as those of `adapt(..., start=latents)` would.
+    A robot starts at the prior, or at a latent that an adaptation has found. From there its step
+    sizes go on as those of `maesn adapt --start` would.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library.
-        path: of the file to write.
-        family: as for `resume`.
-        latents: file that `adapt` wrote for this run, `Adapted.latents`; given together with
-            `task`.
-        task: index of the task, in the set that was adapted to, whose last latent to start from.
+        run: Directory of the run, or the name of a policy that comes with the library (`maesn
+            list`). A directory of that name in the current folder wins.
+        path: File to write, `.npz`.
+        family: The run's family as `module:name`, if it is your own.
+        latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
+            robot starts from.
+        task: Index of its task, in the set that was adapted to.
 
     Raises:
         RunError: the run cannot be exported, the latents are not this run's, or there is no such
@@ -154,20 +166,23 @@ def export(
 
 
 def plot(
-    runs: Sequence[str | Path | Run],
-    out: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    runs: Positional[Sequence[AnyRun]],
+    out: OptionalPath = None,
+    family: AnyFamily = None,
 ) -> list[Path]:
-    """Draw the paper's figures from run directories.
+    """Draw the paper's figures from one or several runs.
 
     Episodes of exploration are played first, and adaptation to the test tasks on sparse reward
     where no table of it is there yet. A table that is there is drawn as it is: after more
     training, `adapt` renews it.
 
     Args:
-        runs: at least one, each as for `adapt`; several are compared in one figure.
-        out: where the figures go; None for `figures` in the first directory.
-        family: as for `resume`.
+        runs: Directories of the runs, or names of policies that come with the library (`maesn
+            list`); several are compared in one figure. A directory of that name in the current
+            folder wins; without one, files go to `maesn-NAME` there, a run directory like any
+            other.
+        out: Where the figures go; None: `figures` in the first run's directory.
+        family: The runs' family as `module:name`, if it is your own.
 
     Returns:
         The files that were written, PNG and PDF.
@@ -185,20 +200,6 @@ def plot(
             record_exploration(run)
     directories = [run.directory for run in opened]
     return plot_run_directories(directories, Path(out or directories[0] / "figures"))
-
-
-def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
-    """Return an evaluation with some of its settings changed.
-
-    Raises:
-        RunError: there is no such setting, or it cannot have that value.
-    """
-    known = [field.name for field in dataclasses.fields(Evaluation)]
-    for name in settings:
-        if name not in known:
-            raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
-    with refusals():
-        return dataclasses.replace(evaluation, **settings)
 
 
 def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:

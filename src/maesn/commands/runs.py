@@ -2,17 +2,13 @@
 
 from pathlib import Path
 
-import tyro
+from tyro.conf import Positional
 
 from maesn import api
-from maesn.commands.options import (
-    AnyEvaluation,
-    EvaluationOptions,
-    OwnFamily,
-    TrainedRun,
-    command,
-)
-from maesn.evaluation import film
+from maesn.commands.options import command
+from maesn.evaluation.arguments import AnyFamily
+from maesn.evaluation.film import render as render_run
+from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
 from maesn.report import print_adaptation_summary
 from maesn.runs.config import CONFIG, RunSettings
@@ -23,9 +19,9 @@ from maesn.storage import RunError, refusals
 
 @command
 def resume(
-    run: tyro.conf.Positional[Path],
+    run: Positional[Path],
     iterations: int | None = None,
-    family: OwnFamily = None,
+    family: AnyFamily = None,
     change: tuple[str, ...] = (),
 ) -> None:
     """Go on with a run from its latest checkpoint, as if it had never stopped.
@@ -33,6 +29,7 @@ def resume(
     Args:
         run: Directory of the run.
         iterations: Total number of meta-iterations; None: what the run was started with.
+        family: The run's family as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as NAME=VALUE: `num_threads=2
             reward=sparse trust_region.damping=0.1`. `config.json` keeps a record of it.
     """
@@ -48,86 +45,21 @@ def say_what_is_next(run: Run, family_option: str) -> None:
     print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{family_option}")
 
 
-@command
-def adapt(
-    run: TrainedRun,
-    out: Path | None = None,
-    start: Path | None = None,
-    family: OwnFamily = None,
-    evaluation: AnyEvaluation = EvaluationOptions(),
-) -> None:
-    """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
-
-    Args:
-        out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
-        start: Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from.
-    """
-    done = api.adapt(run, evaluation.build(), out=out, start=start, family=family)
+def _say_adapted(done: Adapted) -> None:
     print_adaptation_summary(done.table)
     print(f"table:   {done.table}")
     if done.latents is not None:
         print(f"latents: {done.latents}")
 
 
-@command
-def plot(
-    runs: tyro.conf.Positional[tuple[Path, ...]],
-    out: Path | None = None,
-    family: OwnFamily = None,
-) -> None:
-    """Draw the paper's figures from one or several runs.
-
-    Args:
-        runs: Directories of the runs, or names of policies that come with the library (`maesn
-            list`); several are compared in one figure. A directory of that name in the current
-            folder wins; without one, files go to `maesn-NAME` there, a run directory like any
-            other.
-        out: Where the figures go; None: `figures` in the first run's directory.
-    """
-    _print_all(api.plot(runs, out, family=family))
+def _print_all(paths: list[Path]) -> None:
+    print(*paths, sep="\n")
 
 
-@command
-def export(
-    run: TrainedRun,
-    path: tyro.conf.Positional[Path],
-    latents: Path | None = None,
-    task: int | None = None,
-    family: OwnFamily = None,
-) -> None:
-    """Write a trained policy as one file for the NumPy runtime.
-
-    Args:
-        path: File to write, `.npz`.
-        latents: Latents that `maesn adapt` wrote (`.latents.npz`): the robot starts at the adapted
-            latent of a task instead of the prior, with the step sizes that `maesn adapt --start`
-            would go on with.
-        task: Index of that task, in the set that was adapted to.
-    """
-    _print_all([api.export(run, path, family, latents=latents, task=task)])
-
-
-@command
-def render(
-    run: TrainedRun,
-    task: int = 0,
-    after: tuple[int, ...] = (0, 250),
-    shown: int = 4,
-    out: Path | None = None,
-    family: OwnFamily = None,
-    evaluation: AnyEvaluation = EvaluationOptions(),
-) -> None:
-    """Film how a trained policy explores a new task, and what it does after adapting to it.
-
-    Args:
-        task: Index of the task in its set.
-        after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
-            before any adaptation, and the last one at most `--episodes`.
-        shown: Episodes that are shown each time: the first ones that are played.
-        out: Directory of the pictures; None: `DIR/render`.
-    """
-    asked = evaluation.build()
-    _print_all(film.render(run, asked, task=task, after=after, shown=shown, out=out, family=family))
+adapt = command(api.adapt, _say_adapted)
+plot = command(api.plot, _print_all)
+export = command(api.export, print)
+render = command(render_run, _print_all)
 
 
 @command
@@ -165,7 +97,3 @@ def _check_same(run: Run, settings: RunSettings) -> None:
             f"`{run.directory}` holds a run of {found[0]} on {found[1]} with seed {found[2]}, not "
             f"of {wanted[0]} on {wanted[1]} with seed {wanted[2]}: give another `--run`."
         )
-
-
-def _print_all(paths: list[Path]) -> None:
-    print(*paths, sep="\n")

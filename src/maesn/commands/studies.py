@@ -1,12 +1,12 @@
 """Commands that compare: methods on the same tasks, and MAESN with parts left out."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from maesn.commands.options import AnyEvaluation, EvaluationOptions, Oracle, command
+from maesn.commands.options import command
+from maesn.evaluation.arguments import AnyEvaluation
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import rule_from_text
 from maesn.report.comparison_tables import print_summary
@@ -22,13 +22,14 @@ from maesn.studies.world import WorldSettings
 @command
 def compare(
     runs: tyro.conf.Positional[tuple[Path, ...]] = (),
+    *,
     out: Path = Path("comparison"),
     run_episodes: int | None = None,
-    oracle: Oracle = None,
+    oracle: Path | None = None,
     twice: tuple[str, ...] = (),
     rules: dict[str, str] = {},  # noqa: B006
     world: Annotated[WorldSettings, tyro.conf.arg(name="")] = SAME_AS_RUNS,
-    evaluation: AnyEvaluation = EvaluationOptions(),
+    evaluation: AnyEvaluation = USUAL,
     scratch: Annotated[Scratch, tyro.conf.arg(name="")] = NO_SCRATCH,
 ) -> None:
     """Adapt trained runs and methods from scratch to the same tasks, and compare them.
@@ -42,25 +43,25 @@ def compare(
         run_episodes: Episodes per task of trained runs to which nothing is added; None: as many as
             the others. Their steps halve, so there is little to see after twenty updates. Of `rl2`
             an update is an episode.
+        oracle: Directory of a run of the preset `oracle`, the ceiling of the score; None: no score.
         twice: Methods of which the runs take part a second time, as in `maesn maml`; none: all that
             can.
         rules: METHOD RULE ...: the rule of all runs of a method, as in `--rules maml "gradient
             step_scale=2"`.
     """
-    asked = evaluation.build()
-    if asked.rule is not None:
+    if evaluation.rule is not None:
         raise RunError("say of which method, as in `--rules maesn gradient`, instead of `--rule`.")
     of_methods = {method: rule_from_text(text) for method, text in rules.items()}
     print_summary(
         compare_runs(
             runs,
             out=out,
-            evaluation=dataclasses.replace(asked, wrappers=()),
+            evaluation=evaluation.changed(wrappers=()),
             run_episodes=run_episodes,
             scratch=scratch,
             world=world,
             oracle=oracle,
-            changes=Changes(asked.wrappers, twice, of_methods),
+            changes=Changes(evaluation.wrappers, twice, of_methods),
             say=print,
         )
     )
@@ -68,6 +69,7 @@ def compare(
 
 @command
 def ablation(
+    *,
     out: Path = Path("runs/ablation"),
     family: str = "wheeled",
     iterations: int = 300,
@@ -76,7 +78,7 @@ def ablation(
     training_seed: int = 0,
     only: tuple[str, ...] = (),
     radii: tuple[float, ...] = (),
-    oracle: Oracle = None,
+    oracle: Path | None = None,
     evaluation: Annotated[Evaluation, tyro.conf.arg(name="")] = USUAL,
 ) -> None:
     """Train MAESN and MAML with parts left out, adapt them to unseen sparse tasks, compare them.
@@ -90,6 +92,7 @@ def ablation(
             update.
         training_seed: Of the training. Seeds that were trained before under the same `--out` join
             the figure.
+        oracle: Directory of a run of the preset `oracle`, the ceiling of the score; None: no score.
         only: Names of some lines of the figure; none for all.
         radii: Sparse radii of the new tasks, in metres; a figure for each. Left out: on `wheeled`
             0.8 and 1, as in the published figure; elsewhere the family's own.

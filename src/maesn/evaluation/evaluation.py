@@ -11,7 +11,7 @@ from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, defau
 from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
-from maesn.storage import RunError
+from maesn.storage import RunError, refusals
 from maesn.worlds import EngineName
 
 CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
@@ -69,6 +69,15 @@ class Evaluation:
             )
         for wrapper in self.wrappers:
             wrapper.check_budget(self.episodes, self.episodes_per_update)
+
+    def changed(self, **settings: Any) -> "Evaluation":
+        """Return the evaluation with some settings changed; `RunError` if they cannot be."""
+        known = [field.name for field in dataclasses.fields(self)]
+        for name in settings:
+            if name not in known:
+                raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
+        with refusals():
+            return dataclasses.replace(self, **settings)
 
     @property
     def updates(self) -> int:
@@ -133,6 +142,9 @@ class Evaluation:
                 f"remembers earlier episodes, got {self.deploy_episodes} and "
                 f"{self.episodes_per_update}: each trial goes on with an episode of its own."
             )
+
+
+USUAL = Evaluation()
 
 
 def written_out(settings: Any) -> str:

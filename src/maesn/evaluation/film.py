@@ -8,16 +8,17 @@ from typing import Any
 
 import jax
 import numpy as np
+from tyro.conf import Positional
 
 from maesn.axes import HostReadings
-from maesn.envs import AnyEnv, TaskFamily
-from maesn.evaluation.evaluation import Evaluation
+from maesn.envs import AnyEnv
+from maesn.evaluation.arguments import AnyEvaluation, AnyFamily, AnyRun, OptionalPath
+from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.evaluation.playback import Playback, record_adaptation
 from maesn.evaluation.running import fast_learner, new_tasks, open_run
 from maesn.evaluation.tables import adaptation_file
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
-from maesn.runs.run import Run
 from maesn.storage import RunError, write_whole
 from maesn.worlds import Scene, arena, places
 
@@ -28,14 +29,14 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    run: str | Path | Run,
-    evaluation: Evaluation | None = None,
+    run: Positional[AnyRun],
+    evaluation: AnyEvaluation = USUAL,
     *,
     task: int = 0,
     after: Sequence[int] = (0, 250),
     shown: int = 4,
-    out: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    out: OptionalPath = None,
+    family: AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
@@ -43,15 +44,16 @@ def render(
     evaluation.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library; its latest
-            checkpoint is adapted.
-        evaluation: tasks, rule, budgets, seed; None for the usual one.
-        task: index of the task in its set.
-        after: numbers of episodes that the agent has learned from when episodes are shown, up to
-            `evaluation.episodes`; 0 is before any adaptation.
-        shown: how many episodes are shown each time.
-        out: directory of the pictures; None for `render` in the run's directory.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        run: Directory of the run, whose last checkpoint is adapted, or the name of a policy that
+            comes with the library (`maesn list`). A directory of that name in the current folder
+            wins; without one, files go to `maesn-NAME` there, a run directory like any other.
+        evaluation: tasks, rule, budgets, seed.
+        task: Index of the task in its set.
+        after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
+            before any adaptation, and the last one at most the `episodes` of the evaluation.
+        shown: Episodes that are shown each time: the first ones that are played.
+        out: Directory of the pictures; None: `DIR/render`.
+        family: The run's family as `module:name`, if it is your own.
 
     Returns:
         The files that were written: an animated GIF, and a PNG of the last states.
@@ -60,7 +62,7 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = open_run(run, family), Evaluation() if evaluation is None else evaluation
+    run, asked = open_run(run, family), evaluation
     updates = _updates(sorted(set(after)), asked)
     if not 1 <= shown <= asked.episodes_per_update:
         raise RunError(

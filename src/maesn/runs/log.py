@@ -103,7 +103,8 @@ class JsonLines:
 class EventLog:
     """Events for TensorBoard, written at once and in this thread.
 
-    If the thread of `tensorboardX.SummaryWriter` dies of a full disk, the next event waits for ever.
+    If the thread of `tensorboardX.SummaryWriter` dies of a full disk, the next event waits for
+    ever.
     """
 
     def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:

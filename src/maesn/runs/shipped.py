@@ -14,7 +14,7 @@ def policy_names() -> list[str]:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return a run's directory; of a policy's name, what is called so in the current folder wins."""
+    """Return the directory of a run, or of the policy of this name if there is no such path."""
     if Path(run).exists():
         return Path(run)
     if str(run) in policy_names():
