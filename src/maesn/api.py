@@ -12,17 +12,18 @@ from tyro.conf import Positional
 
 from maesn.context import Latent
 from maesn.envs import TaskFamily
-from maesn.evaluation.arguments import (
+from maesn.evaluation.evaluation import USUAL
+from maesn.evaluation.exploration import record_exploration
+from maesn.evaluation.record import identity_of_run
+from maesn.evaluation.running import (
     AnyEvaluation,
     AnyFamily,
     AnyPath,
     AnyRun,
     OptionalPath,
+    evaluate,
+    open_run,
 )
-from maesn.evaluation.evaluation import USUAL
-from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.record import identity_of_run
-from maesn.evaluation.running import evaluate, open_run
 from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories

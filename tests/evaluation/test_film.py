@@ -15,7 +15,7 @@ from maesn import cli
 from maesn.envs import Point
 from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.playback import Playback, record_adaptation
+from maesn.evaluation.film import Playback, record_adaptation
 from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
 from maesn.runs.run import Run

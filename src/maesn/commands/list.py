@@ -1,7 +1,6 @@
 """`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 from maesn.commands.options import command
@@ -9,7 +8,7 @@ from maesn.envs import FAMILIES, PROBES
 from maesn.evaluation.rules import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
-from maesn.runs.serialization import TAG, fields_to_json
+from maesn.runs.serialization import TAG, fields_to_json, leaves
 from maesn.runs.shipped import TRAINED, policy_names
 
 
@@ -41,16 +40,8 @@ def list() -> None:  # noqa: A001
 
 def _settings(rule: Any) -> str:
     """Return the settings of a rule with their defaults, as they are written behind its name."""
-    leaves = _leaves(fields_to_json(rule))
-    return "".join(f"\n{'':18s}{name}={value}" for name, value in leaves)
-
-
-def _leaves(document: dict[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in document.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{path}{name}.")
-        elif name != TAG:
-            yield path + name, json.dumps(value)
+    shown = {n: v for n, v in leaves(fields_to_json(rule)).items() if n.split(".")[-1] != TAG}
+    return "".join(f"\n{'':18s}{name}={json.dumps(value)}" for name, value in shown.items())
 
 
 def _first_line(text: str | None) -> str:

@@ -6,8 +6,8 @@ from tyro.conf import Positional
 
 from maesn import api
 from maesn.commands.options import command
-from maesn.evaluation.arguments import AnyFamily
 from maesn.evaluation.film import render as render_run
+from maesn.evaluation.running import AnyFamily
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
 from maesn.report import print_adaptation_summary

@@ -6,9 +6,9 @@ from typing import Annotated
 import tyro
 
 from maesn.commands.options import command
-from maesn.evaluation.arguments import AnyEvaluation
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import rule_from_text
+from maesn.evaluation.running import AnyEvaluation
 from maesn.report.comparison_tables import print_summary
 from maesn.runs.config import RunSettings
 from maesn.storage import RunError, refusals

@@ -1,15 +1,21 @@
-"""A trained run in new tasks: from its directory and an `Evaluation` to curves and their record."""
+"""A trained run in new tasks, from what a user names to curves and their record.
+
+The types of arguments say as well how the command line reads them.
+"""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import jax
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.evaluation.record import adaptation_record, identity_of_run
 from maesn.evaluation.rules import Trained
 from maesn.evaluation.tables import read_latents
@@ -22,24 +28,65 @@ from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 
-def open_run(run: str | Path | Run, family: str | TaskFamily | None = None) -> Run:
-    """Open a run whose directory will be written to.
+def _word(metavar: str) -> PrimitiveConstructorSpec[Any]:
+    """Say that an argument is one word of the command line."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda _: True,
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+AnyRun: TypeAlias = Annotated[str | Path | Run, _word("RUN")]
+"""A run, its directory, or the name of a policy that comes with the library."""
+AnyPath: TypeAlias = Annotated[str | Path, _word("PATH")]
+OptionalPath: TypeAlias = Annotated[str | Path | None, _word("PATH")]
+AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
+"""A user's own family or its `module:name`; None for one that comes with the library."""
+
+
+def evaluation_from_text(
+    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")],
+    rule: tuple[str, ...] = (),
+    then: tuple[str, ...] = (),
+    bonus: tuple[str, ...] = (),
+) -> Evaluation:
+    """Return an evaluation with rule and wrappers that are given as words.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library, of which a
-            copy is made: `maesn-NAME` in the current folder.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        evaluation: all else of it.
+        rule: What happens in a new task: gradient, memory or none, or `module:name` of your own;
+            behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the method
+            prescribes. `maesn list` has all settings.
+        then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
+            trpo after=500 max_kl=0.01`. Left out: they stay.
+        bonus: A bonus on the rewards that are learned from, as in `--bonus vime
+            curiosity.weight=0.001`.
+
+    Raises:
+        RunError: a rule cannot be had, or not with these budgets.
     """
+    wrappers = [then_from_text(" ".join(then))] if then else []
+    wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []
+    chosen = rule_from_text(" ".join(rule)) if rule else None
+    return evaluation.changed(rule=chosen, wrappers=tuple(wrappers))
+
+
+AnyEvaluation: TypeAlias = Annotated[
+    Evaluation, tyro.conf.arg(name="", constructor=evaluation_from_text)
+]
+
+
+def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
+    """Open a run whose directory will be written to; of a policy with the library, a copy."""
     return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
 
 
 @contextmanager
 def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
-    """Open the world that a run is evaluated in.
-
-    Raises:
-        RunError: there are no such tasks, or the policy cannot play there.
-    """
+    """Open the world that a run is evaluated in; `RunError` if the policy cannot play there."""
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,
@@ -63,19 +110,10 @@ def fast_learner(
 def evaluate(
     run: Run, evaluation: Evaluation, start: Path | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
-    """Adapt the latest checkpoint of a run to new tasks.
-
-    Args:
-        run: whose.
-        evaluation: to what, and how.
-        start: latents of an earlier adaptation to the same tasks to go on from.
+    """Adapt the latest checkpoint of a run to new tasks; see `maesn.adapt`.
 
     Returns:
         The outcome, and the record of what decides it.
-
-    Raises:
-        RunError: a setting cannot be used, or not together with another one.
-        EpisodeError: an episode went wrong.
     """
     judged = evaluation.deploy_episodes
     with new_tasks(run, evaluation) as world:

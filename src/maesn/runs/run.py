@@ -83,14 +83,9 @@ class Run:
     ) -> "Run":
         """Make a new run directory with the state in it that training begins with.
 
-        Args:
-            directory: must be empty or not exist.
-            learner: the method and its settings.
-            settings: of the run.
-            family: a family of your own; None for the one that `settings.family` names.
-            init_from: directory of a run, or name of a policy that comes with the library. What
-                tasks share comes from there, such as policy and step sizes; what belongs to single
-                tasks, such as the latents, begins afresh, and so does the count of iterations.
+        Arguments are those of `maesn.train`. What tasks share comes from the run `init_from`, such
+        as policy and step sizes; what belongs to single tasks, such as the latents, begins afresh,
+        and so does the count of iterations.
 
         Raises:
             RunError: the directory is in use or cannot be written, a setting is wrong, or the

@@ -93,19 +93,21 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the values that two objects of one class do not share, of `settings` by their path.
-
-    A path is as in `trust_region.damping`; `prefix` is what all of them begin with.
-    """
+def leaves(document: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return the values in a document by their path, as in `trust_region.damping`."""
     found: dict[str, Any] = {}
-    for field in dataclasses.fields(settings):
-        value, other = (getattr(one, field.name) for one in (settings, usual))
-        if dataclasses.is_dataclass(value) and type(value) is type(other):
-            found |= differing(value, other, f"{prefix}{field.name}.")
-        elif value != other:
-            found[prefix + field.name] = value
+    for name, value in document.items():
+        if isinstance(value, dict):
+            found |= leaves(value, f"{path}{name}.")
+        else:
+            found[path + name] = value
     return found
+
+
+def differing(settings: Any, usual: Any) -> dict[str, Any]:
+    """Return the values, by their path, in which settings differ from others of their class."""
+    own, others = (leaves(fields_to_json(one)) for one in (settings, usual))
+    return {path: value for path, value in own.items() if (path, value) not in others.items()}
 
 
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
