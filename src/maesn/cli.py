@@ -33,14 +33,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command.
-
-    Args:
-        arguments: the command and its options.
-
-    Returns:
-        The exit code: 0, or 2 for a mistake in the options or in what they point to.
-    """
+    """Run one command; return 0, or 2 for a mistake in the options or in what they point to."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
         return 0
@@ -81,18 +74,12 @@ def _user_errors() -> tuple[type[Exception], ...]:
 
 
 def _help() -> str:
-    lines = [f"  {name:8s}  {text}" for name, text in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: maesn COMMAND [OPTIONS]",
-            "",
-            "Meta-reinforcement learning of structured exploration strategies.",
-            "",
-            "commands:",
-            *lines,
-            "",
-            "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.",
-        ]
+    commands = "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
+    return (
+        "usage: maesn COMMAND [OPTIONS]\n\n"
+        "Meta-reinforcement learning of structured exploration strategies.\n\n"
+        f"commands:\n{commands}\n\n"
+        "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version."
     )
 
 

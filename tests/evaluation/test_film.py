@@ -33,8 +33,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def played(run: Run) -> list[Playback]:
     learner = run.learner.fast_learner(run.latest_state())
     world = run.world(run.task_set("test"), "sparse")
-    options = {"episodes_per_update": PLAYED, "num_episodes": SHOWN}
-    return record_adaptation(learner, world, task=TASK, updates=UPDATES, seed=4, **options)
+    asked = Evaluation(episodes=2 * PLAYED, episodes_per_update=PLAYED, seed=4)
+    return record_adaptation(learner, world, asked, TASK, UPDATES, SHOWN)
 
 
 def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_path: Path) -> None:

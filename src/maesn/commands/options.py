@@ -50,13 +50,10 @@ def command(
 
 
 def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:
-    """Build the options of a command; exits with code 2 if they are wrong.
+    """Build the options of a command from its arguments; exits with code 2 if they are wrong.
 
-    Args:
-        kind: dataclass or function whose fields or parameters are the options.
-        name: of the command, for the help text.
-        arguments: what stands behind the command.
-        default: values of the options that are not given.
+    `kind` is a dataclass or function whose fields or parameters are the options, and `name` that of
+    the command, for the help.
     """
     with refusals():  # of a setting that cannot be; tyro reports those of nested ones
         return tyro.cli(

@@ -62,11 +62,7 @@ def train(arguments: list[str]) -> None:
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
-    """Return the options behind a method, whose defaults depend on the family.
-
-    Raises:
-        RunError: a setting cannot be.
-    """
+    """Return the options behind a method, whose defaults depend on the family."""
     family, source = _family_and_source(arguments)
     return parse(Options, f"train {method}", arguments, _defaults(method, family, source))
 

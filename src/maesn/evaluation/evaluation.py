@@ -110,12 +110,7 @@ class Evaluation:
         return " ".join(map(written_out, chosen))
 
     def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return what learns in the new tasks.
-
-        Args:
-            trained: what meta-training has made.
-            method: its name, for error messages.
-            env: of the new tasks.
+        """Return what learns in the new tasks, `env`; messages name the `method`.
 
         Raises:
             RunError: rule and method do not fit, or an update has too few episodes.

@@ -84,17 +84,10 @@ def render(
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
-        _refuse_blindness(env)
-        played = record_adaptation(
-            fast_learner(run, asked, world),
-            world,
-            episodes_per_update=asked.episodes_per_update,
-            task=task,
-            updates=updates,
-            num_episodes=shown,
-            seed=asked.seed,
-        )
-        goal = world.tasks[task]
+        # Raises where pictures cannot be drawn, before minutes are spent on playing.
+        Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
+        learner, goal = fast_learner(run, asked, world), world.tasks[task]
+        played = record_adaptation(learner, world, asked, task, updates, shown)
     stride = math.ceil(env.horizon / _MOST_PICTURES)
     with closing(_Stage(env, goal, played, stride)) as stage:
         rows = [stage.row(playback, asked.episodes_per_update) for playback in played]
@@ -121,11 +114,6 @@ def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
     return [count // each for count in after]
 
 
-def _refuse_blindness(env: AnyEnv) -> None:
-    """Find out whether pictures can be drawn here before minutes are spent on playing."""
-    Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
-
-
 class Playback(NamedTuple):
     """Some episodes of one task that were played after a number of updates."""
 
@@ -146,39 +134,35 @@ class Playback(NamedTuple):
 def record_adaptation(
     learner: AbstractFastLearner[Any],
     world: AbstractWorld,
-    *,
-    episodes_per_update: int,
+    evaluation: Evaluation,
     task: int,
     updates: Sequence[int],
-    num_episodes: int,
-    seed: int = 0,
+    shown: int,
 ) -> list[Playback]:
-    """Adapt to one task and keep the states of some of the episodes.
-
-    The episodes are those that `evaluate.adapt` plays in this task with the same seed.
+    """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
 
     Args:
         learner: learns in the task.
         world: where the episodes are played.
-        episodes_per_update: how many of them an update learns from.
+        evaluation: number of episodes of an update, and seed.
         task: index of the task.
         updates: numbers of updates after which episodes are kept, ascending.
-        num_episodes: how many are kept each time: the first ones that are played.
-        seed: of the episodes.
+        shown: how many are kept each time: the first ones that are played.
     """
     kept: list[tuple[Any, ...]] = []
 
     def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
         # With one task at a time, its episodes are the simulations.
         if stage in updates:
-            shown = jax.tree.map(lambda x: np.asarray(x[:, :num_episodes]), readings)
-            kept.append((shown, *_of_each(episodes, num_episodes)))
+            states = jax.tree.map(lambda x: np.asarray(x[:, :shown]), readings)
+            kept.append((states, *_of_each(episodes, shown)))
 
+    each = evaluation.episodes_per_update
     curves = adapt(
         learner,
-        Collector(world, episodes_per_update, keep),
-        episodes=max(updates) * episodes_per_update,
-        seed=seed,
+        Collector(world, each, keep),
+        episodes=max(updates) * each,
+        seed=evaluation.seed,
         tasks=[task],
     ).explored
     returns, rates = curves.mean_return[0], curves.success_rate[0]

@@ -56,7 +56,7 @@ def evaluation_from_text(
     """Return an evaluation with rule and wrappers that are given as words.
 
     Args:
-        evaluation: all else of it.
+        evaluation: all else.
         rule: What happens in a new task: gradient, memory or none, or `module:name` of your own;
             behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the method
             prescribes. `maesn list` has all settings.
@@ -64,9 +64,6 @@ def evaluation_from_text(
             trpo after=500 max_kl=0.01`. Left out: they stay.
         bonus: A bonus on the rewards that are learned from, as in `--bonus vime
             curiosity.weight=0.001`.
-
-    Raises:
-        RunError: a rule cannot be had, or not with these budgets.
     """
     wrappers = [then_from_text(" ".join(then))] if then else []
     wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []

@@ -21,13 +21,8 @@ CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not
 def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     """Change settings of a run from its latest checkpoint on, write that down, and return the run.
 
-    Args:
-        run: that has begun.
-        changes: name -> value. Names are those in `CHANGEABLE`, and those of the learner's
-            settings, such as `trust_region.damping`.
-
-    Raises:
-        RunError: a name or a value cannot be used; nothing was written.
+    Names are those in `CHANGEABLE`, and those of the learner's settings, such as
+    `trust_region.damping`. Where a name or a value cannot be used nothing is written.
     """
     with refusals("the change cannot be made: "):
         config = _changed(run, changes)

@@ -30,7 +30,7 @@ CHECKSUM = "sha256"
 
 
 class CheckpointError(RunError):
-    """A checkpoint is damaged: cut short, altered, or no checkpoint at all."""
+    """A checkpoint is missing or damaged."""
 
 
 class MismatchError(RunError):
@@ -93,15 +93,11 @@ def read_checkpoint(path: Path) -> Tensors:
 
 
 def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
-    """Return a tree of the structure of `like` with the given values.
-
-    Args:
-        like: a freshly initialised tree, or the shapes and types of one.
-        values: by the names of `named_leaves`.
-        source: where the values come from, for error messages.
+    """Return a tree of the structure of `like` with values by the names of `named_leaves`.
 
     Raises:
-        MismatchError: a tensor is missing, left over, or of another shape or type.
+        MismatchError: a tensor is missing, left over, or of another shape or type; the message
+            names the `source` of the values.
     """
     expected = named_leaves(like)
     for name in sorted(expected.keys() | values.keys()):
@@ -141,7 +137,7 @@ def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpo
 
 
 def _named_arrays(tree: Any) -> dict[str, np.ndarray]:
-    """Return the leaves by name, in C order: the format stores the bytes as they lie in memory."""
+    """Return the leaves by name, in C order: their bytes are stored as they lie in memory."""
     leaves = named_leaves(jax.device_get(tree))
     return {name: np.asarray(leaf, order="C") for name, leaf in leaves.items()}
 

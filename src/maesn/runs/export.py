@@ -100,11 +100,8 @@ def exported_policy(
 def probe_actuators(env: AnyEnv) -> Actuators:
     """Return `env.control` as the numbers of clip(offset + scale * action, lower, upper).
 
-    The numbers are read off the function itself, so that no environment states them twice, and
-    compared with it on random actions.
-
-    Raises:
-        ValueError: the function has another form.
+    They are read off the function itself, and compared with it on random actions: `ValueError` if
+    it has another form.
     """
 
     def control(action: np.ndarray | float) -> np.ndarray:

@@ -36,16 +36,16 @@ class Progress(NamedTuple):
 
     iteration: int
     """Iterations so far, this one included."""
-    info: dict[str, float]
-    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
+    environment_steps: int
+    """Control steps so far."""
     seconds: float
     """Wall time of the iteration, compilation included."""
     compile_seconds: float
     """The part of `seconds` in which programs were compiled: the first iteration, mostly."""
     steps_per_second: float
     """Control steps per second of the time without compilation."""
-    environment_steps: int
-    """Control steps so far."""
+    info: dict[str, float]
+    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""
@@ -150,12 +150,11 @@ class RunLog(NamedTuple):
 
     def write(self, progress: Progress) -> None:
         """Write down one iteration; raises `RunError` if the disk is full, or the like."""
-        steps = progress.environment_steps
-        counts = {"iteration": progress.iteration, "environment_steps": steps}
-        timing = ("seconds", "compile_seconds", "steps_per_second")
-        self.timing.append(counts | {name: getattr(progress, name) for name in timing})
-        self.metrics.append(counts | progress.info)
-        scalars = {_TAGS.get(name, name): value for name, value in progress.info.items()}
+        timing = progress._asdict()
+        info, steps = timing.pop("info"), progress.environment_steps
+        self.timing.append(timing)
+        self.metrics.append({"iteration": progress.iteration, "environment_steps": steps, **info})
+        scalars = {_TAGS.get(name, name): value for name, value in info.items()}
         scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
         values = [
             Summary.Value(tag=tag if "/" in tag else f"charts/{tag}", simple_value=value)

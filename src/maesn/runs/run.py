@@ -124,9 +124,6 @@ class Run:
             source: directory of an earlier run, name of a policy that comes with the library, or a
                 run, which is read again. A directory wins over a policy of the same name.
             family: the run's family, if it is your own: itself, or `module:name`.
-
-        Raises:
-            RunError: there is no run, or not one that can be understood.
         """
         if isinstance(source, Run):
             family = source.family if family is None else family
@@ -143,9 +140,6 @@ class Run:
         """Return the run's environment as it was recorded, whatever the family's defaults are now.
 
         Reward and sparse radius, in metres, are those of training if they are None.
-
-        Raises:
-            RunError: the environment has become another, or cannot have that radius.
         """
         asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
         overrides = {name: value for name, value in asked.items() if value is not None}
@@ -226,7 +220,7 @@ class Run:
 
         Raises:
             CheckpointError: it is damaged.
-            MismatchError: it belongs to another run, or to other settings.
+            MismatchError: it belongs to another run or other settings.
         """
         values, metadata = read_checkpoint(Path(path))
         if metadata.get("config") not in self.config.digests():
@@ -240,12 +234,7 @@ class Run:
         return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 
     def latest(self) -> Checkpoint:
-        """Return the latest checkpoint that is sound, saying so if a later one is not.
-
-        Raises:
-            CheckpointError: no checkpoint is sound.
-            MismatchError: as for `load`.
-        """
+        """Return the latest checkpoint that is sound, saying so if a later one is not."""
         return latest_sound(self.directory / CHECKPOINTS, self.load)
 
     def latest_state(self) -> Any:

@@ -1,8 +1,7 @@
 """Settings as JSON: a learner goes into `config.json` and comes out the same.
 
-Every object is written with a tag, `"type"`, that names its class. Tags are looked up in a closed
-registry, so a file can ask for nothing but the settings listed here. What is unknown, missing or of
-the wrong type is a `ValueError`.
+Objects have a tag, `"type"`, that is looked up in a closed registry: a file can ask for nothing but
+the settings listed here. What is unknown, missing or of the wrong type is a `ValueError`.
 """
 
 import ast
@@ -111,11 +110,7 @@ def differing(settings: Any, usual: Any) -> dict[str, Any]:
 
 
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values: path, as `trust_region.damping`, -> JSON value.
-
-    Raises:
-        KeyError: there is no setting of that path.
-    """
+    """Return settings with other JSON values by their path; `KeyError` if there is no such path."""
     document = fields_to_json(settings)
     for path, value in changes.items():
         *parents, last = path.split(".")
