@@ -9,7 +9,7 @@ from maesn.evaluation.rules import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.serialization import TAG, fields_to_json, leaves
-from maesn.runs.shipped import TRAINED, policy_names
+from maesn.runs.sources import TRAINED, policy_names
 
 
 @command

@@ -24,7 +24,7 @@ from maesn.learners import (
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.storage import RunError
 
 Source: TypeAlias = Literal["recommended", "reference"]

@@ -20,9 +20,9 @@ from maesn.evaluation.record import adaptation_record, identity_of_run
 from maesn.evaluation.rules import Trained
 from maesn.evaluation.tables import read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.runs.config import check_policy
 from maesn.runs.run import Run
-from maesn.runs.shipped import working_copy
-from maesn.runs.starting import check_policy
+from maesn.runs.sources import working_copy
 from maesn.storage import RunError
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector

@@ -31,17 +31,25 @@ from maesn.runs.checkpoint import (
     restore,
     save_checkpoint,
 )
-from maesn.runs.config import RunConfig, RunSettings, new_config, read_config, write_config
+from maesn.runs.config import (
+    RunConfig,
+    RunSettings,
+    check_policy,
+    check_sizes,
+    new_config,
+    read_config,
+    write_config,
+)
 from maesn.runs.log import METRICS
-from maesn.runs.shipped import find_run
-from maesn.runs.starting import check_policy, check_sizes, warn_of_known_tests
-from maesn.runs.task_sources import (
+from maesn.runs.sources import (
     TASKS_FILE,
+    find_run,
     find_tasks,
     recorded_family,
     recorded_tasks,
     resolve_family,
     save_tasks,
+    warn_of_known_tests,
 )
 from maesn.storage import new_directory, read_json_lines, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
