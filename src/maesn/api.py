@@ -12,18 +12,10 @@ from tyro.conf import Positional
 
 from maesn.context import Latent
 from maesn.envs import TaskFamily
+from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.record import identity_of_run
-from maesn.evaluation.running import (
-    AnyEvaluation,
-    AnyFamily,
-    AnyPath,
-    AnyRun,
-    OptionalPath,
-    evaluate,
-    open_run,
-)
 from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
@@ -90,12 +82,12 @@ def resume(
 
 
 def adapt(
-    run: Positional[AnyRun],
-    evaluation: AnyEvaluation = USUAL,
+    run: Positional[running.AnyRun],
+    evaluation: running.AnyEvaluation = USUAL,
     *,
-    out: OptionalPath = None,
-    start: OptionalPath = None,
-    family: AnyFamily = None,
+    out: running.OptionalPath = None,
+    start: running.OptionalPath = None,
+    family: running.AnyFamily = None,
     **settings: Any,
 ) -> Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
@@ -117,18 +109,18 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    asked, opened = evaluation.changed(**settings), open_run(run, family)
-    outcome, record = evaluate(opened, asked, None if start is None else Path(start))
+    asked, opened = evaluation.changed(**settings), running.open_run(run, family)
+    outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
     return write_outcome(table if out is None else Path(out), outcome, record)
 
 
 def export(
-    run: Positional[AnyRun],
-    path: Positional[AnyPath],
-    family: AnyFamily = None,
+    run: Positional[running.AnyRun],
+    path: Positional[running.AnyPath],
+    family: running.AnyFamily = None,
     *,
-    latents: OptionalPath = None,
+    latents: running.OptionalPath = None,
     task: int | None = None,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
@@ -146,8 +138,7 @@ def export(
         task: Index of its task, in the set that was adapted to.
 
     Raises:
-        RunError: the run cannot be exported, the latents are not this run's, or there is no such
-            task.
+        RunError: the run cannot be exported, or its latents are others, or lack the task.
     """
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
@@ -167,9 +158,9 @@ def export(
 
 
 def plot(
-    runs: Positional[Sequence[AnyRun]],
-    out: OptionalPath = None,
-    family: AnyFamily = None,
+    runs: Positional[Sequence[running.AnyRun]],
+    out: running.OptionalPath = None,
+    family: running.AnyFamily = None,
 ) -> list[Path]:
     """Draw the paper's figures from one or several runs.
 
@@ -193,7 +184,7 @@ def plot(
     """
     if not runs:
         raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
-    opened = [open_run(run, family) for run in runs]
+    opened = [running.open_run(run, family) for run in runs]
     for run in opened:
         if not adaptation_file(run.directory, USUAL).exists():
             adapt(run)

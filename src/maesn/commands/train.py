@@ -62,9 +62,15 @@ def train(arguments: list[str]) -> None:
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
-    """Return the options behind a method, whose defaults depend on the family."""
-    family, source = _family_and_source(arguments)
-    return parse(Options, f"train {method}", arguments, _defaults(method, family, source))
+    """Return the options behind a method, whose defaults depend on `--family` and `--settings`."""
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--family", nargs="?")
+    first.add_argument("--settings", nargs="?")
+    found, _ = first.parse_known_args(arguments)
+    source: Source = "reference" if found.settings == "reference" else "recommended"
+    default = _defaults(method, found.family or RunSettings().family, source)
+    options: Options = parse(Options, f"train {method}", arguments, default)
+    return options
 
 
 def _defaults(method: str, family: str, source: Source) -> Options:
@@ -72,16 +78,6 @@ def _defaults(method: str, family: str, source: Source) -> Options:
         return Options(RunSettings(family=family), METHODS[method](), source)
     settings = RunSettings(family=family, **recommended_run(method, family))
     return Options(settings, recommended(method, family), source)
-
-
-def _family_and_source(arguments: list[str]) -> tuple[str, Source]:
-    """Return what the defaults of all other options depend on."""
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--family", nargs="?")
-    first.add_argument("--settings", nargs="?")
-    found, _ = first.parse_known_args(arguments)
-    source: Source = "reference" if found.settings == "reference" else "recommended"
-    return found.family or RunSettings().family, source
 
 
 def _say_what_suits(method: str, options: Options) -> None:

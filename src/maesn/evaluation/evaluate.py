@@ -26,10 +26,7 @@ def tasks_at_once(
 ) -> int:
     """Return how many tasks to adapt to at once, at most as many as memory allows.
 
-    Args:
-        max_simulations: how many episodes a world can hold; None for any number.
-        episodes_per_update: number of episodes that are played of each task at a time.
-        most: number of tasks that memory allows.
+    `max_simulations` is the number of episodes that a world can hold; None for any number.
     """
     if max_simulations is None:
         return most
@@ -37,7 +34,7 @@ def tasks_at_once(
 
 
 class AdaptationCurves(eqx.Module):
-    """How every task's performance changes with adaptation: entry `[i, k]` is task i, update k."""
+    """How every task's performance changes with adaptation: `[i, k]` is task i, update k."""
 
     mean_return: Float[Array | np.ndarray, "task *update"]
     """Mean undiscounted return."""
@@ -90,14 +87,13 @@ def adapt(
 
     Args:
         learner: learns in each task separately.
-        collect: plays `collect.episodes_per_task` episodes in each task; an update learns from
-            them.
-        episodes: of each task, in all: a multiple of those.
+        collect: plays the episodes of each task that an update learns from.
+        episodes: of each task, in all: a multiple of `collect.episodes_per_task`.
         deploy: plays the fresh episodes that judge the deployed agents; None for none.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
-        saved: contexts of all tasks of the set to go on from; None for the learner's own start.
-            An adaptation in two parts plays the same episodes as one in a single part.
+        saved: contexts of all tasks of the set to go on from, with the same episodes as if there
+            had been no break; None for the learner's own start.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
             do not depend on which others there are.
 
@@ -190,10 +186,10 @@ def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
 
 
 def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
-    """Yield the curves as rows of a table: `explore` and, if there are any, `deploy`.
+    """Yield the curves as rows of a table, first those of `explore`.
 
     `episodes` is the number of episodes per task that the agent has learned from by then. Measures
-    are in the precision that they were computed in, so that they are written with no more digits.
+    have the precision that they were computed in.
     """
     for purpose, curves in (("explore", outcome.explored), ("deploy", outcome.deployed)):
         if curves is None:

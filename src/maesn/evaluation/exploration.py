@@ -49,8 +49,8 @@ def explore(
     Args:
         learner: of a trained or untrained policy.
         collect: plays `episodes_per_task` episodes of each task.
-        num_tasks: the first so many tasks of the world are played, from the first one again if
-            there are not as many. One is enough if all tasks look the same to the agent.
+        num_tasks: the first so many tasks of the world are played, again if there are fewer. One is
+            enough if all tasks look the same to the agent.
         seed: of the episodes.
     """
     keys = jax.random.split(jax.random.key(seed), num_tasks)

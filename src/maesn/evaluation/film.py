@@ -13,17 +13,9 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
+from maesn.evaluation import running
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, Evaluation
-from maesn.evaluation.running import (
-    AnyEvaluation,
-    AnyFamily,
-    AnyRun,
-    OptionalPath,
-    fast_learner,
-    new_tasks,
-    open_run,
-)
 from maesn.evaluation.tables import adaptation_file
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
@@ -40,19 +32,18 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    run: Positional[AnyRun],
-    evaluation: AnyEvaluation = USUAL,
+    run: Positional[running.AnyRun],
+    evaluation: running.AnyEvaluation = USUAL,
     *,
     task: int = 0,
     after: Sequence[int] = (0, 250),
     shown: int = 4,
-    out: OptionalPath = None,
-    family: AnyFamily = None,
+    out: running.OptionalPath = None,
+    family: running.AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
-    The episodes are the first ones of those that `maesn.adapt` plays in this task with the same
-    evaluation.
+    The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation.
 
     Args:
         run: Directory of the run, whose last checkpoint is adapted, or the name of a policy that
@@ -73,21 +64,21 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = open_run(run, family), evaluation
+    run, asked = running.open_run(run, family), evaluation
     updates = _updates(sorted(set(after)), asked)
     if not 1 <= shown <= asked.episodes_per_update:
         raise RunError(
             f"`shown` must be from 1 to `episodes_per_update`, {asked.episodes_per_update}, got "
             f"{shown}."
         )
-    with new_tasks(run, asked) as world:
+    with running.new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
         # Raises where pictures cannot be drawn, before minutes are spent on playing.
         Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
-        learner, goal = fast_learner(run, asked, world), world.tasks[task]
         played = record_adaptation(learner, world, asked, task, updates, shown)
+        goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
     with closing(_Stage(env, goal, played, stride)) as stage:
         rows = [stage.row(playback, asked.episodes_per_update) for playback in played]
@@ -141,13 +132,7 @@ def record_adaptation(
 ) -> list[Playback]:
     """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
 
-    Args:
-        learner: learns in the task.
-        world: where the episodes are played.
-        evaluation: number of episodes of an update, and seed.
-        task: index of the task.
-        updates: numbers of updates after which episodes are kept, ascending.
-        shown: how many are kept each time: the first ones that are played.
+    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept.
     """
     kept: list[tuple[Any, ...]] = []
 

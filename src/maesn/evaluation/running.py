@@ -82,8 +82,14 @@ def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
 
 
 @contextmanager
-def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
-    """Open the world that a run is evaluated in; `RunError` if the policy cannot play there."""
+def new_tasks(
+    run: Run, evaluation: Evaluation
+) -> Iterator[tuple[AbstractWorld, AbstractFastLearner[Any]]]:
+    """Open the world that a run is evaluated in, and return what learns there.
+
+    Raises:
+        RunError: the policy cannot play there, or rule and method do not fit.
+    """
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,
@@ -92,16 +98,9 @@ def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        check_policy(run.learner, run.latest_state(), world.env)
-        yield world
-
-
-def fast_learner(
-    run: Run, evaluation: Evaluation, world: AbstractWorld
-) -> AbstractFastLearner[Any]:
-    """Return what a run learns with in new tasks; `RunError` if rule and method do not fit."""
-    trained = Trained(run.learner, run.latest_state())
-    return evaluation.fast_learner(trained, run.settings.method, world.env)
+        trained = Trained(run.learner, run.latest_state())
+        check_policy(run.learner, trained.state, world.env)
+        yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
 def evaluate(
@@ -113,8 +112,7 @@ def evaluate(
         The outcome, and the record of what decides it.
     """
     judged = evaluation.deploy_episodes
-    with new_tasks(run, evaluation) as world:
-        learner = fast_learner(run, evaluation, world)
+    with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(
             learner,
             Collector(world, evaluation.episodes_per_update),

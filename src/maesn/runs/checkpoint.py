@@ -83,8 +83,7 @@ def read_checkpoint(path: Path) -> Tensors:
             values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (RunError, safetensors.SafetensorError) as error:
         raise CheckpointError(f"`{path}` is no readable checkpoint: {error}") from error
-    stated = metadata.pop(CHECKSUM, "none")
-    content = Tensors(values, metadata)
+    stated, content = metadata.pop(CHECKSUM, "none"), Tensors(values, metadata)
     if _checksum(content) != stated:
         raise CheckpointError(
             f"`{path}` is damaged: its content does not have the checksum that it states."
@@ -147,11 +146,10 @@ def _describe(leaf: Any) -> str:
 
 
 def _checksum(content: Tensors) -> str:
-    names = sorted(content.values)
-    described = [[name, _describe(content.values[name])] for name in names]
+    arrays = sorted(content.values.items())
+    described = [[name, _describe(array)] for name, array in arrays]
     # The order of the metadata is lost in the file, hence the sorting.
-    header = json.dumps([sorted(content.metadata.items()), described])
-    sha = hashlib.sha256(header.encode())
-    for name in names:
-        sha.update(content.values[name].tobytes())
+    sha = hashlib.sha256(json.dumps([sorted(content.metadata.items()), described]).encode())
+    for _, array in arrays:
+        sha.update(array.tobytes())
     return sha.hexdigest()

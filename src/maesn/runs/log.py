@@ -22,8 +22,7 @@ METRICS = "metrics.jsonl"
 TIMING = "timing.jsonl"
 TENSORBOARD = "tensorboard"
 
-# Numbers that have another name on a TensorBoard. Others with a path in their name keep it, and the
-# rest goes to `charts/`.
+# Numbers that have another name on a TensorBoard. Those without a path go to `charts/`.
 _TAGS = {
     "return_before": "returns/before",
     "return_after": "returns/after",
@@ -79,12 +78,9 @@ class JsonLines:
             )
             logger.warning(message, self._path, kept, iterations)
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def append(self, record: Mapping[str, float]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
-        finite = {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in record.items()
-        }
+        finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
         line = json.dumps(finite, allow_nan=False).encode() + b"\n"
         with explained("write", self._path):
             while line:  # a disk that is nearly full takes a part of it

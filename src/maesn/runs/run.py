@@ -1,13 +1,6 @@
 """Run directories: everything about one training run, and nothing that could be executed.
 
-```
-DIR/config.json      settings, learner, world, versions, digests of the tasks and of all of it
-DIR/tasks.npz        the training tasks, if they are a user's own
-DIR/checkpoints/     iteration-000000.safetensors (untrained), iteration-000010.safetensors, ...
-DIR/metrics.jsonl    one line per iteration, the same whenever the run is repeated
-DIR/timing.jsonl     one line per iteration, never the same
-DIR/tensorboard/     events for TensorBoard
-```
+`docs/files.md` lists what is in one.
 """
 
 import dataclasses
@@ -21,16 +14,8 @@ import numpy as np
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.runs.checkpoint import (
-    Checkpoint,
-    MismatchError,
-    checkpoint_paths,
-    latest_sound,
-    named_leaves,
-    read_checkpoint,
-    restore,
-    save_checkpoint,
-)
+from maesn.runs import checkpoint, sources
+from maesn.runs.checkpoint import Checkpoint
 from maesn.runs.config import (
     RunConfig,
     RunSettings,
@@ -41,23 +26,13 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.runs.sources import (
-    TASKS_FILE,
-    find_run,
-    find_tasks,
-    recorded_family,
-    recorded_tasks,
-    resolve_family,
-    save_tasks,
-    warn_of_known_tests,
-)
 from maesn.storage import new_directory, read_json_lines, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
 CHECKPOINTS = "checkpoints"
 
-# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
-# instead would yield the keys of iterations 0 and 1 a second time.
+# An "iteration" that no run reaches: its key makes the untrained state. A split of the seed's key
+# would yield those of iterations 0 and 1 again.
 _UNTRAINED = 0xFFFFFFFF
 
 
@@ -100,9 +75,9 @@ class Run:
                 source does not fit.
         """
         named = settings.family if family is None else family.name
-        family = resolve_family(named) if family is None else family
+        family = sources.resolve_family(named) if family is None else family
         settings = dataclasses.replace(settings, family=named, method=method_name(learner))
-        tasks = find_tasks(settings.tasks, family)
+        tasks = sources.find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
         # Before anything is written: the engine may lack something, the environment contradict
@@ -112,11 +87,11 @@ class Run:
             check_env_contract(run.env(), tasks[0])
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
-            warn_of_known_tests(family, tasks)
+            sources.warn_of_known_tests(family, tasks)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
-                save_tasks(run.directory / TASKS_FILE, tasks, family)
+                sources.save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             state = run.untrained_state() if init_from is None else run._begun_state(init_from)
             check_policy(learner, state, run.env())
             run.save_state(state)
@@ -136,10 +111,10 @@ class Run:
         if isinstance(source, Run):
             family = source.family if family is None else family
             source = source.directory
-        directory = find_run(source)
+        directory = sources.find_run(source)
         config = read_config(directory)
-        found = recorded_family(config.family, family)
-        tasks = recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
+        found = sources.recorded_family(config.family, family)
+        tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         return cls(directory, config, found, tasks)
 
     def env(
@@ -150,18 +125,17 @@ class Run:
         Reward and sparse radius, in metres, are those of training if they are None.
         """
         asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
-        overrides = {name: value for name, value in asked.items() if value is not None}
+        changed = {name: value for name, value in asked.items() if value is not None}
         with refusals():
-            return rebuild_env(self.family, self.config.world, **overrides)
+            return rebuild_env(self.family, self.config.world, **changed)
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
-        """Return tasks of the run's family; `RunError` if there are none or they cannot be used.
+        """Return tasks of the run's family.
 
-        Args:
-            name: `training` for what this run trains on, `validation`, `test` or `ood` for those
-                sets of the family, or the path of an `.npz` file.
+        `name` is `training` for what this run trains on, `validation`, `test` or `ood` for those
+        sets of the family, or the path of an `.npz` file.
         """
-        return self.training_tasks if name == "training" else find_tasks(name, self.family)
+        return self.training_tasks if name == "training" else sources.find_tasks(name, self.family)
 
     def world(
         self,
@@ -206,7 +180,7 @@ class Run:
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
-        return checkpoint_paths(self.directory / CHECKPOINTS)
+        return checkpoint.checkpoint_paths(self.directory / CHECKPOINTS)
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state, and how many control steps were played for it, and return the path."""
@@ -220,7 +194,7 @@ class Run:
             "iteration": str(iteration),
             "environment_steps": str(environment_steps),
         }
-        save_checkpoint(path, state, metadata)
+        checkpoint.save_checkpoint(path, state, metadata)
         return path
 
     def load(self, path: str | Path) -> Checkpoint:
@@ -230,20 +204,20 @@ class Run:
             CheckpointError: it is damaged.
             MismatchError: it belongs to another run or other settings.
         """
-        values, metadata = read_checkpoint(Path(path))
+        values, metadata = checkpoint.read_checkpoint(Path(path))
         if metadata.get("config") not in self.config.digests():
-            raise MismatchError(
+            raise checkpoint.MismatchError(
                 f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
                 f"`{metadata.get('family')}` that was written with another `config.json` than this "
                 "run's: use it with the run that made it, or restore that file. (`maesn resume RUN "
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
-        state = restore(self.structure(), values, path)
+        state = checkpoint.restore(self.structure(), values, path)
         return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
-        return latest_sound(self.directory / CHECKPOINTS, self.load)
+        return checkpoint.latest_sound(self.directory / CHECKPOINTS, self.load)
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""
@@ -251,16 +225,16 @@ class Run:
 
     def _begun_state(self, init_from: str | Path) -> Any:
         """Return a first state with what another run has learned; see `create`."""
-        same_family = read_config(find_run(init_from)).family == self.config.family
+        same_family = read_config(sources.find_run(init_from)).family == self.config.family
         source = Run.open(init_from, self.family if same_family else None)
         check_sizes(source.directory, source.env(), self.env(), "begin with a run in the same one")
-        fresh, values = self.untrained_state(), named_leaves(source.latest_state())
-        larger = named_leaves(self.structure(more_tasks=1))
-        for name, leaf in named_leaves(fresh).items():
+        fresh, values = self.untrained_state(), checkpoint.named_leaves(source.latest_state())
+        larger = checkpoint.named_leaves(self.structure(more_tasks=1))
+        for name, leaf in checkpoint.named_leaves(fresh).items():
             per_task = leaf.shape != larger[name].shape  # a row for each
             if per_task or leaf is self.learner.iteration(fresh):
                 values[name] = leaf
-        return restore(fresh, values, source.directory)
+        return checkpoint.restore(fresh, values, source.directory)
 
     def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
         env, rows = self.env(), len(self.training_tasks) + more_tasks

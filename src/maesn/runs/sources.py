@@ -20,10 +20,7 @@ TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
 
 def resolve_family(name: str) -> TaskFamily:
-    """Return a family by its name, or import a user's own, `module:name`.
-
-    Never call this with what a file says.
-    """
+    """Return a family by its name, or as `imported`."""
     if ":" not in name:
         try:
             return find_family(name)
@@ -48,10 +45,7 @@ def imported(name: str, option: str) -> Any:
 
 
 def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
-    """Return the family of a run: the library's of the recorded name, or the user's that is given.
-
-    What a file says is looked up, never imported.
-    """
+    """Return the family of a run: the library's of that name, or the user's that is given."""
     if given is None:
         try:
             return find_family(recorded)
@@ -95,9 +89,7 @@ def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
 def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """Read tasks of a family from an `.npz` file with the arrays `family.task_names`.
 
-    Each has one row per task. `wheeled` and `point` have the array `goal`, `[row, 2]` in metres;
-    `blockpush` beside it the integers `block`, `[row]`, and the places of the blocks `layout`,
-    `[row, 5, 2]` in metres.
+    Each has one row per task, such as the `goal` of `wheeled` and `point`, `[row, 2]` in metres.
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
@@ -176,8 +168,8 @@ def find_run(run: str | Path) -> Path:
 def working_copy(run: str | Path) -> Path:
     """Return the directory of a run that may be written to.
 
-    This is the run's own. Of the policy `NAME` that comes with the library, whose directory is only
-    read, it is a copy, `maesn-NAME` in the current folder, made when it is first asked for.
+    Of the policy `NAME` that comes with the library it is a copy, `maesn-NAME` in the current
+    folder, made when it is first asked for.
     """
     source = find_run(run)
     if source.parent != TRAINED:

@@ -34,17 +34,12 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
 
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
-    included, on the same machine with the same versions and number of threads.
-
-    A checkpoint is written every `checkpoint_every` iterations and at the end, whether that is the
-    last iteration, Ctrl-C, an error, or `close()` of the generator.
+    included, on the same machine with the same versions and number of threads. A checkpoint is
+    written every `checkpoint_every` iterations and at any end but that of the process.
 
     Args:
         run: what to train.
         iterations: meta-iterations in total; None for what the run's settings say.
-
-    Yields:
-        One `Progress` for each iteration.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -130,8 +125,7 @@ class _Training:
         """Say that a step was not finite, and give up after several in a row."""
         broken = [name for name, value in progress.info.items() if not math.isfinite(value)]
         tasks = int(progress.info.get("nonfinite_tasks", 0))
-        accepted = bool(progress.find("accepted"))
-        if accepted or not (broken or tasks):
+        if progress.find("accepted") or not (broken or tasks):
             self.nonfinite = 0
             return
         self.nonfinite += 1
