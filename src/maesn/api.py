@@ -23,9 +23,9 @@ from maesn.report.table_files import record_of_latents
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
-from maesn.runs.progress import train_live
 from maesn.runs.run import Run
-from maesn.storage import RunError, read_json, refusals
+from maesn.runs.training import train_live
+from maesn.storage import RunError, read_json
 
 
 def train(
@@ -72,7 +72,7 @@ def resume(
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.
-        EpisodeError: an episode went wrong; the last good state is in the directory.
+        EpisodeError: as for `train`.
     """
     run = Run.open(run, family=family)
     if change:
@@ -143,17 +143,16 @@ def export(
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
-    description: dict[str, Any] = {
-        "method": opened.settings.method,
-        "iteration": checkpoint.iteration,
-    }
+    method, iteration = opened.settings.method, checkpoint.iteration
+    description: dict[str, Any] = {"method": method, "iteration": iteration}
     start = None
     if latents is not None or task is not None:
         start = _adapted_start(opened, latents, task)
         description["task"] = task
-    refused = f"`{opened.directory}` cannot be exported to `{path}`: "
-    with refusals(refused, (ValueError, OSError)):
+    try:
         write_policy(path, exported_policy(learner, opened.env(), description, start))
+    except (ValueError, OSError) as error:
+        raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
 
 

@@ -20,14 +20,9 @@ def check_choice(name: str, value: str, choices: Any) -> None:
 
 
 def check_numbers(settings: Any, **least: int) -> None:
-    """Refuse numbers that are too small, a seed that is too large, and a radius of no length.
+    """Refuse numbers below their `least`, a seed that is too large, and a radius of no length.
 
-    Args:
-        settings: with a `seed`, and a `sparse_radius` that may be None.
-        least: name of a setting -> its smallest value; None is refused nowhere.
-
-    Raises:
-        ValueError: one of them is.
+    The settings have a `seed` and a `sparse_radius`. None is never refused, all else by ValueError.
     """
     for name, smallest in {"seed": 0, **least}.items():
         value = getattr(settings, name)

@@ -51,13 +51,11 @@ def explained(action: str, path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def refusals(
-    before: str = "", kinds: tuple[type[Exception], ...] = (ValueError,)
-) -> Iterator[None]:
+def refusals(before: str = "") -> Iterator[None]:
     """Turn a `ValueError`, by which code refuses a setting, into a `RunError`."""
     try:
         yield
-    except kinds as error:
+    except ValueError as error:
         raise RunError(f"{before}{error}") from error
 
 

@@ -19,11 +19,9 @@ _CONFIGURATION = (tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff)
 def command(
     function: Callable[..., Any], show: Callable[[Any], None] | None = None
 ) -> Callable[[list[str]], None]:
-    """Make a command of a function: its parameters are the options, its docstring the help.
+    """Make a command of a function, and show what it returns.
 
-    Args:
-        function: as the command; its name is that of the command.
-        show: what to do with the value that it returns.
+    Its name is that of the command, its parameters are the options, its docstring is the help.
     """
 
     @functools.wraps(function)

@@ -1,7 +1,7 @@
 """Commands that compare: methods on the same tasks, and MAESN with parts left out."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -52,19 +52,18 @@ def compare(
     if evaluation.rule is not None:
         raise RunError("say of which method, as in `--rules maesn gradient`, instead of `--rule`.")
     of_methods = {method: rule_from_text(text) for method, text in rules.items()}
-    print_summary(
-        compare_runs(
-            runs,
-            out=out,
-            evaluation=evaluation.changed(wrappers=()),
-            run_episodes=run_episodes,
-            scratch=scratch,
-            world=world,
-            oracle=oracle,
-            changes=Changes(evaluation.wrappers, twice, of_methods),
-            say=print,
-        )
+    done = compare_runs(
+        runs,
+        out=out,
+        evaluation=evaluation.changed(wrappers=()),
+        run_episodes=run_episodes,
+        scratch=scratch,
+        world=world,
+        oracle=oracle,
+        changes=Changes(evaluation.wrappers, twice, of_methods),
+        say=print,
     )
+    print_summary(done)
 
 
 @command
@@ -97,13 +96,9 @@ def ablation(
         radii: Sparse radii of the new tasks, in metres; a figure for each. Left out: on `wheeled`
             0.8 and 1, as in the published figure; elsewhere the family's own.
     """
+    counts: dict[str, Any] = {"iterations": iterations, "episodes_per_task": episodes_per_task}
     with refusals():
-        settings = RunSettings(
-            family=family,
-            seed=training_seed,
-            iterations=iterations,
-            episodes_per_task=episodes_per_task,
-        )
+        settings = RunSettings(family=family, seed=training_seed, **counts)
         asked = Ablation(settings, only, {"meta_batch_size": meta_batch_size})
     done = ablate(asked, out, evaluation=evaluation, radii=radii, oracle=oracle, say=print)
     for radius, comparison in done.items():

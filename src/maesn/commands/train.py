@@ -9,18 +9,10 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import tyro
 
-from maesn import api
+from maesn import api, learners
 from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
-from maesn.learners import (
-    BONUS_SUFFIX,
-    METHODS,
-    PRESETS,
-    SCRATCH,
-    AbstractMetaLearner,
-    recommended,
-    recommended_run,
-)
+from maesn.learners import AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
@@ -75,9 +67,9 @@ def read_options(method: str, arguments: list[str]) -> Options:
 
 def _defaults(method: str, family: str, source: Source) -> Options:
     if source == "reference":
-        return Options(RunSettings(family=family), METHODS[method](), source)
-    settings = RunSettings(family=family, **recommended_run(method, family))
-    return Options(settings, recommended(method, family), source)
+        return Options(RunSettings(family=family), learners.METHODS[method](), source)
+    settings = RunSettings(family=family, **learners.recommended_run(method, family))
+    return Options(settings, learners.recommended(method, family), source)
 
 
 def _say_what_suits(method: str, options: Options) -> None:
@@ -99,26 +91,27 @@ def _say_what_suits(method: str, options: Options) -> None:
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:
     """Return the method and the options behind it."""
-    known = ", ".join(PRESETS)
+    known = ", ".join(learners.PRESETS)
     if not arguments:
         raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
     if arguments[0] in ("-h", "--help"):
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
-            f"METHOD{BONUS_SUFFIX} gets a bonus for what it finds out about the world as well.\n"
+            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out about the world as "
+            "well.\n"
             "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
             "the method on that family."
         )
         sys.exit(0)
     method = arguments[0]
-    if method in SCRATCH:
+    if method in learners.SCRATCH:
         raise RunError(
             f"`{method}` is not meta-trained: it learns each task from scratch, as in "
             f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
         )
-    if method not in METHODS:
-        near = difflib.get_close_matches(method, METHODS, n=1)
+    if method not in learners.METHODS:
+        near = difflib.get_close_matches(method, learners.METHODS, n=1)
         hint = f" Did you mean `{near[0]}`?" if near else ""
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
     return method, arguments[1:]

@@ -99,7 +99,6 @@ def adapt(
 
     Raises:
         EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
-        ValueError: the learner cannot go on from contexts.
     """
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
     first = 0 if saved is None else saved.updates

@@ -110,11 +110,7 @@ class Evaluation:
         return " ".join(map(written_out, chosen))
 
     def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return what learns in the new tasks, `env`; messages name the `method`.
-
-        Raises:
-            RunError: rule and method do not fit, or an update has too few episodes.
-        """
+        """Return what learns in new tasks; `RunError` if `method`, rule and budgets do not fit."""
         try:
             rule = default_rule(trained) if self.rule is None else self.rule
             learner = rule.fast_learner(trained, env)

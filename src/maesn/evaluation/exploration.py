@@ -46,12 +46,8 @@ def explore(
 ) -> Exploration:
     """Play from the start in new tasks, once drawing z and once holding it at its mean.
 
-    Args:
-        learner: of a trained or untrained policy.
-        collect: plays `episodes_per_task` episodes of each task.
-        num_tasks: the first so many tasks of the world are played, again if there are fewer. One is
-            enough if all tasks look the same to the agent.
-        seed: of the episodes.
+    The first `num_tasks` tasks of the collector's world are played, again if there are fewer. One
+    is enough if all tasks look the same to the agent.
     """
     keys = jax.random.split(jax.random.key(seed), num_tasks)
     agents = learner.agents(learner.init(keys))

@@ -196,16 +196,17 @@ class _Stage:
         states = self._lived(playback, episode)
         path = places(self._env, states)
         times = [*range(0, self._env.horizon, self._stride), self._env.horizon]
+
+        def picture(time: int) -> np.ndarray:
+            now = {name: value[time] for name, value in states.items()}
+            trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
+            return self._scene.draw(now, self._task, trail)
+
         # An episode that has ended stands still.
-        pictures = [self._picture(states, path, min(time, len(path) - 1)) for time in times]
+        pictures = [picture(min(time, len(path) - 1)) for time in times]
         reached = bool(playback.solved[episode])
         caption = f"episode {episode + 1}: return {playback.returns[episode]:.1f}"
         return Cell(f"{caption}, goal reached" if reached else caption, reached, pictures)
-
-    def _picture(self, states: HostReadings, path: np.ndarray, time: int) -> np.ndarray:
-        now = {name: value[time] for name, value in states.items()}
-        trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
-        return self._scene.draw(now, self._task, trail)
 
     def _lived(self, playback: Playback, episode: int) -> HostReadings:
         """Return the states of one episode, up to the one that ended it if that can be drawn."""

@@ -85,11 +85,7 @@ def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
 def new_tasks(
     run: Run, evaluation: Evaluation
 ) -> Iterator[tuple[AbstractWorld, AbstractFastLearner[Any]]]:
-    """Open the world that a run is evaluated in, and return what learns there.
-
-    Raises:
-        RunError: the policy cannot play there, or rule and method do not fit.
-    """
+    """Open the world that a run is evaluated in, and say what learns there."""
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,

@@ -92,11 +92,9 @@ def read_checkpoint(path: Path) -> Tensors:
 
 
 def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
-    """Return a tree of the structure of `like` with values by the names of `named_leaves`.
+    """Return a tree like another one, with values by the names of `named_leaves` that fit it.
 
-    Raises:
-        MismatchError: a tensor is missing, left over, or of another shape or type; the message
-            names the `source` of the values.
+    If they do not, the message of the `MismatchError` names their `source`.
     """
     expected = named_leaves(like)
     for name in sorted(expected.keys() | values.keys()):

@@ -150,9 +150,9 @@ def make_env(
 ) -> AnyEnv:
     """Return the environment that a new run is to have; an existing one has its own, `Run.env`."""
     radius = {} if settings.sparse_radius is None else {"sparse_radius": settings.sparse_radius}
-    kind = settings.reward if reward_kind is None else reward_kind
+    reward = reward_kind or settings.reward
     with refusals():
-        return family.make_env(variant=settings.variant, reward_kind=kind, **radius)
+        return family.make_env(variant=settings.variant, reward_kind=reward, **radius)
 
 
 def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:

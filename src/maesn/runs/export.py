@@ -13,7 +13,6 @@ from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
-from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
@@ -152,25 +151,17 @@ def _policy(learner: GradientFastLearner) -> GaussianPolicy:
     weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
     biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
     if learner.statistics is not None:
-        weights[0], biases[0] = _with_normalization(learner.statistics, weights[0], biases[0])
+        # Observations are normalised by the first layer. With D = diag(1 / scale):
+        # ((o - mean) D) W + b = o (D W) + (b - mean D W).
+        # In double precision, because the two parts may cancel.
+        mean, scaled = _float64(learner.statistics.mean), _float64(weights[0]).copy()
+        scaled[: len(mean)] /= _float64(learner.statistics.scale)[:, None]
+        weights[0], biases[0] = scaled, biases[0] - mean @ scaled[: len(mean)]
     return GaussianPolicy(
         weights=tuple(weight.astype(np.float32) for weight in weights),
         biases=tuple(bias.astype(np.float32) for bias in biases),
         std=np.maximum(np.exp(_float64(learner.policy.log_std)), MINIMUM_STD),
     )
-
-
-def _with_normalization(
-    statistics: ObservationStatistics, weight: np.ndarray, bias: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fold the normalisation of observations into the first layer.
-
-    With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). In double precision,
-    because the two parts may cancel.
-    """
-    mean, scaled = _float64(statistics.mean), weight.astype(np.float64)
-    scaled[: len(mean)] /= _float64(statistics.scale)[:, None]
-    return scaled, bias - mean @ scaled[: len(mean)]
 
 
 def _rule(learner: GradientFastLearner) -> LearningRule:

@@ -48,8 +48,8 @@ class Progress(NamedTuple):
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""
-        found = [value for path, value in self.info.items() if path.split("/")[-1] == name]
-        return found[0] if found else None
+        found = (value for path, value in self.info.items() if path.split("/")[-1] == name)
+        return next(found, None)
 
 
 class JsonLines:
@@ -72,11 +72,10 @@ class JsonLines:
                 end += len(line)
             self._file.truncate(end)
         if kept < iterations:
-            message = (
-                "`%s` holds only %d of the %d iterations before this one; the rest is lost, but "
-                "not for the learner."
+            logger.warning(
+                f"`{self._path}` holds only {kept} of the {iterations} iterations before this one; "
+                "the rest is lost, but not for the learner."
             )
-            logger.warning(message, self._path, kept, iterations)
 
     def append(self, record: Mapping[str, float]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""

@@ -71,8 +71,7 @@ class Run:
         and so does the count of iterations.
 
         Raises:
-            RunError: the directory is in use or cannot be written, a setting is wrong, or the
-                source does not fit.
+            RunError: directory or settings cannot be used, or the other run does not fit.
         """
         named = settings.family if family is None else family.name
         family = sources.resolve_family(named) if family is None else family
@@ -103,10 +102,9 @@ class Run:
     def open(cls, source: "str | Path | Run", family: str | TaskFamily | None = None) -> "Run":
         """Open a run. Nothing that stands in its directory is executed.
 
-        Args:
-            source: directory of an earlier run, name of a policy that comes with the library, or a
-                run, which is read again. A directory wins over a policy of the same name.
-            family: the run's family, if it is your own: itself, or `module:name`.
+        `source` is a directory, the name of a policy that comes with the library unless there is a
+        directory of that name, or a run, which is read again. `family` is the run's own family, if
+        it does not come with the library: itself, or `module:name`.
         """
         if isinstance(source, Run):
             family = source.family if family is None else family
@@ -152,10 +150,10 @@ class Run:
             RunError: the engine lacks something that the family needs; also as for `env`.
         """
         tasks = self.training_tasks if tasks is None else tasks
-        engine = self.settings.engine if engine is None else engine
         threads = self.settings.num_threads if num_threads is None else num_threads
+        env, engine = self.env(reward_kind, sparse_radius), engine or self.settings.engine
         with refusals():
-            return make_world(self.env(reward_kind, sparse_radius), tasks, threads, engine)
+            return make_world(env, tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
@@ -198,12 +196,7 @@ class Run:
         return path
 
     def load(self, path: str | Path) -> Checkpoint:
-        """Read one checkpoint of this run.
-
-        Raises:
-            CheckpointError: it is damaged.
-            MismatchError: it belongs to another run or other settings.
-        """
+        """Read one checkpoint of this run; `MismatchError` if it belongs to another one."""
         values, metadata = checkpoint.read_checkpoint(Path(path))
         if metadata.get("config") not in self.config.digests():
             raise checkpoint.MismatchError(

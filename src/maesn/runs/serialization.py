@@ -96,10 +96,8 @@ def leaves(document: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     """Return the values in a document by their path, as in `trust_region.damping`."""
     found: dict[str, Any] = {}
     for name, value in document.items():
-        if isinstance(value, dict):
-            found |= leaves(value, f"{path}{name}.")
-        else:
-            found[path + name] = value
+        inner = isinstance(value, dict)
+        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
     return found
 
 

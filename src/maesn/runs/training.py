@@ -1,15 +1,21 @@
-"""The training loop: one generator that begins, goes on, and ends well however it is stopped."""
+"""The training loop, which ends well however it is stopped, and its live display."""
 
 import contextlib
 import dataclasses
+import datetime
 import logging
 import math
 import time
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
 import jax
 import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.table import Column
 
 from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
@@ -25,6 +31,11 @@ logger = logging.getLogger(__name__)
 # Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
 MAX_NONFINITE = 5
 
+# Iterations whose mean duration, without compilation, predicts the time that is left.
+_WINDOW = 20
+# Columns of a terminal that has room for a bar beside the numbers.
+_WIDE = 110
+
 
 class TrainingError(RunError):
     """Training cannot go on; the last good state is on disk."""
@@ -37,9 +48,7 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     included, on the same machine with the same versions and number of threads. A checkpoint is
     written every `checkpoint_every` iterations and at any end but that of the process.
 
-    Args:
-        run: what to train.
-        iterations: meta-iterations in total; None for what the run's settings say.
+    `iterations` is the number of meta-iterations in total; None for that of the run's settings.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -143,11 +152,82 @@ class _Training:
 
 
 def _compare_versions(run: Run) -> None:
-    message = (
-        "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit what it "
-        "would have become without the interruption."
-    )
     now = installed_versions(run.config.engine)
     for name, version in run.config.versions.items():
         if now.get(name) != version:
-            logger.warning(message, run.directory, name, version, now.get(name))
+            logger.warning(
+                f"`{run.directory}` was begun with {name} {version} and goes on with "
+                f"{now.get(name)}: it need not become bit for bit what it would have become "
+                "without the interruption."
+            )
+
+
+def train_live(
+    run: Run, iterations: int | None = None, console: Console | None = None
+) -> Progress | None:
+    """Train and show how it goes: one live line on a terminal, else one line per iteration.
+
+    Returns the last iteration, None if nothing was left to do. All else is as for `train`.
+    """
+    console = console or Console()
+    total = run.settings.iterations if iterations is None else iterations
+    last: Progress | None = None
+    try:
+        with contextlib.closing(train(run, iterations)) as steps, _display(console, total) as show:
+            recent: deque[float] = deque(maxlen=_WINDOW)
+            for last in steps:
+                recent.append(last.seconds - last.compile_seconds)
+                left = sum(recent) / len(recent) * (total - last.iteration)
+                show(last, f"{datetime.timedelta(seconds=round(left))} left")
+    except KeyboardInterrupt:
+        more = "" if total == run.settings.iterations else f" --iterations {total}"
+        more += run.settings.family_option
+        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        raise
+    if last is None:
+        done = run.latest().iteration
+        _say(console, f"{run.directory} has done {done} of {total} iterations: nothing is left.")
+    return last
+
+
+def describe(progress: Progress) -> str:
+    """Return one iteration in a line of text."""
+    info, parts = progress.info, []
+    if "return_before" in info and "return_after" in info:
+        parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
+    if "success_after" in info:
+        parts.append(f"success {info['success_after']:.0%}")
+    kl = progress.find("kl")
+    if kl is not None:
+        rejected = progress.find("accepted") == 0.0
+        parts.append("step rejected" if rejected else f"KL {kl:.4f}")
+    parts.append(f"{progress.steps_per_second:,.0f} steps/s")
+    if progress.compile_seconds > 1:
+        parts.append(f"compiled for {progress.compile_seconds:.0f} s")
+    return ", ".join(parts)
+
+
+@contextlib.contextmanager
+def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str], None]]:
+    """Yield what shows an iteration and the time that is left."""
+    if not console.is_terminal:
+        yield lambda progress, left: _say(
+            console, f"{progress.iteration}/{total}: {describe(progress)}, {left}"
+        )
+        return
+    columns: list[Any] = [
+        MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+    ]
+    if console.width >= _WIDE:
+        columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
+    with Bar(*columns, console=console) as bar:
+        shown = bar.add_task("compiling", total=total)
+        yield lambda progress, left: bar.update(
+            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+        )
+
+
+def _say(console: Console, text: str) -> None:
+    # As it is: no markup, no colours, no line breaks of its own.
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
