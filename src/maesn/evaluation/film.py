@@ -52,7 +52,7 @@ def render(
         evaluation: tasks, rule, budgets, seed.
         task: Index of the task in its set.
         after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
-            before any adaptation, and the last one at most the `episodes` of the evaluation.
+            before any adaptation, and the last one at most `episodes`.
         shown: Episodes that are shown each time: the first ones that are played.
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.

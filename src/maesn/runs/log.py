@@ -77,7 +77,7 @@ class JsonLines:
                 "the rest is lost, but not for the learner."
             )
 
-    def append(self, record: Mapping[str, float]) -> None:
+    def append(self, record: Mapping[str, float | int]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
         finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
         line = json.dumps(finite, allow_nan=False).encode() + b"\n"
