@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from maesn.api import changed
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper
 from maesn.evaluation.tables import write_rows
@@ -174,10 +173,10 @@ def _lines_of_runs(
         line = partial(line_of_runs, series.name, series.style, members, world)
         rule = changes.rules.get(method)
         episodes = world.evaluation.episodes if run_episodes is None else run_episodes
-        lines.append(line(changed(world.evaluation, {"rule": rule, "episodes": episodes})))
+        lines.append(line(world.evaluation.changed(rule=rule, episodes=episodes)))
         if not changes.wrappers or (changes.twice and method not in changes.twice):
             continue
-        second = changed(world.evaluation, {"rule": rule, "wrappers": changes.wrappers})
+        second = world.evaluation.changed(rule=rule, wrappers=changes.wrappers)
         try:
             lines.append(line(second))
         except RunError as error:
