@@ -6,12 +6,13 @@ as `module:name`.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from tyro.conf import Positional
 
 from maesn.context import Latent
-from maesn.envs import TaskFamily
+from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
@@ -25,6 +26,8 @@ from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runs.training import train_live
+from maesn.search.prior import PriorSettings
+from maesn.search.stored import played_live, run_prior
 from maesn.storage import RunError, read_json
 
 
@@ -113,6 +116,42 @@ def adapt(
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
     return write_outcome(table if out is None else Path(out), outcome, record)
+
+
+def prior(
+    run: Positional[running.AnyRun],
+    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = PriorSettings(),
+    *,
+    reward: RewardKind = "sparse",
+    sparse_radius: float | None = None,
+    family: running.AnyFamily = None,
+) -> Path:
+    """Play an archive of latents in the training tasks: the prior of the rule `search`.
+
+    It takes seconds to minutes, once after training; `adapt --rule search` does the same where it
+    is missing. An earlier one for the same reward is replaced.
+
+    Args:
+        run: Directory of the run, or the name of a policy that comes with the library, of which a
+            copy is made, `maesn-NAME` in the current folder.
+        settings: of the archive.
+        reward: Reward of the new tasks.
+        sparse_radius: Metres around the goal in which sparse reward tells the distance in the new
+            tasks; None: the run's own.
+        family: The run's family as `module:name`, if it is your own.
+
+    Returns:
+        The file, `DIR/priors/REWARD-RADIUS.safetensors`.
+
+    Raises:
+        RunError: the run has no latent, or a setting cannot be used.
+        EpisodeError: an episode went wrong.
+    """
+    opened = running.open_run(run, family)
+    with played_live() as progress:
+        return run_prior(
+            opened, settings, reward=reward, sparse_radius=sparse_radius, progress=progress
+        )[0]
 
 
 def export(

@@ -59,6 +59,7 @@ def _print_all(paths: list[Path]) -> None:
 adapt = command(api.adapt, _say_adapted)
 plot = command(api.plot, _print_all)
 export = command(api.export, print)
+prior = command(api.prior, print)
 render = command(render_run, _print_all)
 
 

@@ -5,6 +5,7 @@ The types of arguments say as well how the command line reads them.
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -23,6 +24,7 @@ from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
+from maesn.search.stored import find_prior
 from maesn.storage import RunError
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
@@ -94,8 +96,9 @@ def new_tasks(
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        trained = Trained(run.learner, run.latest_state())
-        check_policy(run.learner, trained.state, world.env)
+        state = run.latest_state()
+        check_policy(run.learner, state, world.env)
+        trained = Trained(run.learner, state, partial(find_prior, run, state, world))
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
@@ -107,17 +110,18 @@ def evaluate(
     Returns:
         The outcome, and the record of what decides it.
     """
-    judged = evaluation.deploy_episodes
+    budget = evaluation.budget
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(
             learner,
-            Collector(world, evaluation.episodes_per_update),
-            episodes=evaluation.episodes,
-            deploy=Collector(world, judged) if judged else None,
+            Collector(world, budget.per_update),
+            episodes=budget.episodes,
+            deploy=Collector(world, budget.deploy) if budget.deploy else None,
+            deploy_after=evaluation.deploy_after,
             seed=evaluation.seed,
             chunk_size=tasks_at_once(
                 world.max_simulations,
-                max(evaluation.episodes_per_update, judged),
+                max(budget.per_update, budget.deploy),
                 evaluation.tasks_at_once,
             ),
             saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),

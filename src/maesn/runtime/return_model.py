@@ -34,9 +34,6 @@ class ReturnPrior:
         episodes: number of episodes behind each X_ij.
         offset_mean: mean over training tasks of c.
         offset_std: its standard deviation.
-        residual: variance of what no training task shows, as a share of the mean variance over
-            training tasks.
-        length_scale: distance in z over which that varies.
 
     Raises:
         ValueError: a field has another shape, is not finite, or is out of its range.
@@ -48,8 +45,6 @@ class ReturnPrior:
     episodes: int
     offset_mean: float
     offset_std: float
-    residual: float
-    length_scale: float
 
     def __post_init__(self) -> None:
         count = len(self.latents)
@@ -67,12 +62,8 @@ class ReturnPrior:
             raise ValueError("`latents`, `excess`, `noise` and `offset_mean` must be finite.")
         if self.noise.min() < 0 or self.episodes < 1:
             raise ValueError("`noise` must be at least 0 and `episodes` at least 1.")
-        least = {"offset_std": 0.0, "residual": 0.0}
-        for name, smallest in least.items():
-            if not smallest <= getattr(self, name) < np.inf:
-                raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
-        if not 0 < self.length_scale < np.inf:
-            raise ValueError(f"`length_scale` must be positive, got {self.length_scale}.")
+        if not 0 <= self.offset_std < np.inf:
+            raise ValueError(f"`offset_std` must be at least 0, got {self.offset_std}.")
 
 
 @dataclass(frozen=True)
@@ -111,22 +102,29 @@ class ReturnModel:
 
     where S is the covariance of X over training tasks, its diagonal less the Monte-Carlo variance
     of X, and negative eigenvalues set to 0.
+
+    Args:
+        prior: of the policy.
+        residual: variance of what no training task shows, as a share of the mean variance over
+            training tasks.
+        length_scale: distance in z over which that varies.
     """
 
-    def __init__(self, prior: ReturnPrior) -> None:
+    def __init__(self, prior: ReturnPrior, residual: float, length_scale: float) -> None:
         self.prior = prior
+        self._length_scale = length_scale
         centred = prior.excess - prior.excess.mean(axis=0)
         sampled = centred.T @ centred / (len(centred) - 1)
         self._covariance = positive(sampled - np.diag(prior.noise / prior.episodes))
-        self._residual = prior.residual * float(np.diag(self._covariance).mean())
-        gram = matern(prior.latents, prior.latents, prior.length_scale)
+        self._residual = residual * float(np.diag(self._covariance).mean())
+        gram = matern(prior.latents, prior.latents, length_scale)
         self._inverse = np.linalg.inv(gram + _JITTER * np.eye(len(gram)))
         self._mean = prior.excess.mean(axis=0)
         self.archive = Points(prior.latents, np.eye(len(prior.latents)))
 
     def points(self, latents: FloatArray) -> Points:
         """Return latents `[point, z]` as points."""
-        kernel = matern(latents, self.prior.latents, self.prior.length_scale)
+        kernel = matern(latents, self.prior.latents, self._length_scale)
         return Points(latents, kernel @ self._inverse)
 
     def mean(self, points: Points) -> FloatArray:
@@ -143,7 +141,7 @@ class ReturnModel:
 
     def covariance(self, first: Points, second: Points) -> FloatArray:
         """Return K(z, z'), `[first, second]`."""
-        kernel = matern(first.latents, second.latents, self.prior.length_scale)
+        kernel = matern(first.latents, second.latents, self._length_scale)
         shared = first.weights @ self._covariance @ second.weights.T
         return shared + self._residual * kernel
 

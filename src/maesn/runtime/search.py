@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel
+from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel, ReturnPrior
 
 PLAYS = 2
 
@@ -24,25 +24,35 @@ class SearchSettings:
         draws: latents that are drawn around the best one in every round, once it has been played;
             0 stays with the archive.
         draw_std: their standard deviation around it, in units of z.
+        residual: variance of what no training task shows, as a share of the mean variance over
+            training tasks.
+        length_scale: distance in z over which that varies.
 
     Raises:
         ValueError: a setting is out of its range.
     """
 
     acquisition: AcquisitionName = "ucb"
-    exploration: float = 1.0
-    draws: int = 32
-    draw_std: float = 0.3
+    exploration: float = 2.0
+    draws: int = 8
+    draw_std: float = 0.2
+    residual: float = 0.03
+    length_scale: float = 1.0
 
     def __post_init__(self) -> None:
         if self.acquisition not in get_args(AcquisitionName):
             names = ", ".join(get_args(AcquisitionName))
             raise ValueError(f"`acquisition` must be one of {names}, got {self.acquisition!r}.")
-        for name in ("exploration", "draws"):
+        for name in ("exploration", "draws", "residual"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
-        if not 0 < self.draw_std < np.inf:
-            raise ValueError(f"`draw_std` must be positive, got {self.draw_std}.")
+        for name in ("draw_std", "length_scale"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+
+    def model(self, prior: ReturnPrior) -> ReturnModel:
+        """Return the model of returns that a prior makes."""
+        return ReturnModel(prior, self.residual, self.length_scale)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, Capabilities, Purpose, SavedContexts
 from maesn.learners.base import refuse_saved
-from maesn.policies import AbstractPolicy
 from maesn.numerics.normalization import ObservationStatistics
+from maesn.policies import AbstractPolicy
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
 

@@ -36,10 +36,6 @@ class PriorSettings:
     """Whether the archive also has the latents that one dense update reaches in training tasks."""
     episodes: int = 4
     """Episodes of each latent, in each situation."""
-    residual: float = 0.1
-    """Variance of what no training task shows, as a share of the mean variance over them."""
-    length_scale: float = 1.0
-    """Distance in z over which that varies."""
     seed: int = 0
     """Of the draws and the episodes."""
     simulations: int = 1000
@@ -76,8 +72,6 @@ def make_prior(
         episodes=settings.episodes,
         offset_mean=float(offset.mean()),
         offset_std=float(offset.std(ddof=1)),
-        residual=settings.residual,
-        length_scale=settings.length_scale,
     )
 
 
