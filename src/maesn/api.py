@@ -26,6 +26,7 @@ from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runs.training import train_live
+from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, run_prior
 from maesn.storage import RunError, read_json
@@ -120,7 +121,7 @@ def adapt(
 
 def prior(
     run: Positional[running.AnyRun],
-    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = PriorSettings(),
+    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,

@@ -59,7 +59,7 @@ class AdaptationOutcome(NamedTuple):
     """Of fresh episodes of the deployed agent after k updates, NaN where it was not judged; None if
     none were asked for."""
     contexts: Any
-    """Contexts of the exploring agents, `[task, update, ...]`; as `Agents.context`."""
+    """What was adapted, `[task, update, ...]`: `AbstractFastLearner.adapted`."""
     first_update: int
     """Number of updates that lie before the first column."""
     episodes_per_update: int
@@ -146,12 +146,15 @@ def _adapt_chunk(
         keys = _task_keys(seed, update, slots)
         fresh = None
         if deploy is not None and update in judged:
-            fresh = measure(play(deploy, "deploy", _deploy_keys(keys), update))
+            deploy_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(
+                keys, np.uint32(_DEPLOYED)
+            )
+            fresh = measure(play(deploy, "deploy", deploy_keys, update))
         explored = play(collect, "explore", keys, update)
         column = measure(explored)
         if deploy is not None and fresh is None:
             fresh = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), column)
-        columns.append(jax.tree.map(np.asarray, (column, fresh, learner.agents(state).context)))
+        columns.append(jax.tree.map(np.asarray, (column, fresh, learner.adapted(state))))
         if update < updates[-1]:
             state = learner.update(state, explored)
     stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(

@@ -3,6 +3,7 @@
 The types of arguments say as well how the command line reads them.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from functools import partial
@@ -25,7 +26,7 @@ from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
-from maesn.storage import RunError
+from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -49,8 +50,16 @@ AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
 """A user's own family or its `module:name`; None for one that comes with the library."""
 
 
+@dataclasses.dataclass(frozen=True)
+class _Options(Evaluation):
+    """Options of the command line, to be checked when rule and wrappers are known as well."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
 def evaluation_from_text(
-    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")],
+    options: Annotated[_Options, tyro.conf.arg(name="")],
     rule: tuple[str, ...] = (),
     then: tuple[str, ...] = (),
     bonus: tuple[str, ...] = (),
@@ -58,10 +67,10 @@ def evaluation_from_text(
     """Return an evaluation with rule and wrappers that are given as words.
 
     Args:
-        evaluation: all else.
-        rule: What happens in a new task: gradient, memory or none, or `module:name` of your own;
-            behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the method
-            prescribes. `maesn list` has all settings.
+        options: all else.
+        rule: What happens in a new task: gradient, search, memory or none, or `module:name` of your
+            own; behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the
+            method prescribes. `maesn list` has all settings.
         then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
             trpo after=500 max_kl=0.01`. Left out: they stay.
         bonus: A bonus on the rewards that are learned from, as in `--bonus vime
@@ -70,7 +79,8 @@ def evaluation_from_text(
     wrappers = [then_from_text(" ".join(then))] if then else []
     wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []
     chosen = rule_from_text(" ".join(rule)) if rule else None
-    return evaluation.changed(rule=chosen, wrappers=tuple(wrappers))
+    with refusals():
+        return Evaluation(**vars(options) | {"rule": chosen, "wrappers": tuple(wrappers)})
 
 
 AnyEvaluation: TypeAlias = Annotated[

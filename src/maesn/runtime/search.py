@@ -1,5 +1,6 @@
 """Search in the latent space: which latent to play next in a new task, and which to deploy."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
@@ -8,6 +9,7 @@ import numpy as np
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel, ReturnPrior
 
+# Of the best point, before latents around it are drawn: by then the archive has shown its best.
 PLAYS = 2
 
 AcquisitionName: TypeAlias = Literal["ucb", "thompson"]
@@ -95,11 +97,11 @@ class LatentSearch:
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
-        chosen = int(np.argmax(self._scores(generator)))
+        chosen = int(np.argmax(self.scores(generator)))
         if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = int(np.argmax(wider._scores(generator)))
+        refined = int(np.argmax(wider.scores(generator)))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
@@ -108,12 +110,15 @@ class LatentSearch:
         """Return the search with one more point."""
         return self._with_points(self.model.points(z[None]))
 
-    def observed(self, reading: Reading) -> "LatentSearch":
-        """Return the search after an episode."""
-        posterior = self.posterior.conditioned(self.model, self.points, reading)
+    def after(self, readings: Iterable[Reading]) -> "LatentSearch":
+        """Return the search after some episodes."""
+        posterior = self.posterior
+        for reading in readings:
+            posterior = posterior.conditioned(self.model, self.points, reading)
         return replace(self, posterior=posterior)
 
-    def _scores(self, generator: np.random.Generator) -> FloatArray:
+    def scores(self, generator: np.random.Generator) -> FloatArray:
+        """Return what the acquisition rule gives each point, `[point]`."""
         if self.settings.acquisition == "thompson":
             return self._sample(generator)
         return self.posterior.mean + self.settings.exploration * self.posterior.std

@@ -46,8 +46,10 @@ def returns_under(
     after = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, 1), readings)
 
     def in_task(task: Any) -> Array:
-        step = jax.vmap(jax.vmap(lambda r, a, n: env.reward(r, a, n, task).total))
-        return jnp.where(valid, step(before, action, after), 0.0).sum(-1)
+        def step(r: Readings, a: Array, n: Readings) -> Array:
+            return env.reward(r, a, n, task).total
+
+        return jnp.where(valid, jax.vmap(jax.vmap(step))(before, action, after), 0.0).sum(-1)
 
     judged: Array = jax.lax.map(in_task, tasks)
     return judged

@@ -1,7 +1,7 @@
 """The fast learner that searches: one latent per episode, chosen by what is known so far."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Capabilities, Purpose, SavedContexts
+from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
 from maesn.learners.base import refuse_saved
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
@@ -44,33 +44,36 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
         return self._next([start] * len(generators), generators)
 
     def agents(self, state: SearchState, purpose: Purpose = "explore") -> Agents:
-        pairs = zip(state.searches, state.chosen, strict=True)
-        latents = [
-            search.latent(chosen if purpose == "explore" else search.best)
-            for search, chosen in pairs
-        ]
-        mean = jnp.asarray(np.stack(latents), jnp.float32)
-        context = Latent(mean, jnp.zeros_like(mean)).at_mean()
-        return Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
+        deployed = tuple(search.best for search in state.searches)
+        context = self._latents(state, state.chosen if purpose == "explore" else deployed)
+        return Agents(
+            self.policy, context.at_mean(), shares_policy=True, statistics=self.statistics
+        )
+
+    def adapted(self, state: SearchState) -> Latent:
+        """Return the latents that would be deployed."""
+        return self._latents(state, tuple(search.best for search in state.searches))
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
         searches = []
-        for task, search in enumerate(state.searches):
-            for value, length in zip(returns[task], lengths[task], strict=True):
-                search = search.observed(Reading(state.chosen[task], float(value), float(length)))
-            searches.append(search)
+        for search, point, *played in zip(
+            state.searches, state.chosen, returns, lengths, strict=True
+        ):
+            readings = [Reading(point, *one) for one in zip(*played, strict=True)]
+            searches.append(search.after(readings))
         return self._next(searches, state.generators)
 
-    @property
-    def capabilities(self) -> Capabilities:
-        return Capabilities()
+    def _latents(self, state: SearchState, points: Sequence[int]) -> Latent:
+        pairs = zip(state.searches, points, strict=True)
+        mean = jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32)
+        return Latent(mean, jnp.zeros_like(mean))
 
-    def _next(self, searches: Any, generators: Any) -> SearchState:
-        proposed = [one.proposed(g) for one, g in zip(searches, generators, strict=True)]
-        return SearchState(
-            tuple(search for search, _ in proposed),
-            tuple(chosen for _, chosen in proposed),
-            generators,
-        )
+    def _next(
+        self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
+    ) -> SearchState:
+        pairs = zip(searches, generators, strict=True)
+        proposed = [search.proposed(generator) for search, generator in pairs]
+        found, chosen = zip(*proposed, strict=True)
+        return SearchState(found, chosen, tuple(generators))

@@ -42,6 +42,9 @@ class PriorSettings:
     """Episodes that are played at once; bounds the memory."""
 
 
+USUAL = PriorSettings()
+
+
 def make_prior(
     learner: GradientFastLearner,
     world: AbstractWorld,

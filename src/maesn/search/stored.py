@@ -17,7 +17,7 @@ from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkp
 from maesn.runs.run import Run
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_learner
-from maesn.search.prior import PriorSettings, Progress, make_prior
+from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
@@ -37,7 +37,7 @@ def prior_file(run: Run, world: AbstractWorld) -> Path:
 
 def run_prior(
     run: Run,
-    settings: PriorSettings = PriorSettings(),
+    settings: PriorSettings = USUAL,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
@@ -62,9 +62,8 @@ def run_prior(
     state = run.latest_state()
     with refusals(f"`{run.settings.method}` cannot search: "):
         learner = latent_learner(run.learner.fast_learner(state))
-    latents = [
-        drawn_latents(learner.context_table.size, settings.draws, settings.spread, settings.seed)
-    ]
+    size = learner.context_table.size
+    latents = [drawn_latents(size, settings.draws, settings.spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)
@@ -137,8 +136,7 @@ def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
     """Read a prior, and what it belongs to; raises `RunError` if it is damaged."""
     values, metadata = read_checkpoint(path)
     try:
-        arrays = {name: values[name].astype(np.float64) for name in _ARRAYS}
-        numbers = json.loads(metadata["numbers"])
-        return ReturnPrior(**arrays, **numbers), metadata
+        held: dict[str, Any] = {name: values[name].astype(np.float64) for name in _ARRAYS}
+        return ReturnPrior(**held, **json.loads(metadata["numbers"])), metadata
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error
