@@ -87,6 +87,8 @@ class Evaluation:
                 f"{budget.per_update}, up to `episodes`, {budget.episodes}, got "
                 f"{list(self.deploy_after)}."
             )
+        if self.rule is not None:
+            self.rule.check_budget(budget.episodes, budget.per_update)
         for wrapper in self.wrappers:
             wrapper.check_budget(budget.episodes, budget.per_update)
 

@@ -83,6 +83,9 @@ class AbstractRule(eqx.Module):
             ValueError: the rule needs something that was not trained.
         """
 
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        """Refuse numbers of episodes with which the rule can do nothing, by a ValueError."""
+
     @property
     def label(self) -> str:
         """What figures add to the method's name; empty for the method as it is."""

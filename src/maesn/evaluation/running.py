@@ -19,7 +19,7 @@ from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.evaluation.record import adaptation_record, identity_of_run
-from maesn.evaluation.rules import Trained
+from maesn.evaluation.rules import AbstractRule, Trained
 from maesn.evaluation.tables import read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
@@ -48,6 +48,19 @@ AnyPath: TypeAlias = Annotated[str | Path, _word("PATH")]
 OptionalPath: TypeAlias = Annotated[str | Path | None, _word("PATH")]
 AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
 """A user's own family or its `module:name`; None for one that comes with the library."""
+
+
+AnyRule: TypeAlias = Annotated[
+    AbstractRule | None,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="RULE",
+        instance_from_str=lambda words: rule_from_text(" ".join(words)) if words else None,
+        is_instance=lambda _: True,
+        str_from_instance=lambda rule: [] if rule is None else [rule.label],
+    ),
+]
+"""A rule, or on the command line its name and its settings."""
 
 
 @dataclasses.dataclass(frozen=True)

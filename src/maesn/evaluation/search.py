@@ -48,6 +48,10 @@ class SearchRule(AbstractRule):
         names = [field.name for field in dataclasses.fields(SearchSettings)]
         return SearchSettings(**{name: getattr(self, name) for name in names})
 
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        if episodes < 1:
+            raise ValueError(f"a search needs `episodes` of at least 1, got {episodes}.")
+
     @property
     def label(self) -> str:
         return "search"

@@ -1,12 +1,13 @@
 """Search in the latent space: which latent to play next in a new task, and which to deploy."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from maesn.runtime.arrays import FloatArray
+from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel, ReturnPrior
 
 # Of the best point, before latents around it are drawn: by then the archive has shown its best.
@@ -66,12 +67,16 @@ class LatentSearch:
         settings: how it chooses.
         points: the archive, and the latents that were drawn around the best ones and played.
         posterior: of the returns at these points.
+        added_after: number of readings before each point that the archive does not have.
+        max_norm: Euclidean norm of z beyond which no point is chosen.
     """
 
     model: ReturnModel
     settings: SearchSettings
     points: Points
     posterior: Posterior
+    added_after: tuple[int, ...] = ()
+    max_norm: float = np.inf
 
     @staticmethod
     def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
@@ -82,7 +87,7 @@ class LatentSearch:
     @property
     def best(self) -> int:
         """Index of the point to deploy: that of the highest posterior mean."""
-        return int(np.argmax(self.posterior.mean))
+        return self.highest(self.posterior.mean)
 
     def latent(self, point: int) -> FloatArray:
         """Return z of a point, `[z]`."""
@@ -97,11 +102,11 @@ class LatentSearch:
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
-        chosen = int(np.argmax(self.scores(generator)))
+        chosen = self.highest(self.scores(generator))
         if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = int(np.argmax(wider.scores(generator)))
+        refined = wider.highest(wider.scores(generator))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
@@ -110,6 +115,13 @@ class LatentSearch:
         """Return the search with one more point."""
         return self._with_points(self.model.points(z[None]))
 
+    def index(self, z: FloatArray) -> int:
+        """Return the index of a point; raises `ValueError` if z is no point of this search."""
+        found = np.flatnonzero((self.points.latents == z).all(axis=1))
+        if not len(found):
+            raise ValueError(f"`z` {z} is no point of this search.")
+        return int(found[0])
+
     def after(self, readings: Iterable[Reading]) -> "LatentSearch":
         """Return the search after some episodes."""
         posterior = self.posterior
@@ -117,11 +129,53 @@ class LatentSearch:
             posterior = posterior.conditioned(self.model, self.points, reading)
         return replace(self, posterior=posterior)
 
+    def highest(self, scores: FloatArray) -> int:
+        """Return the index of the highest score within `max_norm`, or of the nearest point."""
+        norms = np.linalg.norm(self.points.latents, axis=1)
+        if norms.min() > self.max_norm:
+            return int(np.argmin(norms))
+        return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
+
     def scores(self, generator: np.random.Generator) -> FloatArray:
         """Return what the acquisition rule gives each point, `[point]`."""
         if self.settings.acquisition == "thompson":
             return self._sample(generator)
         return self.posterior.mean + self.settings.exploration * self.posterior.std
+
+    def arrays(self) -> Arrays:
+        """Return the arrays that a file keeps of what this search has done."""
+        readings = self.posterior.readings
+        archive = len(self.model.archive)
+        return {
+            "search.added": self.points.latents[archive:],
+            "search.added_after": np.asarray(self.added_after, np.float64),
+            "search.points": np.asarray([one.point for one in readings], np.float64),
+            "search.returns": np.asarray([one.episode_return for one in readings]),
+            "search.lengths": np.asarray([one.length for one in readings]),
+        }
+
+    def repeated(self, arrays: Mapping[str, NDArray[np.generic]]) -> "LatentSearch":
+        """Return this search after all that a file keeps, done again in the same order.
+
+        Raises:
+            ValueError: the arrays do not fit this search.
+        """
+        size = self.points.latents.shape[1]
+        added = take(arrays, "search.added", -1, size)
+        after = take(arrays, "search.added_after", len(added)).tolist()
+        points = take(arrays, "search.points", -1)
+        returns = take(arrays, "search.returns", len(points))
+        lengths = take(arrays, "search.lengths", len(points))
+        search, pending = self, list(zip(after, added, strict=True))
+        for count in range(len(points) + 1):
+            while pending and pending[0][0] <= count:
+                search = search.with_latent(pending.pop(0)[1])
+            if count < len(points):
+                point = int(points[count])
+                if not 0 <= point < len(search.points):
+                    raise ValueError("array `search.points` names points that are not there.")
+                search = search.after([Reading(point, returns[count], lengths[count])])
+        return search
 
     def _sample(self, generator: np.random.Generator) -> FloatArray:
         """Draw f from the posterior: a draw from the prior, conditioned on the readings.
@@ -159,4 +213,5 @@ class LatentSearch:
             self,
             points=self.points.joined(more),
             posterior=self.posterior.extended(self.model, self.points, more),
+            added_after=(*self.added_after, *[len(self.posterior.readings)] * len(more)),
         )

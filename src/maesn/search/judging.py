@@ -14,10 +14,10 @@ from maesn.envs import AnyEnv, TaskSet
 
 def situations(env: AnyEnv, tasks: TaskSet) -> list[np.ndarray]:
     """Return the tasks in groups that share their episodes: indices `[task]` of each group."""
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(jax.vmap(env.situation)(tasks.tasks))]
     groups: dict[bytes, list[int]] = {}
     for index in range(len(tasks)):
-        leaves = jax.tree.leaves(env.situation(tasks[index]))
-        name = b"|".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)
+        name = b"|".join(leaf[index].tobytes() for leaf in leaves)
         groups.setdefault(name, []).append(index)
     return [np.asarray(group) for group in groups.values()]
 
