@@ -48,7 +48,7 @@ class Evaluation:
     each between two updates."""
     deploy_episodes: int | None = None
     """Fresh episodes of each task that judge the deployed agent and are not learned from; None: 0,
-    or 20 of a search. 0: the paper's procedure, which judges by the episodes that are learned
+    or 5 of a search. 0: the paper's procedure, which judges by the episodes that are learned
     from."""
     deploy_after: tuple[int, ...] = ()
     """Numbers of episodes after which the deployed agent is judged; none: after every update."""

@@ -19,7 +19,7 @@ class SearchRule(AbstractRule):
     (`docs/methods/latent_search.md`).
     """
 
-    budget: ClassVar[Budget] = Budget(20, 1, 20)
+    budget: ClassVar[Budget] = Budget(20, 1, 5)
 
     acquisition: AcquisitionName = _USUAL.acquisition
     """Which latent is played next: `ucb`, the upper confidence bound, or `thompson`, the best of a
