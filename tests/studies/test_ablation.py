@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from small_runs import create, tensors
+from small_runs import create
 
 from maesn import api, cli
 from maesn.learners import AbstractMetaLearner, maesn, maesn_theta, maml, method_name, oracle
@@ -78,32 +78,6 @@ def test_the_published_radii_are_those_of_wheeled_alone() -> None:
 def test_lines_can_be_told_apart() -> None:
     styles = series_styles(list(ABLATION))
     assert len({(style.colour, style.line, style.marker) for style in styles}) == len(ABLATION)
-
-
-def test_the_whole_chain_and_how_it_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = [*OPTIONS, "--out", str(tmp_path)]
-    assert cli.run(command) == 0
-    for radius in ("0.8", "1"):
-        assert (tmp_path / f"radius-{radius}" / "comparison.png").stat().st_size > 5000
-        table = (tmp_path / f"radius-{radius}" / "table.csv").read_text()
-        assert len(table.splitlines()) == 1 + 2 * 3 * 2 + 2 * 3
-    assert "MAESN, fixed steps" in capsys.readouterr().out
-    run = tmp_path / "runs" / "maml_bias_only-seed-0"
-    checkpoints = [path.read_bytes() for path in Run.open(run).checkpoints()]
-    # A run that was stopped goes on, one that is finished does not; a new seed joins.
-    other = Run.open(tmp_path / "runs" / "maesn_fixed_steps-seed-0")
-    last = other.checkpoints()[-1]
-    finished = tensors(last)
-    last.unlink()
-    assert cli.run([*command, "--radii", "1.0"]) == 0
-    assert tensors(last) == finished
-    assert [path.read_bytes() for path in Run.open(run).checkpoints()] == checkpoints
-    assert "done before" in capsys.readouterr().out
-    assert cli.run([*command, "--radii", "1.0", "--training-seed", "1"]) == 0
-    table = (tmp_path / "radius-1" / "table.csv").read_text()
-    assert len(table.splitlines()) == 1 + 2 * 2 * 3 * 2 + 2 * 3
 
 
 def test_families_without_a_published_figure_keep_their_own_radius(
