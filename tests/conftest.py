@@ -14,6 +14,8 @@ from pathlib import Path
 # asked for by name (`JAX_PLATFORMS=cuda make test`); figures never open a window.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["MPLBACKEND"] = "Agg"
+# Threads of NumPy's linear algebra would wait for each other longer than they compute.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Tests compile far more than they compute. Compiling takes half as long without optimisations, and
 # half of that without XLA's fusion emitters. What is compiled runs slower: production keeps both.
 # One module for the code generator instead of 32, and no stack of calls with every operation, save
@@ -66,7 +68,7 @@ def forget_compiled_programs() -> Iterator[None]:
     """
     yield
     maps = Path("/proc/self/maps")
-    if not maps.exists() or maps.read_bytes().count(b"\n") > 20_000:
+    if not maps.exists() or maps.read_bytes().count(b"\n") > 45_000:
         jax.clear_caches()
         gc.collect()
 

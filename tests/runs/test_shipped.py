@@ -70,12 +70,12 @@ def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
 def test_one_adapts_to_tasks_that_it_has_not_seen(folder: Path) -> None:
     """`tests/long` has all of them."""
     installed = files(TRAINED)
-    np.savez("ten.npz", goal=find_family("wheeled").task_set("test", 10).tasks)
-    options = ["--tasks", "ten.npz", "--episodes", "40", "--episodes-per-update", "20"]
+    np.savez("twenty.npz", goal=find_family("wheeled").task_set("test", 20).tasks)
+    options = ["--tasks", "twenty.npz", "--episodes", "60", "--episodes-per-update", "20"]
     assert cli.run(["adapt", "wheeled", *options]) == 0
-    table = folder / "maesn-wheeled" / "adaptation" / "file-ten-sparse.csv"
+    table = folder / "maesn-wheeled" / "adaptation" / "file-twenty-sparse.csv"
     rows = np.genfromtxt(table, delimiter=",", names=True)
-    before, after = (rows["mean_return"][rows["update"] == update] for update in (0, 2))
+    before, after = (rows["mean_return"][rows["update"] == update] for update in (0, 3))
     gain = after - before
     # Better by more than four standard errors of the mean over tasks.
     assert gain.mean() > 4 * gain.std(ddof=1) / np.sqrt(len(gain))
