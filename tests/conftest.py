@@ -34,6 +34,7 @@ os.environ["MAESN_CACHE"] = "off"
 
 import jax
 import pytest
+from matplotlib.figure import Figure
 
 # Tests interrupt themselves, which what a shell runs in the background would ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -71,6 +72,25 @@ def forget_compiled_programs() -> Iterator[None]:
     if not maps.exists() or maps.read_bytes().count(b"\n") > 45_000:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write an empty file for each figure instead of laying it out, which takes a second.
+
+    For tests of what is drawn when; `tests/report` looks at the pictures.
+    """
+
+    def touch(figure: Figure, directory: Path, name: str) -> list[Path]:
+        assert figure.axes
+        directory.mkdir(parents=True, exist_ok=True)
+        files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
+        for file in files:
+            file.touch()
+        return files
+
+    for module in ("maesn.report.plot", "maesn.studies.comparison"):
+        monkeypatch.setattr(f"{module}.save_figure", touch)
 
 
 @pytest.fixture

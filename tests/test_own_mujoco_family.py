@@ -45,6 +45,7 @@ def test_the_guide_shows_every_command_that_takes_a_run() -> None:
     assert GUIDE.verbs == set(VERBS)
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     GUIDE.follow(*(VERBS if can_draw() else set(VERBS) - {"render"}))

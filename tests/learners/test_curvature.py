@@ -129,7 +129,8 @@ def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(case: str) -> No
     pre = tuple((e.every(*OTHERS), a.every(*OTHERS)) for e, a in objective.pre)
     sample = replace(objective, pre=pre)
     flat, unravel = ravel_pytree(parameters)
-    moved, unravel_agents = ravel_pytree(jax.jit(lambda p: objective.adapted(p))(parameters))
+    adapted = eqx.filter_jit(objective.adapted)(parameters)
+    moved, unravel_agents = ravel_pytree(adapted)
     post = objective.post.every(*SOME)
 
     def distribution(agents: jax.Array) -> Any:

@@ -98,6 +98,7 @@ def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
     assert whole.settings.method == "oracle"
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_verbs_of_an_oracle(tmp_path: Path) -> None:
     run = finish(create(tmp_path / "run", oracle(**SMALL), iterations=2))
     curves = api.adapt(run.directory, episodes=2, episodes_per_update=2).outcome.curves

@@ -56,6 +56,7 @@ def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Pa
     assert metrics(run) == metrics(whole)
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_every_verb_works_on_a_foreign_family(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,6 +83,7 @@ def test_every_verb_works_on_a_foreign_family(
     assert np.all((control >= [-1, 0]) & (control <= [1, 0.5]))
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_figures_that_need_positions_are_left_out_and_said_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
