@@ -121,13 +121,16 @@ def own_trials(policy: RecurrentPolicy) -> tuple[Trials, jax.Array]:
     return replace(trials, behaviour=played), jnp.asarray(advantages, float)
 
 
-@pytest.mark.parametrize(
+every_step = pytest.mark.parametrize(
     "step",
     [
         ProximalStep(descent=MinibatchDescent(3e-3, minibatches=2)),
         TrustRegionStep(TrustRegion(cg_steps=5), curvature_stride=1),
     ],
 )
+
+
+@every_step
 def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionStep) -> None:
     policy = small_policy()
     trials, advantages = own_trials(policy)
@@ -141,10 +144,7 @@ def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionSte
     assert 0 < float(info.kl) < 0.05
 
 
-@pytest.mark.parametrize(
-    "step",
-    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
-)
+@every_step
 def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) -> None:
     policy = small_policy()
     trials, advantages = own_trials(policy)
@@ -155,10 +155,7 @@ def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) ->
     jax.tree.map(np.testing.assert_array_equal, (kept, after), (policy, state))
 
 
-@pytest.mark.parametrize(
-    "step",
-    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
-)
+@every_step
 def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
     policy = small_policy()
     trials, advantages = own_trials(policy)

@@ -1,5 +1,6 @@
 """RL2 as a learner: trials, their memory, and what it is refused."""
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -47,6 +48,8 @@ def small(**settings: Any) -> RecurrentMetaLearner:
             "value": RecurrentValue((), 4, (3,), DESCENT),
             "meta_batch_size": 2,
             "trial_episodes": TRIAL,
+            "discount": 0.9,
+            "gae_lambda": 0.8,
             **settings,
         }
     )
@@ -115,7 +118,7 @@ def test_a_meta_iteration_plays_trials_and_improves(policy_step: Any) -> None:
 
 def test_advantages_span_the_trial() -> None:
     """Against loops over the steps that were played, episode after episode."""
-    learner, collect = small(discount=0.9, gae_lambda=0.8), Watching(mortal())
+    learner, collect = small(), Watching(mortal())
     learner.step(jax.random.key(1), start(learner), collect)
     trials = join_episodes(collect.played)
     expected = np.random.default_rng(0).normal(size=trials.valid.shape).astype(np.float32)
@@ -131,6 +134,7 @@ def test_advantages_span_the_trial() -> None:
     assert not actual[~np.asarray(trials.valid)].any()
 
 
+@cache
 def trials_of_unequal_length() -> Trials:
     collect = Watching(
         Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([20, 30, 20, 30]))), EPISODES)
