@@ -10,7 +10,7 @@ import pytest
 from learning_problems.transitions import linear_episodes
 from playing import keys
 
-from maesn.envs import chain, point
+from maesn.envs import point
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
@@ -218,24 +218,3 @@ def test_methods_with_a_bonus_have_names() -> None:
     for name, preset in METHODS.items():
         assert method_name(preset()) == name
     assert METHODS["maesn+curiosity"](meta_batch_size=3).learner.meta_batch_size == 3
-
-
-def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None:
-    # `benchmarks/vime_chain.py` is the long form, with more seeds.
-    env, tasks = chain.make_env(reward_kind="sparse"), chain.task_set("test", size=TASKS)
-    playing = Collector(make_world(env, tasks), 6)
-    options = {"policy": GaussianMLP((16,))}
-    eager = CuriosityBonus(updates=60, pool_additions=100, samples=4)
-    found, stays = {}, {}
-    for name, wrapped in (("trpo", {}), ("vime", {"curiosity": eager})):
-        learner = SCRATCH[name](1, 1, **options, **wrapped)
-        state = learner.init(keys(TASKS))
-        for update in range(16):
-            episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
-            state = learner.update(state, episodes)
-        found[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
-        policies = (learner.agents(s).policy for s in (learner.init(keys(TASKS)), state))
-        leaves = zip(*map(jax.tree.leaves, policies), strict=True)
-        stays[name] = all(np.array_equal(one, other) for one, other in leaves)
-    assert stays == {"trpo": True, "vime": False}
-    assert found == {"trpo": [False] * TASKS, "vime": [True] * TASKS}
