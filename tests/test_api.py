@@ -21,8 +21,9 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=4)
-TINY = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
+SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=3)
+# As in `small_runs`, so that they share compiled programs.
+TINY = {"meta_batch_size": 4, "policy": GaussianMLP(hidden_sizes=(8,))}
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ class Recorder:
     """Passes on what a collector plays, and keeps it."""
 
     def __init__(self) -> None:
-        world = make_world(point.make_env(), point.task_set("training", 6))
+        world = make_world(point.make_env(), point.task_set("training"))
         self._collect = Collector(world, 3)
         self.played: list[Episodes] = []
 
