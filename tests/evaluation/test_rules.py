@@ -138,10 +138,11 @@ def test_deployed_agents_are_judged_on_fresh_episodes(trained: Path, few: str) -
 
 
 def test_the_record_says_by_which_rule(trained: Path, few: str) -> None:
-    added = (ThenTrpo(after=3), VimeBonus())
+    curiosity = CuriosityBonus(updates=3)
+    added = (ThenTrpo(after=3), VimeBonus(curiosity))
     done = api.adapt(trained, tasks=few, wrappers=added, **FEW)
     record = json.loads(done.table.with_suffix(".settings.json").read_text())
-    for settings in (ThenTrpo(after=3), CuriosityBonus()):
+    for settings in (ThenTrpo(after=3), curiosity):
         for name, value in vars(settings).items():
             assert f"{name}={written_out(value)}" in record["rule"]
 

@@ -126,14 +126,13 @@ def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
 @pytest.mark.parametrize(
     "alone",
     [
-        tiny(),
         tiny(inner_updates=2, outer_batches=2),
         # Without inner updates all batches are of the same agents: before and after are one.
         latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
         # A trial is played by the same agents, episode after episode.
         rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
     ],
-    ids=["maesn", "more batches", "latent_space", "rl2"],
+    ids=["maesn", "latent_space", "rl2"],
 )
 def test_with_a_weight_of_0_it_is_the_learner_itself(
     alone: AbstractMetaLearner, collect: Collector

@@ -34,7 +34,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "maml_bias_only, two updates": ("maml_bias_only", {"inner_updates": 2}),
 }
 # Those whose inner update goes through the policy.
-THROUGH_POLICY = ["maesn_theta", "maml_bias", "reparameterized"]
+THROUGH_POLICY = ["maml_bias", "reparameterized"]
 REGION = TrustRegion(damping=1e-3)
 ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(3, 0)
 pytestmark = pytest.mark.usefixtures("x64")

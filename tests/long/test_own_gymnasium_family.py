@@ -12,7 +12,6 @@ GUIDE = Guide("own_environment_gymnasium.md", "hidden_gravity")
 VERBS = ("train", "adapt", "plot", "export")
 
 
-@pytest.mark.usefixtures("figures_unsaved")
 def test_its_commands_do_what_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,7 +25,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     del sys.modules["puck"]
 
 
-@pytest.mark.usefixtures("figures_unsaved")
 def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     GUIDE.follow(*(VERBS if can_draw() else set(VERBS) - {"render"}))

@@ -89,7 +89,7 @@ def test_families_without_a_published_figure_keep_their_own_radius(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     begin = OPTIONS.index("--radii")
-    usual = [*OPTIONS[:begin], "--only", "maml_bias_only", "--out", str(tmp_path)]
+    usual = [*OPTIONS[:begin], *NOTHING[:-2], "--out", str(tmp_path)]
     assert cli.run(usual) == 0
     assert "Sparse reward, the family's own radius" in capsys.readouterr().out
     assert [path.name for path in tmp_path.glob("*radius*")] == ["own-radius"]

@@ -244,6 +244,7 @@ def test_recurrent_policies_and_bonuses_go_through_the_same_evaluator(
         "--bonus",
         "vime",
         "curiosity.weight=10",
+        "curiosity.updates=20",
     ]
     command = ["compare", str(runs["maesn"]), str(recurrent), *BUDGET, *added]
     assert cli.run([*command, "--out", str(tmp_path / "out")]) == 0
