@@ -84,14 +84,7 @@ def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
     assert whole.settings.method == "oracle"
 
 
-@pytest.mark.usefixtures("figures_unsaved")
-def test_verbs_of_an_oracle(tmp_path: Path) -> None:
-    run = finish(create(tmp_path / "run", oracle(**SMALL), iterations=2))
-    curves = api.adapt(run.directory, episodes=2, episodes_per_update=2).outcome.curves
-    assert curves.mean_return.shape == (100, 2)
-    names = {path.stem for path in api.plot([run.directory])}
-    assert {"adaptation-curves-test-sparse", "exploration"} <= names
-    begun = api.train(oracle(**SMALL), run.settings, tmp_path / "begun", init_from=run.directory)
-    assert begun.latest().iteration == 2
+def test_an_oracle_cannot_be_exported(tmp_path: Path) -> None:
+    run = create(tmp_path / "run", oracle(**SMALL))
     with pytest.raises(RunError, match="adapts nothing in a new task; a policy can be exported"):
         api.export(run.directory, tmp_path / "policy.npz")
