@@ -18,7 +18,7 @@ from bare_physics import BarePhysics, Recorder
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.learners import PRESETS
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

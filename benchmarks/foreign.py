@@ -36,7 +36,7 @@ from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, WorkerPool
 from maesn.learners import maesn
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
 from maesn.worlds.collector import Collector
 from maesn.worlds.foreign import GymnasiumWorld, default_num_workers

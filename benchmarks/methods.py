@@ -23,7 +23,7 @@ from meta_iteration import measure as measure_iterations
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.learners import SCRATCH, AbstractFastLearner
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -19,8 +19,7 @@ from maesn.learners import METHODS
 from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
-from maesn.runs.shipped import TRAINED
-from maesn.runs.task_sources import TASKS_FILE
+from maesn.runs.sources import TASKS_FILE, TRAINED
 from maesn.storage import new_directory
 
 

@@ -16,7 +16,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
-from maesn.report.table_files import latents_file
+from maesn.report.reading import LATENTS
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
@@ -36,7 +36,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
     done = api.adapt(trained, episodes=6, episodes_per_update=3, tasks="validation")
     table = trained / "adaptation" / "validation-sparse.csv"
-    assert (done.table, done.latents) == (table, latents_file(table))
+    assert (done.table, done.latents) == (table, table.with_suffix(LATENTS))
     lines = table.read_text().splitlines()
     assert lines[0] == (
         "task,update,episodes,purpose,mean_return,goal_return,success_rate,"
@@ -44,7 +44,7 @@ def test_adapt_writes_the_table_and_the_latents(trained: Path) -> None:
     )
     assert len(lines) == 1 + 100 * 3
     assert lines[3].startswith("0,2,6,explore,")
-    with np.load(latents_file(table)) as latents:
+    with np.load(table.with_suffix(LATENTS)) as latents:
         np.testing.assert_array_equal(latents["mean"], done.outcome.contexts.mean)
         assert latents["mean"].shape == (100, 3, 2)
 

@@ -1,33 +1,31 @@
-"""The library's verbs, as functions of Python. The command line calls them, one for one."""
+"""The library's verbs. Their signatures and docstrings are the options and help of the commands.
 
-import dataclasses
+In Python a run is given as a `Run`, its directory or its policy's name, and a family as itself or
+as `module:name`.
+"""
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tyro.conf import Positional
+
 from maesn.context import Latent
 from maesn.envs import TaskFamily
-from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation import running
+from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.record import identity_of_run
-from maesn.evaluation.running import evaluate, open_run
-from maesn.evaluation.tables import (
-    Adapted,
-    adaptation_file,
-    adapted_latent,
-    write_outcome,
-)
+from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
-from maesn.report.table_files import record_of_latents
+from maesn.report.reading import RECORD
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
-from maesn.runs.export import export_policy
-from maesn.runs.progress import train_live
+from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
-from maesn.storage import RunError, read_json, refusals
-
-USUAL = Evaluation()
+from maesn.runs.training import train_live
+from maesn.storage import RunError, read_json
 
 
 def train(
@@ -74,7 +72,7 @@ def resume(
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.
-        EpisodeError: an episode went wrong; the last good state is in the directory.
+        EpisodeError: as for `train`.
     """
     run = Run.open(run, family=family)
     if change:
@@ -84,24 +82,24 @@ def resume(
 
 
 def adapt(
-    run: str | Path | Run,
-    evaluation: Evaluation = USUAL,
+    run: Positional[running.AnyRun],
+    evaluation: running.AnyEvaluation = USUAL,
     *,
-    out: str | Path | None = None,
-    start: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    out: running.OptionalPath = None,
+    start: running.OptionalPath = None,
+    family: running.AnyFamily = None,
     **settings: Any,
 ) -> Adapted:
-    """Adapt a trained policy to new tasks, and write the curves as a table.
+    """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library, which is
-            adapted in a copy, `maesn-NAME` in the current folder. A directory of that name wins.
-            The latest checkpoint is adapted, never the best one.
+        run: Directory of the run, or the name of a policy that comes with the library (`maesn
+            list`). A directory of that name in the current folder wins; without one, files go to
+            `maesn-NAME` there, a run directory like any other.
         evaluation: tasks, reward, rule, budgets, seed.
-        out: path of the table; None for what `adaptation_file` says.
-        start: an earlier `.latents.npz` of the same tasks to go on from.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
+        start: Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from.
+        family: The run's family as `module:name`, if it is your own.
         settings: single settings of the evaluation by name, as in `episodes=100`.
 
     Returns:
@@ -111,100 +109,88 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    asked, opened = changed(evaluation, settings), open_run(run, family)
-    done = evaluate(opened, asked, None if start is None else Path(start))
-    table = adaptation_file(opened.directory, asked, done.outcome.first_update)
-    return write_outcome(table if out is None else Path(out), done.outcome, done.record)
-
-
-def changed(evaluation: Evaluation, settings: dict[str, Any]) -> Evaluation:
-    """Return an evaluation with some of its settings changed.
-
-    Raises:
-        RunError: there is no such setting, or it cannot have that value.
-    """
-    known = [field.name for field in dataclasses.fields(Evaluation)]
-    for name in settings:
-        if name not in known:
-            raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
-    with refusals():
-        return dataclasses.replace(evaluation, **settings)
+    asked, opened = evaluation.changed(**settings), running.open_run(run, family)
+    outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
+    table = adaptation_file(opened.directory, asked, outcome.first_update)
+    return write_outcome(table if out is None else Path(out), outcome, record)
 
 
 def export(
-    run: str | Path | Run,
-    path: str | Path,
-    family: str | TaskFamily | None = None,
+    run: Positional[running.AnyRun],
+    path: Positional[running.AnyPath],
+    family: running.AnyFamily = None,
     *,
-    latents: str | Path | None = None,
+    latents: running.OptionalPath = None,
     task: int | None = None,
 ) -> Path:
-    """Write a trained policy as one `.npz` file for `maesn.runtime`.
+    """Write the last checkpoint of a run as one file for the NumPy runtime.
 
-    A robot starts at the prior, or at a latent that `adapt` has found. From there its step sizes go
-    on as those of `adapt(..., start=latents)` would.
+    A robot starts at the prior, or at a latent that an adaptation has found. From there its step
+    sizes go on as those of `maesn adapt --start` would.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library; its latest
-            checkpoint is exported.
-        path: of the file to write.
-        family: the run's family, if it is your own: itself, or `module:name`.
-        latents: file that `adapt` wrote for this run, `Adapted.latents`; given together with
-            `task`.
-        task: index of the task, in the set that was adapted to, whose last latent to start from.
+        run: Directory of the run, or the name of a policy that comes with the library (`maesn
+            list`). A directory of that name in the current folder wins.
+        path: File to write, `.npz`.
+        family: The run's family as `module:name`, if it is your own.
+        latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
+            robot starts from.
+        task: Index of its task, in the set that was adapted to.
 
     Raises:
-        RunError: the run cannot be exported, the latents are not this run's, or there is no such
-            task.
+        RunError: the run cannot be exported, or its latents are others, or lack the task.
     """
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
-    description: dict[str, str | int | float] = {
-        "method": opened.settings.method,
-        "iteration": checkpoint.iteration,
-    }
+    method, iteration = opened.settings.method, checkpoint.iteration
+    description: dict[str, Any] = {"method": method, "iteration": iteration}
     start = None
     if latents is not None or task is not None:
         start = _adapted_start(opened, latents, task)
-        description["task"] = int(task or 0)
+        description["task"] = task
     try:
-        export_policy(learner, opened.env(), path, description, start)
+        write_policy(path, exported_policy(learner, opened.env(), description, start))
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
 
 
 def plot(
-    runs: Sequence[str | Path | Run],
-    out: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    runs: Positional[Sequence[running.AnyRun]],
+    out: running.OptionalPath = None,
+    family: running.AnyFamily = None,
 ) -> list[Path]:
-    """Draw the paper's figures from run directories.
+    """Draw the paper's figures from one or several runs.
 
     Episodes of exploration are played first, and adaptation to the test tasks on sparse reward
     where no table of it is there yet. A table that is there is drawn as it is: after more
     training, `adapt` renews it.
 
     Args:
-        runs: themselves, their directories, or names of policies that come with the library, at
-            least one; several are compared in one figure.
-        out: where the figures go; None for `figures` in the first directory.
-        family: the runs' family, if it is your own: itself, or `module:name`.
+        runs: Directories of the runs, or names of policies that come with the library (`maesn
+            list`); several are compared in one figure. A directory of that name in the current
+            folder wins; without one, files go to `maesn-NAME` there, a run directory like any
+            other.
+        out: Where the figures go; None: `figures` in the first run's directory.
+        family: The runs' family as `module:name`, if it is your own.
 
     Returns:
         The files that were written, PNG and PDF.
+
+    Raises:
+        RunError: no run is named, or one cannot be used.
     """
-    opened = [open_run(run, family) for run in runs]
+    if not runs:
+        raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
+    opened = [running.open_run(run, family) for run in runs]
     for run in opened:
         if not adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
             record_exploration(run)
-    first = opened[0].directory / "figures"
-    return plot_run_directories(
-        [run.directory for run in opened], first if out is None else Path(out)
-    )
+    directories = [run.directory for run in opened]
+    return plot_run_directories(directories, Path(out or directories[0] / "figures"))
 
 
 def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:
@@ -214,7 +200,7 @@ def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tu
             "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
             "index of the task whose latent to start from."
         )
-    record = record_of_latents(Path(latents))
+    record = Path(latents).with_suffix("").with_suffix(RECORD)
     if record.exists() and read_json(record).get("weights") != identity_of_run(run).weights:
         raise RunError(
             f"`{latents}` was adapted with other weights than the latest checkpoint of "

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from maesn._version import __version__
 
-# Command -> its line of help. Each is the function `main` of `maesn.commands.<command>`.
+# Command -> its line of help.
 COMMANDS = {
     "train": "meta-train a method on a family of tasks",
     "resume": "go on with a run from its latest checkpoint",
@@ -20,6 +20,9 @@ COMMANDS = {
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 
+# Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
+_FILES = {"train": "train", "list": "list", "compare": "studies", "ablation": "studies"}
+
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
@@ -30,14 +33,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command.
-
-    Args:
-        arguments: the command and its options.
-
-    Returns:
-        The exit code: 0, or 2 for a mistake in the options or in what they point to.
-    """
+    """Run one command; return 0, or 2 for a mistake in the options or in what they point to."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
         return 0
@@ -53,7 +49,8 @@ def run(arguments: list[str]) -> int:
 
 def _run_command(name: str, options: list[str]) -> int:
     try:
-        import_module(f"maesn.commands.{name}").main(options)
+        file = import_module(f"maesn.commands.{_FILES.get(name, 'runs')}")
+        getattr(file, name)(options)
     except SystemExit:  # of a parser that has said all; also keeps the imports below away
         raise
     except BrokenPipeError:  # whoever reads our output has seen enough
@@ -69,29 +66,20 @@ def _run_command(name: str, options: list[str]) -> int:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return the errors whose message is all that a user needs: no traceback."""
-    names = {
-        "maesn.storage": ("RunError",),
-        "maesn.physics": ("EngineError", "RenderingError"),
-        "maesn.worlds": ("EpisodeError",),
-    }
-    return tuple(
-        getattr(import_module(module), name) for module, all_ in names.items() for name in all_
-    )
+    from maesn.physics import EngineError, RenderingError
+    from maesn.storage import RunError
+    from maesn.worlds import EpisodeError
+
+    return RunError, EngineError, RenderingError, EpisodeError
 
 
 def _help() -> str:
-    lines = [f"  {name:8s}  {text}" for name, text in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: maesn COMMAND [OPTIONS]",
-            "",
-            "Meta-reinforcement learning of structured exploration strategies.",
-            "",
-            "commands:",
-            *lines,
-            "",
-            "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.",
-        ]
+    commands = "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
+    return (
+        "usage: maesn COMMAND [OPTIONS]\n\n"
+        "Meta-reinforcement learning of structured exploration strategies.\n\n"
+        f"commands:\n{commands}\n\n"
+        "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version."
     )
 
 

@@ -1,7 +1,6 @@
 """Files: written whole or not at all, read without executing anything.
 
-Whatever goes wrong here, a missing file, a full disk, damaged content, is a `RunError`, whose
-message says in one sentence what to do.
+Whatever goes wrong here, such as a full disk or damaged content, is a `RunError`.
 """
 
 import contextlib
@@ -62,9 +61,9 @@ def refusals(before: str = "") -> Iterator[None]:
 
 @contextlib.contextmanager
 def new_directory(directory: Path) -> Iterator[None]:
-    """Make a directory for the block to fill, and remove it again if the block fails.
+    """Make a directory, new or empty, for the block to fill; remove it again if the block fails.
 
-    It must be new or empty. What a process left behind that was killed over the same is cleared.
+    What a process left behind that was killed over the same is cleared.
     """
     with explained("make", directory):
         if (directory / UNFINISHED).exists():
@@ -87,8 +86,9 @@ def new_directory(directory: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that at any moment, power cuts included, it is the old one or the new one."""
+    """Write a file and the directories above; at any moment it is the old one or the new one."""
     with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         archive.write_whole(path, content)
 
 
@@ -131,10 +131,7 @@ def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Let no other process enter a block with the same file.
-
-    The operating system takes the lock back when the process ends, however it ends.
-    """
+    """Let no other process enter a block with the same file, until this one ends in any way."""
     with contextlib.ExitStack() as stack:
         with explained("open", path):
             file = stack.enter_context(path.open("r+b"))

@@ -15,12 +15,11 @@ from maesn import cli
 from maesn.envs import Point
 from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.playback import Playback, record_adaptation
+from maesn.evaluation.film import Playback, record_adaptation
 from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld
-from maesn.worlds.collector import Collector
 
 TASK, PLAYED, SHOWN, UPDATES = 3, 5, 2, [0, 2]
 
@@ -33,10 +32,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def played(run: Run) -> list[Playback]:
     learner = run.learner.fast_learner(run.latest_state())
-    collect = Collector(run.world(run.task_set("test"), "sparse"), PLAYED)
-    return record_adaptation(
-        learner, collect, task=TASK, updates=UPDATES, num_episodes=SHOWN, seed=4
-    )
+    world = run.world(run.task_set("test"), "sparse")
+    asked = Evaluation(episodes=2 * PLAYED, episodes_per_update=PLAYED, seed=4)
+    return record_adaptation(learner, world, asked, TASK, UPDATES, SHOWN)
 
 
 def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_path: Path) -> None:

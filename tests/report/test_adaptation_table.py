@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
 
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.tables import adaptation_file
 from maesn.report.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
-from maesn.report.reading import read_adaptation
-from maesn.report.table_files import TableName, table_name, table_path
+from maesn.report.reading import TableName, read_adaptation, table_name
 from maesn.report.tables import summary_tables
 from maesn.storage import RunError
 
@@ -71,15 +72,16 @@ def test_an_adaptation_that_continued_another_starts_later(tmp_path: Path) -> No
 
 
 def test_the_path_of_a_table_says_what_its_name_says() -> None:
-    usual = table_path(Path("run"), "test", "sparse")
+    usual = adaptation_file(Path("run"), Evaluation())
     assert usual == Path("run/adaptation/test-sparse.csv")
     assert table_name(usual) == TableName("test", "sparse")
-    other = table_path(Path("run"), "ood", "dense", first_update=10, changed="-on-mjx")
+    changed = Evaluation(tasks="ood", reward="dense", engine="mjx")
+    other = adaptation_file(Path("run"), changed, first_update=10)
     assert table_name(other) == TableName("from-10-ood", "dense", "-on-mjx")
 
 
 def test_the_table_of_a_file_of_tasks_has_its_stem() -> None:
-    path = table_path(Path("run"), "elsewhere/test.npz", "sparse")
+    path = adaptation_file(Path("run"), Evaluation(tasks="elsewhere/test.npz"))
     assert path.name == "file-test-sparse.csv"
 
 

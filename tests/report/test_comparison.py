@@ -12,11 +12,12 @@ from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named
 
+from maesn.evaluation.tables import write_rows
 from maesn.report.adaptation_table import AdaptationTable, Line
-from maesn.report.comparison import Comparison, tidy_rows, write_tidy_table
-from maesn.report.comparison_tables import print_summary, summary_tables, write_summary
+from maesn.report.comparison import Comparison, summary_tables, tidy_rows
 from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.style import METHOD_STYLES, ONE_COLUMN
+from maesn.report.tables import print_tables, write_tables
 from maesn.storage import RunError
 
 HORIZON = 20
@@ -79,7 +80,7 @@ def test_methods_without_a_score_are_named_where_others_have_one() -> None:
 def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Path) -> None:
     tables = [adaptation_table(seed=seed) for seed in range(2)]
     compared = comparison(named("maesn", *tables), named("trpo", adaptation_table(5)))
-    write_tidy_table(compared, tmp_path / "table.csv")
+    write_rows(tmp_path / "table.csv", tidy_rows(compared))
     with (tmp_path / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == (
@@ -135,12 +136,12 @@ def test_the_summary_says_what_it_resamples(tmp_path: Path) -> None:
     tables = [adaptation_table(seed=seed) for seed in range(2)]
     worse = [adaptation_table(seed=7, gain=-50.0)]
     compared = comparison(named("maesn", *tables), named("trpo", *worse))
-    write_summary(compared, tmp_path / "summary.md")
+    write_tables(summary_tables(compared), tmp_path / "summary.md")
     text = (tmp_path / "summary.md").read_text()
     assert "95 % interval, resampling 8 tasks and 2 seeds" in text
     assert "| MAESN | TRPO | 1.00 [1.00, 1.00] |" in text
     console = Console(width=80, record=True, file=io.StringIO())
-    print_summary(compared, console)
+    print_tables(summary_tables(compared), console)
     shown = console.export_text()
     assert "IQM" in shown
     last = np.mean([table.mean_return[:, -1] for table in tables])
@@ -180,7 +181,7 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
         lines=tuple(with_solved([1, 6], line) for line in some.lines),
         baselines=tuple(with_solved([1, 6], line) for line in some.baselines),
     )
-    write_tidy_table(compared, tmp_path / "table.csv")
+    write_rows(tmp_path / "table.csv", tidy_rows(compared))
     with (tmp_path / "table.csv").open(newline="") as file:
         marked = {row["task"] for row in csv.DictReader(file) if int(row["solved_at_reset"])}
     assert marked == {"1", "6"}

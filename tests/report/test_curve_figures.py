@@ -12,17 +12,16 @@ from synthetic_runs import adaptation_table, learning_curve
 from synthetic_runs import line as method
 
 from maesn.report.adaptation_table import DEPLOY, Line
-from maesn.report.figures.adaptation import plot_adaptation_curves
-from maesn.report.figures.learning import Trained, moving_mean, plot_learning_curves
-from maesn.report.published import published_curve
-from maesn.report.statistics import mean_interval
+from maesn.report.figures.adaptation import plot_adaptation_curves, published_curve
+from maesn.report.figures.curves import moving_mean, plot_learning_curves
+from maesn.report.statistics import bootstrap, mean
 from maesn.report.style import METHOD_STYLES
 
 
 def learning_figure() -> Figure:
     seeds = (learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20))
-    maesn = Trained(METHOD_STYLES["maesn"], seeds)
-    return plot_learning_curves([maesn, Trained(METHOD_STYLES["maml"], seeds[1:2])], "dense")
+    trained = {METHOD_STYLES["maesn"]: seeds, METHOD_STYLES["maml"]: seeds[1:2]}
+    return plot_learning_curves(trained, "dense")
 
 
 def adaptation_figure() -> Figure:
@@ -73,8 +72,7 @@ def test_learning_curves() -> None:
 
 def test_a_method_without_a_metric_has_no_line_for_it() -> None:
     curve = replace(learning_curve(), return_before=np.full(30, np.nan))
-    maesn = Trained(METHOD_STYLES["maesn"], (curve,))
-    before, after, _ = plot_learning_curves([maesn], "sparse").axes
+    before, after, _ = plot_learning_curves({METHOD_STYLES["maesn"]: (curve,)}, "sparse").axes
     assert not before.lines
     assert len(after.lines) == 2  # the average, and what it is the average of
 
@@ -106,7 +104,7 @@ def test_adaptation_curves() -> None:
 def test_the_band_is_the_interval() -> None:
     table = adaptation_table()
     figure = plot_adaptation_curves([method("maesn", table)], {})
-    interval = mean_interval(table.mean_return[None, :, -1])
+    interval = bootstrap(mean, table.mean_return[None, :, -1])
     band = figure.axes[0].collections[0].get_paths()[0].vertices
     at_end = band[band[:, 0] == 3.0, 1]
     assert {at_end.min(), at_end.max()} == {interval.low, interval.high}

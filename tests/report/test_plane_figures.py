@@ -23,10 +23,10 @@ from synthetic_runs import (
 from maesn.report.figures.exploration import (
     ExplorationPanel,
     plot_exploration,
+    plot_latents,
     plot_structured_noise,
     plot_task_distribution,
 )
-from maesn.report.figures.latents import plot_latents
 from maesn.report.figures.plane import (
     direction_scale,
     directions,

@@ -159,7 +159,7 @@ def test_the_goals_of_the_test_tasks_colour_no_other_latents(
         coloured.append(goals is not None)
         return Figure()
 
-    monkeypatch.setattr("maesn.report.plot.plot_latents", plot)
+    monkeypatch.setattr("maesn.report.plot.exploration.plot_latents", plot)
     monkeypatch.setattr("maesn.report.plot.save_figure", lambda *_: [])
     plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
     assert coloured == [False, True]  # ood, then test

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_runs import adaptation_table, run
 
-from maesn.report.published import comparable_curve, published_curve
+from maesn.report.figures.adaptation import comparable_curve, published_curve
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,7 @@ def test_latents_are_read(tmp_path: Path) -> None:
     assert read is not None
     np.testing.assert_array_equal(read.mean, latents().mean)
     np.testing.assert_array_equal(read.log_std, latents().log_std)
-    assert (read.first_update, read.last_update) == (0, 3)
+    assert read.first_update == 0
     assert read_run(write_run(tmp_path / "b", "maml")).latents("test", "sparse") is None
 
 

@@ -8,12 +8,13 @@ import scipy.stats
 
 from maesn.report.statistics import (
     NUM_RESAMPLES,
-    difference_interval,
-    improvement_interval,
-    interquartile_mean_interval,
-    mean_interval,
+    bootstrap,
+    difference,
+    improvement,
+    interquartile_mean,
+    mean,
     mean_intervals,
-    score_interval,
+    score,
 )
 
 # Relative standard error of a standard deviation that is estimated from R normal draws.
@@ -42,7 +43,7 @@ def crossed_variance(values: np.ndarray) -> float:
 
 def test_one_seed_is_the_textbook_bootstrap_of_a_mean() -> None:
     values = draw(1, 100)
-    interval = mean_interval(values)
+    interval = bootstrap(mean, values)
     assert interval.mean == pytest.approx(values.mean(), abs=1e-12)
     assert interval.standard_error == pytest.approx(values.std() / 10, rel=TOLERANCE)
     half = scipy.stats.norm.ppf(0.975) * values.std() / 10
@@ -57,34 +58,36 @@ def test_seeds_and_tasks_are_resampled_as_crossed_factors(num_seeds: int, num_ta
     )
     expected = math.sqrt(crossed_variance(values))
     # Few levels make the bootstrap distribution lumpy, which only helps: its tails are shorter.
-    assert mean_interval(values).standard_error == pytest.approx(expected, rel=TOLERANCE)
+    assert bootstrap(mean, values).standard_error == pytest.approx(expected, rel=TOLERANCE)
 
 
 def test_identical_seeds_add_no_certainty_about_the_tasks() -> None:
     tasks = draw(1, 40)
-    repeated = mean_interval(np.repeat(tasks, 5, axis=0))
+    repeated = bootstrap(mean, np.repeat(tasks, 5, axis=0))
     assert repeated.standard_error == pytest.approx(tasks.std() / math.sqrt(40), rel=TOLERANCE)
 
 
 def test_a_paired_difference_keeps_only_what_differs() -> None:
     hard, first, second = 10 * draw(1, 50), draw(1, 50, seed=1), draw(1, 50, seed=2)
-    interval = difference_interval(hard + first, hard + second)
-    difference = first - second
-    assert interval.mean == pytest.approx(difference.mean(), abs=1e-12)
-    assert interval.standard_error == pytest.approx(difference.std() / math.sqrt(50), rel=TOLERANCE)
+    interval = bootstrap(difference, hard + first, hard + second)
+    differences = first - second
+    assert interval.mean == pytest.approx(differences.mean(), abs=1e-12)
+    assert interval.standard_error == pytest.approx(
+        differences.std() / math.sqrt(50), rel=TOLERANCE
+    )
 
 
 def test_the_seeds_of_a_difference_are_independent() -> None:
     """With one task, nothing but the seeds varies, and variances of the two means add."""
     first, second = draw(4, 1), 2 * draw(6, 1, seed=1)
     expected = math.sqrt(first.var() / 4 + second.var() / 6)
-    interval = difference_interval(first, second)
+    interval = bootstrap(difference, first, second)
     assert interval.standard_error == pytest.approx(expected, rel=TOLERANCE)
 
 
 def test_a_constant_difference_is_certain() -> None:
     values = draw(1, 20)
-    interval = difference_interval(values + 3.0, values)
+    interval = bootstrap(difference, values + 3.0, values)
     assert (interval.low, interval.high) == (pytest.approx(3.0), pytest.approx(3.0))
 
 
@@ -92,7 +95,7 @@ def test_coverage_is_what_theory_predicts() -> None:
     """For normal data the interval is mean ± 1.96 s √((n-1)/n)/√n, whose coverage is Student's."""
     num_tasks, repetitions = 30, 200
     values = draw(repetitions, 1, num_tasks, seed=3)
-    hits = sum(i.low <= 0.0 <= i.high for i in map(mean_interval, values))
+    hits = sum(i.low <= 0.0 <= i.high for i in (bootstrap(mean, one) for one in values))
     reach = scipy.stats.norm.ppf(0.975) * math.sqrt((num_tasks - 1) / num_tasks)
     expected = 1 - 2 * scipy.stats.t.sf(reach, num_tasks - 1)
     sigma = math.sqrt(expected * (1 - expected) / repetitions)
@@ -109,7 +112,7 @@ def test_coverage_is_what_theory_predicts() -> None:
     ],
 )
 def test_the_label_says_what_is_resampled(shape: tuple[int, int], label: str) -> None:
-    assert mean_interval(draw(*shape)).label == label
+    assert bootstrap(mean, draw(*shape)).label == label
 
 
 @pytest.mark.parametrize(
@@ -121,29 +124,29 @@ def test_the_label_says_what_is_resampled(shape: tuple[int, int], label: str) ->
     ],
 )
 def test_the_label_of_a_difference(seeds: tuple[int, int], resampled: str) -> None:
-    label = difference_interval(draw(seeds[0], 100), draw(seeds[1], 100)).label
+    label = bootstrap(difference, draw(seeds[0], 100), draw(seeds[1], 100)).label
     assert label == f"95 % interval of the paired difference, resampling {resampled}"
 
 
 def test_one_number_has_no_interval() -> None:
-    interval = mean_interval(np.array([[2.0]]))
+    interval = bootstrap(mean, np.array([[2.0]]))
     assert interval.mean == 2.0
     assert not interval.is_known
 
 
 def test_curves_are_intervals_of_each_update() -> None:
     values = draw(3, 10, 4)
-    assert mean_intervals(values) == [mean_interval(values[..., k]) for k in range(4)]
+    assert mean_intervals(values) == [bootstrap(mean, values[..., k]) for k in range(4)]
 
 
 def test_other_tasks_cannot_be_paired() -> None:
     with pytest.raises(ValueError, match=r"the same tasks, got 10 and 9; compare"):
-        difference_interval(draw(1, 10), draw(1, 9))
+        bootstrap(difference, draw(1, 10), draw(1, 9))
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> None:
     values = np.random.default_rng(0).permutation([*range(1, 8), 1e6]).reshape(2, 4)
-    interval = interquartile_mean_interval(values)
+    interval = bootstrap(interquartile_mean, values)
     assert interval.mean == np.mean([3, 4, 5, 6])
     assert "of the interquartile mean, resampling 4 tasks and 2 seeds" in interval.label
 
@@ -153,7 +156,7 @@ def test_the_interval_of_an_interquartile_mean_of_many_values_is_the_asymptotic_
     values = draw(1, 400)
     ends = np.quantile(values, [0.25, 0.75])
     expected = np.clip(values, *ends).std() / (0.5 * math.sqrt(values.size))
-    error = interquartile_mean_interval(values).standard_error
+    error = bootstrap(interquartile_mean, values).standard_error
     # Beside chance: the bootstrap moves the quartiles, which the formula takes as they are.
     assert error == pytest.approx(expected, rel=0.1)
 
@@ -162,15 +165,15 @@ def test_the_probability_of_improvement_counts_pairs_of_seeds_within_tasks() -> 
     first = np.array([[1.0, 5.0, 2.0], [3.0, 5.0, 0.0]])
     second = np.array([[2.0, 5.0, 1.0]])
     # Task 0: 1 < 2, 3 > 2; task 1: two ties; task 2: 2 > 1, 0 < 1.
-    assert improvement_interval(first, second).mean == pytest.approx((1 + 1 + 1) / 6)
-    both = improvement_interval(first, second).mean + improvement_interval(second, first).mean
+    assert bootstrap(improvement, first, second).mean == pytest.approx((1 + 1 + 1) / 6)
+    both = bootstrap(improvement, first, second).mean + bootstrap(improvement, second, first).mean
     assert both == pytest.approx(1.0)
 
 
 def test_the_probability_of_improvement_of_one_seed_is_a_mean_of_coins() -> None:
     first, second = draw(1, 100), 0.5 + draw(1, 100, seed=1)
     coins = (first > second).astype(float)
-    interval = improvement_interval(first, second)
+    interval = bootstrap(improvement, first, second)
     assert interval.mean == pytest.approx(coins.mean())
     assert interval.standard_error == pytest.approx(coins.std() / 10, rel=TOLERANCE)
 
@@ -178,9 +181,9 @@ def test_the_probability_of_improvement_of_one_seed_is_a_mean_of_coins() -> None
 def test_the_score_of_the_baseline_is_0_and_of_the_oracle_1_whatever_is_drawn() -> None:
     tasks = 30.0 * draw(1, 40)
     idle, busy, oracle = tasks, tasks - 20.0, tasks + 100.0 + draw(1, 40, seed=1)
-    for values, score in ((idle, 0.0), (oracle, 1.0)):
-        found = score_interval(values, [idle, busy], oracle)
-        assert (found.mean, found.low, found.high) == pytest.approx((score,) * 3, abs=1e-12)
+    for values, expected in ((idle, 0.0), (oracle, 1.0)):
+        found = bootstrap(score, values, oracle, idle, busy)
+        assert (found.mean, found.low, found.high) == pytest.approx((expected,) * 3, abs=1e-12)
 
 
 def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks() -> None:
@@ -189,12 +192,12 @@ def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks
         offset + spread * draw(1, num_tasks, seed=seed)
         for seed, (offset, spread) in enumerate(((-400.0, 10.0), (-300.0, 20.0), (-360.0, 15.0)))
     )
-    found = score_interval(values, [baseline], oracle)
+    found = bootstrap(score, values, oracle, baseline)
     gain, range_ = (values - baseline)[0], (oracle - baseline)[0]
-    score = gain.mean() / range_.mean()
-    assert found.mean == pytest.approx(score)
+    expected = gain.mean() / range_.mean()
+    assert found.mean == pytest.approx(expected)
     # The delta method: a ratio of means is linear in them to first order.
-    error = np.std(gain - score * range_) / range_.mean() / np.sqrt(num_tasks)
+    error = np.std(gain - expected * range_) / range_.mean() / np.sqrt(num_tasks)
     assert found.standard_error == pytest.approx(error, rel=TOLERANCE)
     assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
     assert "of the score, resampling 400 tasks" in found.label
@@ -208,9 +211,9 @@ def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> 
         for name, count in seeds.items()
     }
     drawn["oracle"] += 20.0  # which of the two baselines is above differs between resamples
-    found = score_interval(drawn["values"], [drawn["first"], drawn["second"]], drawn["oracle"])
+    found = bootstrap(score, *(drawn[name] for name in ("values", "oracle", "first", "second")))
 
-    def score(means: dict[str, float]) -> float:
+    def expected(means: dict[str, float]) -> float:
         baseline = max(means["first"], means["second"])
         return (means["values"] - baseline) / (means["oracle"] - baseline)
 
@@ -221,25 +224,25 @@ def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> 
             name: float(x[stream.integers(len(x), size=len(x))][:, tasks].mean())
             for name, x in drawn.items()
         }
-        scores.append(score(means))
+        scores.append(expected(means))
         highest.add(max(("first", "second"), key=means.__getitem__))
     assert highest == {"first", "second"}
-    assert found.mean == pytest.approx(score({name: x.mean() for name, x in drawn.items()}))
+    assert found.mean == pytest.approx(expected({name: x.mean() for name, x in drawn.items()}))
     # Two standard deviations from as many draws, each with its relative error.
     assert found.standard_error == pytest.approx(np.std(scores), rel=math.sqrt(2) * TOLERANCE)
 
 
 def test_a_score_has_no_interval_if_the_oracle_may_be_no_better_than_the_baseline() -> None:
-    found = score_interval(draw(1, 8), [np.zeros((1, 8))], np.eye(1, 8))
+    found = bootstrap(score, draw(1, 8), np.eye(1, 8), np.zeros((1, 8)))
     assert found.mean == pytest.approx(8 * draw(1, 8).mean())
     assert not found.is_known
 
 
 def test_a_score_is_of_the_same_tasks() -> None:
     with pytest.raises(ValueError, match="must hold the same tasks, got 9 and 8 and 9"):
-        score_interval(draw(1, 9), [draw(1, 9)], draw(1, 8))
+        bootstrap(score, draw(1, 9), draw(1, 8), draw(1, 9))
 
 
 def test_improvement_is_judged_on_the_same_tasks() -> None:
     with pytest.raises(ValueError, match="must hold the same tasks, got 3 and 4"):
-        improvement_interval(draw(1, 3), draw(1, 4))
+        bootstrap(improvement, draw(1, 3), draw(1, 4))

@@ -12,7 +12,7 @@ from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.report import print_adaptation_summary
 from maesn.report.adaptation_table import DEPLOY, MEASURES, AdaptationTable
-from maesn.report.statistics import difference_interval, mean_interval
+from maesn.report.statistics import bootstrap, difference, mean
 from maesn.report.tables import UNITS, TextTable, difference_table, summary_tables
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
@@ -48,7 +48,7 @@ def test_markdown_has_every_interval() -> None:
     for update, row in enumerate(rows):
         for name, cell in zip(MEASURES, row[2:], strict=True):
             values = np.stack([table.measure(name)[:, update] for table in TABLES])
-            interval = mean_interval(values)
+            interval = bootstrap(mean, values)
             scale = 100.0 if name in PERCENT else 1.0
             expected = scale * np.array([interval.mean, interval.low, interval.high])
             np.testing.assert_allclose(numbers(cell), expected, atol=0.0501)
@@ -68,7 +68,7 @@ def test_differences_are_method_minus_reference() -> None:
         worse[0].mean_return[None, :, -1],
         np.stack([t.mean_return[:, -1] for t in TABLES]),
     )
-    interval = difference_interval(first, second)
+    interval = bootstrap(difference, first, second)
     assert interval.mean < -30.0
     assert name == "MAML"
     expected = [interval.mean, interval.low, interval.high]
@@ -86,7 +86,7 @@ def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
     assert len(rows) == NUM_UPDATES + 1
     last = [
-        mean_interval(np.stack([table.measure(name)[:, -1] for table in TABLES]))
+        bootstrap(mean, np.stack([table.measure(name)[:, -1] for table in TABLES]))
         for name in MEASURES
     ]
     scale = np.array([1, 1, 100, 100, 100])

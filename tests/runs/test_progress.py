@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from small_runs import Drift, create
 
-from maesn.runs.progress import train_live
+from maesn.runs.training import train_live
 
 
 @pytest.mark.parametrize(("terminal", "width"), [(True, 120), (True, 80), (False, 80)])

@@ -112,6 +112,7 @@ def altered(**changes: Any) -> dict[str, Any]:
         ({"meta_batch_size": 20.0}, r"meta_batch_size` must be of type int, got 20.0"),
         ({"meta_batch_size": True}, r"meta_batch_size` must be of type int, got True"),
         ({"meta_batch_size": None}, r"meta_batch_size` must be of type int, got None"),
+        ({"meta_batch_size": {"value": 1}}, "`type` must be one of"),
         ({"meta_batch_size": 0}, r"`meta_batch_size` must be at least 1, got 0"),
         ({"context": {"type": "TrustRegion"}}, "`TrustRegion` lacks the field"),
         ({"context": to_json(TrustRegion())}, r"`GradientMetaLearner.context` must be of type"),

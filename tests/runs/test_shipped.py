@@ -24,7 +24,7 @@ from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.runs.shipped import TRAINED, find_run, policy_names, working_copy
+from maesn.runs.sources import TRAINED, find_run, policy_names, working_copy
 from maesn.runtime import Explorer
 from maesn.storage import RunError
 

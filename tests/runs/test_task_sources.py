@@ -12,7 +12,7 @@ from small_runs import create, goals, tiny_maesn
 
 from maesn.envs import FAMILIES, PROBES
 from maesn.runs.run import Run
-from maesn.runs.task_sources import find_tasks, load_tasks
+from maesn.runs.sources import find_tasks, load_tasks
 from maesn.storage import RunError
 
 POINT = FAMILIES["point"]

@@ -14,7 +14,7 @@ from maesn.envs import AnyEnv, Point
 from maesn.learners import GradientFastLearner
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
-from maesn.runs.export import export_policy
+from maesn.runs.export import exported_policy, write_policy
 from maesn.runtime import Explorer
 
 LATENT_SIZE = 2
@@ -37,7 +37,7 @@ def policy_file(directory: Path, env: AnyEnv | None = None, **settings: Any) -> 
     """An exported policy."""
     env = Point() if env is None else env
     path = directory / "policy.npz"
-    export_policy(fast_learner(env, **settings), env, path, {"run": "a test"})
+    write_policy(path, exported_policy(fast_learner(env, **settings), env, {"run": "a test"}))
     return path
 
 

@@ -19,7 +19,7 @@ from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import PRESETS
 from maesn.policies import GaussianMLP
-from maesn.runs.export import export_policy, exported_policy, probe_actuators
+from maesn.runs.export import exported_policy, probe_actuators, write_policy
 from maesn.runtime import Explorer
 
 
@@ -60,7 +60,7 @@ def test_fixed_step_sizes_and_the_schedule_are_exported() -> None:
 
 def test_an_adapted_latent_is_where_the_robot_starts(tmp_path: Path) -> None:
     start = Latent(jnp.asarray([0.5, -1.0]), jnp.asarray([-0.25, 0.125]))
-    export_policy(fast_learner(), Point(), tmp_path / "policy.npz", start=(start, 3))
+    write_policy(tmp_path / "policy.npz", exported_policy(fast_learner(), Point(), {}, (start, 3)))
     explorer = Explorer.load(tmp_path / "policy.npz")
     assert explorer.latent_mean.tolist() == [0.5, -1.0]
     np.testing.assert_allclose(explorer.latent_std, np.exp([-0.25, 0.125]))
@@ -105,7 +105,7 @@ def test_the_smallest_standard_deviation_holds() -> None:
 )
 def test_what_has_no_closed_form_is_refused(tmp_path: Path, learner: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        export_policy(learner(), Point(), tmp_path / "policy.npz")
+        write_policy(tmp_path / "policy.npz", exported_policy(learner(), Point()))
     assert not list(tmp_path.iterdir())
 
 

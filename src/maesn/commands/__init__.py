@@ -1,1 +1,1 @@
-"""The commands of `maesn`, one file each: options in, a call of `maesn.api`, a summary out."""
+"""The commands of `maesn`: options in, a call of `maesn.api`, a summary out."""

@@ -1,27 +1,20 @@
 """`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
 
-import dataclasses
 import json
-from collections.abc import Iterator
 from typing import Any
 
-from maesn.commands.options import parse
+from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
 from maesn.evaluation.rules import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
-from maesn.runs.serialization import TAG, fields_to_json
-from maesn.runs.shipped import TRAINED, policy_names
+from maesn.runs.serialization import TAG, fields_to_json, leaves
+from maesn.runs.sources import TRAINED, policy_names
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
+@command
+def list() -> None:  # noqa: A001
     """List methods, rules, families of tasks, and policies that come with the library."""
-
-
-def main(arguments: list[str]) -> None:
-    """Run the command."""
-    parse(Options, "list", arguments)
     print("methods:")
     for name, preset in PRESETS.items():
         print(f"  {name:16s}{_first_line(preset.__doc__)}")
@@ -47,16 +40,8 @@ def main(arguments: list[str]) -> None:
 
 def _settings(rule: Any) -> str:
     """Return the settings of a rule with their defaults, as they are written behind its name."""
-    leaves = _leaves(fields_to_json(rule))
-    return "".join(f"\n{'':18s}{name}={value}" for name, value in leaves)
-
-
-def _leaves(document: dict[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in document.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{path}{name}.")
-        elif name != TAG:
-            yield path + name, json.dumps(value)
+    shown = {n: v for n, v in leaves(fields_to_json(rule)).items() if n.split(".")[-1] != TAG}
+    return "".join(f"\n{'':18s}{name}={json.dumps(value)}" for name, value in shown.items())
 
 
 def _first_line(text: str | None) -> str:

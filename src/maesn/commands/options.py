@@ -1,37 +1,59 @@
-"""How command lines are read: typed objects from flags, by tyro."""
+"""How command lines are read: a command is a function, and tyro makes its parameters options."""
 
-from typing import TypeVar
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
 
 import tyro
 
+from maesn.evaluation.evaluation import Evaluation
+from maesn.runs.compilation import enable_compilation_cache
 from maesn.storage import refusals
-
-Options = TypeVar("Options")
 
 # A union of settings keeps the preset's choice, and a boolean takes True or False: the options of
 # a command then do not depend on the values of others.
 _CONFIGURATION = (tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff)
 
 
-def parse(
-    options_class: type[Options],
-    command: str,
-    arguments: list[str],
-    default: Options | None = None,
-) -> Options:
-    """Build the options of a command; exits with code 2 if they are wrong.
+def command(
+    function: Callable[..., Any], show: Callable[[Any], None] | None = None
+) -> Callable[[list[str]], None]:
+    """Make a command of a function, and show what it returns.
 
-    Args:
-        options_class: dataclass whose fields are the options.
-        command: its name, for the help text.
-        arguments: what stands behind the command.
-        default: values of the options that are not given.
+    Its name is that of the command, its parameters are the options, its docstring is the help.
+    """
+
+    @functools.wraps(function)
+    def bound(*values: Any, **options: Any) -> Callable[[], Any]:
+        return functools.partial(function, *values, **options)
+
+    signature = inspect.signature(function)
+    parameters = [
+        # An evaluation is made by a constructor, which has defaults of its own.
+        one.replace(default=one.empty) if isinstance(one.default, Evaluation) else one
+        for one in signature.parameters.values()
+        if one.kind is not one.VAR_KEYWORD
+    ]
+    bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+
+    def main(arguments: list[str]) -> None:
+        run = parse(bound, function.__name__, arguments)
+        enable_compilation_cache()
+        result = run()
+        if show is not None:
+            show(result)
+
+    return main
+
+
+def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:
+    """Build the options of a command from its arguments; exits with code 2 if they are wrong.
+
+    `kind` is a dataclass or function whose fields or parameters are the options, and `name` that of
+    the command, for the help.
     """
     with refusals():  # of a setting that cannot be; tyro reports those of nested ones
         return tyro.cli(
-            options_class,
-            prog=f"maesn {command}",
-            args=arguments,
-            config=_CONFIGURATION,
-            default=tyro.MISSING_NONPROP if default is None else default,
+            kind, prog=f"maesn {name}", args=arguments, config=_CONFIGURATION, default=default
         )

@@ -9,21 +9,14 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import tyro
 
-from maesn import api
+from maesn import api, learners
 from maesn.commands.options import parse
-from maesn.learners import (
-    BONUS_SUFFIX,
-    METHODS,
-    PRESETS,
-    SCRATCH,
-    AbstractMetaLearner,
-    recommended,
-    recommended_run,
-)
+from maesn.commands.runs import say_what_is_next
+from maesn.learners import AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.storage import RunError
 
 Source: TypeAlias = Literal["recommended", "reference"]
@@ -45,8 +38,8 @@ class Options:
     sizes to start from."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run the command."""
+def train(arguments: list[str]) -> None:
+    """Run `maesn train`, whose options depend on the method and the family."""
     method, rest = _method(arguments)
     options = read_options(method, rest)
     enable_compilation_cache()
@@ -57,35 +50,26 @@ def main(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
     run = api.train(learner, settings, directory, init_from=options.init_from)
-    next_command = f"maesn adapt {run.directory}{settings.family_option}"
-    print(f"trained: {run.directory}\nnext:    {next_command}")
+    say_what_is_next(run, settings.family_option)
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
-    """Return the options behind a method, whose defaults depend on the family.
-
-    Raises:
-        RunError: a setting cannot be.
-    """
-    family, source = _family_and_source(arguments)
-    return parse(Options, f"train {method}", arguments, _defaults(method, family, source))
-
-
-def _defaults(method: str, family: str, source: Source) -> Options:
-    if source == "reference":
-        return Options(RunSettings(family=family), METHODS[method](), source)
-    settings = RunSettings(family=family, **recommended_run(method, family))
-    return Options(settings, recommended(method, family), source)
-
-
-def _family_and_source(arguments: list[str]) -> tuple[str, Source]:
-    """Return what the defaults of all other options depend on."""
+    """Return the options behind a method, whose defaults depend on `--family` and `--settings`."""
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--family", nargs="?")
     first.add_argument("--settings", nargs="?")
     found, _ = first.parse_known_args(arguments)
     source: Source = "reference" if found.settings == "reference" else "recommended"
-    return found.family or RunSettings().family, source
+    default = _defaults(method, found.family or RunSettings().family, source)
+    options: Options = parse(Options, f"train {method}", arguments, default)
+    return options
+
+
+def _defaults(method: str, family: str, source: Source) -> Options:
+    if source == "reference":
+        return Options(RunSettings(family=family), learners.METHODS[method](), source)
+    settings = RunSettings(family=family, **learners.recommended_run(method, family))
+    return Options(settings, learners.recommended(method, family), source)
 
 
 def _say_what_suits(method: str, options: Options) -> None:
@@ -107,26 +91,27 @@ def _say_what_suits(method: str, options: Options) -> None:
 
 def _method(arguments: list[str]) -> tuple[str, list[str]]:
     """Return the method and the options behind it."""
-    known = ", ".join(PRESETS)
+    known = ", ".join(learners.PRESETS)
     if not arguments:
         raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
     if arguments[0] in ("-h", "--help"):
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
-            f"METHOD{BONUS_SUFFIX} gets a bonus for what it finds out about the world as well.\n"
+            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out about the world as "
+            "well.\n"
             "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
             "the method on that family."
         )
         sys.exit(0)
     method = arguments[0]
-    if method in SCRATCH:
+    if method in learners.SCRATCH:
         raise RunError(
             f"`{method}` is not meta-trained: it learns each task from scratch, as in "
             f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
         )
-    if method not in METHODS:
-        near = difflib.get_close_matches(method, METHODS, n=1)
+    if method not in learners.METHODS:
+        near = difflib.get_close_matches(method, learners.METHODS, n=1)
         hint = f" Did you mean `{near[0]}`?" if near else ""
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
     return method, arguments[1:]

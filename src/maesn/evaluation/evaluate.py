@@ -15,8 +15,8 @@ from maesn.experience.episodes import Collect, Episodes
 from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
 from maesn.worlds import EpisodeError
 
-# "Updates" that no adaptation reaches. Their keys are those of the learners themselves, and of the
-# episodes that judge a deployed agent.
+# "Updates" that no adaptation reaches: for the keys of the learners themselves, and of the episodes
+# that judge a deployed agent.
 _START = 0xFFFFFFFF
 _DEPLOYED = 0xFFFFFFFE
 
@@ -24,12 +24,9 @@ _DEPLOYED = 0xFFFFFFFE
 def tasks_at_once(
     max_simulations: int | None, episodes_per_update: int, most: int = CHUNK_SIZE
 ) -> int:
-    """Return how many tasks to adapt to at once.
+    """Return how many tasks to adapt to at once, at most as many as memory allows.
 
-    Args:
-        max_simulations: how many episodes a world can hold; None for any number.
-        episodes_per_update: number of episodes that are played of each task at a time.
-        most: number of tasks that memory allows.
+    `max_simulations` is the number of episodes that a world can hold; None for any number.
     """
     if max_simulations is None:
         return most
@@ -37,7 +34,7 @@ def tasks_at_once(
 
 
 class AdaptationCurves(eqx.Module):
-    """How every task's performance changes with adaptation: entry `[i, k]` is task i, update k."""
+    """How every task's performance changes with adaptation: `[i, k]` is task i, update k."""
 
     mean_return: Float[Array | np.ndarray, "task *update"]
     """Mean undiscounted return."""
@@ -90,20 +87,18 @@ def adapt(
 
     Args:
         learner: learns in each task separately.
-        collect: plays `collect.episodes_per_task` episodes in each task; an update learns from
-            them.
-        episodes: of each task, in all: a multiple of those.
+        collect: plays the episodes of each task that an update learns from.
+        episodes: of each task, in all: a multiple of `collect.episodes_per_task`.
         deploy: plays the fresh episodes that judge the deployed agents; None for none.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
-        saved: contexts of all tasks of the set to go on from; None for the learner's own start.
-            An adaptation in two parts plays the same episodes as one in a single part.
+        saved: contexts of all tasks of the set to go on from, with the same episodes as if there
+            had been no break; None for the learner's own start.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
             do not depend on which others there are.
 
     Raises:
         EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
-        ValueError: the learner cannot go on from contexts.
     """
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
     first = 0 if saved is None else saved.updates
@@ -116,15 +111,9 @@ def adapt(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
     trial_episodes = learner.capabilities.trial_episodes
-    return AdaptationOutcome(
-        explored,
-        deployed,
-        contexts,
-        first,
-        # Trials are played side by side: each has seen one episode more.
-        collect.episodes_per_task if trial_episodes is None else 1,
-        trial_episodes,
-    )
+    # Trials are played side by side: each has seen one episode more.
+    added = collect.episodes_per_task if trial_episodes is None else 1
+    return AdaptationOutcome(explored, deployed, contexts, first, added, trial_episodes)
 
 
 def _adapt_chunk(
@@ -136,6 +125,7 @@ def _adapt_chunk(
     seed: int,
     saved: SavedContexts | None,
 ) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
+    """Return curves and contexts of some tasks, `[task, update, ...]`."""
     if saved is not None:
         saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
     state = learner.init(_task_keys(seed, _START, slots), saved)
@@ -149,12 +139,13 @@ def _adapt_chunk(
     columns = []
     for update in updates:
         keys = _task_keys(seed, update, slots)
-        fresh = None if deploy is None else play(deploy, "deploy", _deploy_keys(keys), update)
+        judged = None
+        if deploy is not None:
+            fresh = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
+            judged = measure(play(deploy, "deploy", fresh, update))
         explored = play(collect, "explore", keys, update)
-        judged = None if fresh is None else measure(fresh)
-        columns.append(
-            jax.tree.map(np.asarray, (measure(explored), judged, learner.agents(state).context))
-        )
+        column = measure(explored), judged, learner.agents(state).context
+        columns.append(jax.tree.map(np.asarray, column))
         if update < updates[-1]:
             state = learner.update(state, explored)
     stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
@@ -193,21 +184,13 @@ def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(update_key, jnp.asarray(slots))
 
 
-def _deploy_keys(keys: TaskKeys) -> TaskKeys:
-    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
-
-
 def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
-    """Yield the curves as rows of a table: `explore` and, if there are any, `deploy`.
+    """Yield the curves as rows of a table, first those of `explore`.
 
     `episodes` is the number of episodes per task that the agent has learned from by then. Measures
-    are in the precision that they were computed in, so that they are written with no more digits.
+    have the precision that they were computed in.
     """
-    judged: dict[Purpose, AdaptationCurves | None] = {
-        "explore": outcome.explored,
-        "deploy": outcome.deployed,
-    }
-    for purpose, curves in judged.items():
+    for purpose, curves in (("explore", outcome.explored), ("deploy", outcome.deployed)):
         if curves is None:
             continue
         measures = {name: np.asarray(values, np.float32) for name, values in vars(curves).items()}

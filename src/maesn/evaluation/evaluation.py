@@ -10,8 +10,8 @@ from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, default_rule
 from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
-from maesn.settings import check_choice
-from maesn.storage import RunError
+from maesn.settings import check_choice, check_numbers
+from maesn.storage import RunError, refusals
 from maesn.worlds import EngineName
 
 CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
@@ -53,23 +53,15 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
-        least = {
-            "num_tasks": 1,
-            "episodes": 0,
-            "episodes_per_update": 1,
-            "deploy_episodes": 0,
-            "seed": 0,
-            "num_threads": 0,
-            "tasks_at_once": 1,
-        }
-        for name, smallest in least.items():
-            value = getattr(self, name)
-            if value is not None and value < smallest:
-                raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
-        if self.seed >= 2**32:
-            raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
-        if self.sparse_radius is not None and not self.sparse_radius > 0:
-            raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+        check_numbers(
+            self,
+            num_tasks=1,
+            episodes=0,
+            episodes_per_update=1,
+            deploy_episodes=0,
+            num_threads=0,
+            tasks_at_once=1,
+        )
         if self.episodes % self.episodes_per_update:
             raise ValueError(
                 f"`episodes` must be a multiple of `episodes_per_update`, got {self.episodes} and "
@@ -77,6 +69,15 @@ class Evaluation:
             )
         for wrapper in self.wrappers:
             wrapper.check_budget(self.episodes, self.episodes_per_update)
+
+    def changed(self, **settings: Any) -> "Evaluation":
+        """Return the evaluation with some settings changed; `RunError` if they cannot be."""
+        known = [field.name for field in dataclasses.fields(self)]
+        for name in settings:
+            if name not in known:
+                raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
+        with refusals():
+            return dataclasses.replace(self, **settings)
 
     @property
     def updates(self) -> int:
@@ -109,16 +110,7 @@ class Evaluation:
         return " ".join(map(written_out, chosen))
 
     def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return what learns in the new tasks.
-
-        Args:
-            trained: what meta-training has made.
-            method: its name, for error messages.
-            env: of the new tasks.
-
-        Raises:
-            RunError: rule and method do not fit, or an update has too few episodes.
-        """
+        """Return what learns in new tasks; `RunError` if `method`, rule and budgets do not fit."""
         try:
             rule = default_rule(trained) if self.rule is None else self.rule
             learner = rule.fast_learner(trained, env)
@@ -141,6 +133,9 @@ class Evaluation:
                 f"remembers earlier episodes, got {self.deploy_episodes} and "
                 f"{self.episodes_per_update}: each trial goes on with an episode of its own."
             )
+
+
+USUAL = Evaluation()
 
 
 def written_out(settings: Any) -> str:

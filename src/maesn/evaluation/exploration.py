@@ -20,7 +20,7 @@ from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
 
 # Episodes that figures show, and tasks that they are spread over: where the agent sees what differs
-# between tasks, a single one would not be a fair sample.
+# between tasks, one would be no fair sample.
 EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
 # Where they are recorded in a run directory.
@@ -46,14 +46,8 @@ def explore(
 ) -> Exploration:
     """Play from the start in new tasks, once drawing z and once holding it at its mean.
 
-    Args:
-        learner: the fast learner of a trained or untrained policy.
-        collect: a world. Of each of its tasks that is played it plays `episodes_per_task`.
-        num_tasks: the first so many tasks of the world are played, the same ones in both cases;
-            from the first one again if there are not as many. One is enough if all tasks look the
-            same to the agent. If it sees what differs (how a table is laid, or an instruction),
-            each shows a part of what it does.
-        seed: of the episodes.
+    The first `num_tasks` tasks of the collector's world are played, again if there are fewer. One
+    is enough if all tasks look the same to the agent.
     """
     keys = jax.random.split(jax.random.key(seed), num_tasks)
     agents = learner.agents(learner.init(keys))
@@ -75,25 +69,19 @@ def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, An
 def _until_the_end(
     path: Float[Array, "time_plus_1 2"], valid: Bool[Array, " time"]
 ) -> Float[Array, "time_plus_1 2"]:
-    """Let a path stay where its episode ended: what comes later is garbage.
-
-    Where the last state is not finite, because the physics blew up, the path ends a step earlier.
-    """
+    """Let a path stay where its episode ended, or a step earlier if the physics blew up there."""
     last = valid.sum()
     last = jnp.where(jnp.isfinite(path[last]).all(), last, jnp.maximum(last - 1, 0))
     return path[jnp.minimum(jnp.arange(len(path)), last)]
 
 
-def record_exploration(run: Run) -> Path:
-    """Play and record what the figures of exploration show."""
+def record_exploration(run: Run) -> None:
+    """Play and record what the figures of exploration show, in the run's directory."""
     tasks, env = run.task_set("test"), run.env()
-    new = run.learner.fast_learner(run.untrained_state())
+    old, new = map(run.learner.fast_learner, (run.latest_state(), run.untrained_state()))
     with closing(run.world(tasks)) as world:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-        trained = explore(
-            run.learner.fast_learner(run.latest_state()), collect, num_tasks=EXPLORATION_TASKS
-        )
-        untrained = explore(new, collect, num_tasks=EXPLORATION_TASKS)
+        trained, untrained = (explore(one, collect, EXPLORATION_TASKS) for one in (old, new))
         # As many episodes of every task as the trained policy's share of goals is counted among.
         at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
         everywhere = Collector(world, EXPLORATION_EPISODES)
@@ -115,6 +103,4 @@ def record_exploration(run: Run) -> Path:
     if landmarks(tasks.tasks).size:
         arrays["training_landmarks"] = landmarks(run.training_tasks.tasks)
         arrays["landmarks"] = landmarks(tasks.tasks)
-    path = run.directory / EXPLORATION
-    write_arrays(path, arrays)
-    return path
+    write_arrays(run.directory / EXPLORATION, arrays)

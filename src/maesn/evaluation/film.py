@@ -4,22 +4,25 @@ import math
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from tyro.conf import Positional
 
-from maesn.axes import HostReadings
-from maesn.envs import AnyEnv, TaskFamily
-from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.playback import Playback, record_adaptation
-from maesn.evaluation.running import fast_learner, new_tasks, open_run
+from maesn.axes import HostReadings, Readings
+from maesn.envs import AnyEnv
+from maesn.evaluation import running
+from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.evaluation.tables import adaptation_file
+from maesn.experience.episodes import Episodes
+from maesn.learners import AbstractFastLearner
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
-from maesn.runs.run import Run
-from maesn.storage import RunError, explained, write_whole
-from maesn.worlds import Scene, arena, places
+from maesn.storage import RunError, write_whole
+from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
 _WIDTH, _HEIGHT = 300, 190  # of each episode's picture, in pixels
@@ -29,30 +32,30 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    run: str | Path | Run,
-    evaluation: Evaluation | None = None,
+    run: Positional[running.AnyRun],
+    evaluation: running.AnyEvaluation = USUAL,
     *,
     task: int = 0,
     after: Sequence[int] = (0, 250),
     shown: int = 4,
-    out: str | Path | None = None,
-    family: str | TaskFamily | None = None,
+    out: running.OptionalPath = None,
+    family: running.AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
-    The episodes are the first ones of those that `maesn.adapt` plays in this task with the same
-    evaluation.
+    The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library; its latest
-            checkpoint is adapted.
-        evaluation: tasks, rule, budgets, seed; None for the usual one.
-        task: index of the task in its set.
-        after: numbers of episodes that the agent has learned from when episodes are shown, up to
-            `evaluation.episodes`; 0 is before any adaptation.
-        shown: how many episodes are shown each time.
-        out: directory of the pictures; None for `render` in the run's directory.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        run: Directory of the run, whose last checkpoint is adapted, or the name of a policy that
+            comes with the library (`maesn list`). A directory of that name in the current folder
+            wins; without one, files go to `maesn-NAME` there, a run directory like any other.
+        evaluation: tasks, rule, budgets, seed.
+        task: Index of the task in its set.
+        after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
+            before any adaptation, and the last one at most `episodes`.
+        shown: Episodes that are shown each time: the first ones that are played.
+        out: Directory of the pictures; None: `DIR/render`.
+        family: The run's family as `module:name`, if it is your own.
 
     Returns:
         The files that were written: an animated GIF, and a PNG of the last states.
@@ -61,26 +64,20 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = open_run(run, family), Evaluation() if evaluation is None else evaluation
+    run, asked = running.open_run(run, family), evaluation
     updates = _updates(sorted(set(after)), asked)
     if not 1 <= shown <= asked.episodes_per_update:
         raise RunError(
             f"`shown` must be from 1 to `episodes_per_update`, {asked.episodes_per_update}, got "
             f"{shown}."
         )
-    with new_tasks(run, asked) as world:
+    with running.new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
-        _refuse_blindness(env)
-        played = record_adaptation(
-            fast_learner(run, asked, world),
-            Collector(world, asked.episodes_per_update),
-            task=task,
-            updates=updates,
-            num_episodes=shown,
-            seed=asked.seed,
-        )
+        # Raises where pictures cannot be drawn, before minutes are spent on playing.
+        Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
+        played = record_adaptation(learner, world, asked, task, updates, shown)
         goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
     with closing(_Stage(env, goal, played, stride)) as stage:
@@ -90,7 +87,11 @@ def render(
     folder = run.directory / "render" if out is None else Path(out)
     period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
-    return _write(folder, {f"{name}.gif": moving, f"{name}.png": contact_sheet(title, rows)})
+    still = contact_sheet(title, rows)
+    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": still}
+    for path, content in written.items():
+        write_whole(path, content)
+    return list(written)
 
 
 def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
@@ -104,9 +105,63 @@ def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
     return [count // each for count in after]
 
 
-def _refuse_blindness(env: AnyEnv) -> None:
-    """Find out whether pictures can be drawn here before minutes are spent on playing."""
-    Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
+class Playback(NamedTuple):
+    """Some episodes of one task that were played after a number of updates."""
+
+    update: int
+    mean_return: float
+    """Over all episodes that were played, not only those that are kept here."""
+    success_rate: float
+    """Share of all episodes that reach the goal region at some time."""
+    readings: HostReadings
+    """States of the episodes that are kept, `[time_plus_1, episode, ...]` each."""
+    num_steps: Int[np.ndarray, " episode"]
+    """Steps until an episode ended; the states behind are garbage."""
+    returns: Float[np.ndarray, " episode"]
+    solved: Bool[np.ndarray, " episode"]
+    """Whether the episode reaches the goal region at some time."""
+
+
+def record_adaptation(
+    learner: AbstractFastLearner[Any],
+    world: AbstractWorld,
+    evaluation: Evaluation,
+    task: int,
+    updates: Sequence[int],
+    shown: int,
+) -> list[Playback]:
+    """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
+
+    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept.
+    """
+    kept: list[tuple[Any, ...]] = []
+
+    def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
+        # With one task at a time, its episodes are the simulations.
+        if stage in updates:
+            states = jax.tree.map(lambda x: np.asarray(x[:, :shown]), readings)
+            kept.append((states, *_of_each(episodes, shown)))
+
+    each = evaluation.episodes_per_update
+    curves = adapt(
+        learner,
+        Collector(world, each, keep),
+        episodes=max(updates) * each,
+        seed=evaluation.seed,
+        tasks=[task],
+    ).explored
+    returns, rates = curves.mean_return[0], curves.success_rate[0]
+    return [
+        Playback(update, float(returns[update]), float(rates[update]), *what)
+        for update, what in zip(updates, kept, strict=True)
+    ]
+
+
+def _of_each(episodes: Episodes, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return number of steps, return and success of the first episodes of the only task."""
+    valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
+    returns = np.asarray(episodes.undiscounted_return[0])
+    return valid.sum(-1)[:count], returns[:count], (valid & solved).any(-1)[:count]
 
 
 class _Stage:
@@ -141,16 +196,17 @@ class _Stage:
         states = self._lived(playback, episode)
         path = places(self._env, states)
         times = [*range(0, self._env.horizon, self._stride), self._env.horizon]
+
+        def picture(time: int) -> np.ndarray:
+            now = {name: value[time] for name, value in states.items()}
+            trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
+            return self._scene.draw(now, self._task, trail)
+
         # An episode that has ended stands still.
-        pictures = [self._picture(states, path, min(time, len(path) - 1)) for time in times]
+        pictures = [picture(min(time, len(path) - 1)) for time in times]
         reached = bool(playback.solved[episode])
         caption = f"episode {episode + 1}: return {playback.returns[episode]:.1f}"
         return Cell(f"{caption}, goal reached" if reached else caption, reached, pictures)
-
-    def _picture(self, states: HostReadings, path: np.ndarray, time: int) -> np.ndarray:
-        now = {name: value[time] for name, value in states.items()}
-        trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
-        return self._scene.draw(now, self._task, trail)
 
     def _lived(self, playback: Playback, episode: int) -> HostReadings:
         """Return the states of one episode, up to the one that ended it if that can be drawn."""
@@ -162,11 +218,3 @@ class _Stage:
 
 def _episodes(playback: Playback) -> range:
     return range(len(playback.num_steps))
-
-
-def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    with explained("make", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]

@@ -11,7 +11,7 @@ from maesn.evaluation.rules import (
     AbstractWrapper,
 )
 from maesn.runs.serialization import fields_to_json, replaced, values_of_words
-from maesn.runs.task_sources import imported
+from maesn.runs.sources import imported
 from maesn.storage import RunError, refusals
 
 

@@ -1,52 +1,91 @@
-"""A trained run in new tasks: from its directory and an `Evaluation` to curves and their record."""
+"""A trained run in new tasks, from what a user names to curves and their record.
+
+The types of arguments say as well how the command line reads them.
+"""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, TypeAlias
 
 import jax
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.evaluation.record import adaptation_record, identity_of_run
 from maesn.evaluation.rules import Trained
 from maesn.evaluation.tables import read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.runs.config import check_policy
 from maesn.runs.run import Run
-from maesn.runs.shipped import working_copy
-from maesn.runs.starting import check_policy
+from maesn.runs.sources import working_copy
 from maesn.storage import RunError
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 
-def open_run(run: str | Path | Run, family: str | TaskFamily | None = None) -> Run:
-    """Open a run whose directory will be written to.
+def _word(metavar: str) -> PrimitiveConstructorSpec[Any]:
+    """Say that an argument is one word of the command line."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda _: True,
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+AnyRun: TypeAlias = Annotated[str | Path | Run, _word("RUN")]
+"""A run, its directory, or the name of a policy that comes with the library."""
+AnyPath: TypeAlias = Annotated[str | Path, _word("PATH")]
+OptionalPath: TypeAlias = Annotated[str | Path | None, _word("PATH")]
+AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
+"""A user's own family or its `module:name`; None for one that comes with the library."""
+
+
+def evaluation_from_text(
+    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")],
+    rule: tuple[str, ...] = (),
+    then: tuple[str, ...] = (),
+    bonus: tuple[str, ...] = (),
+) -> Evaluation:
+    """Return an evaluation with rule and wrappers that are given as words.
 
     Args:
-        run: itself, its directory, or the name of a policy that comes with the library, of which a
-            copy is made: `maesn-NAME` in the current folder.
-        family: the run's family, if it is your own: itself, or `module:name`.
+        evaluation: all else.
+        rule: What happens in a new task: gradient, memory or none, or `module:name` of your own;
+            behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the method
+            prescribes. `maesn list` has all settings.
+        then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
+            trpo after=500 max_kl=0.01`. Left out: they stay.
+        bonus: A bonus on the rewards that are learned from, as in `--bonus vime
+            curiosity.weight=0.001`.
     """
+    wrappers = [then_from_text(" ".join(then))] if then else []
+    wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []
+    chosen = rule_from_text(" ".join(rule)) if rule else None
+    return evaluation.changed(rule=chosen, wrappers=tuple(wrappers))
+
+
+AnyEvaluation: TypeAlias = Annotated[
+    Evaluation, tyro.conf.arg(name="", constructor=evaluation_from_text)
+]
+
+
+def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
+    """Open a run whose directory will be written to; of a policy with the library, a copy."""
     return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
 
 
-class Evaluated(NamedTuple):
-    """Outcome of an evaluation, and what decides it."""
-
-    outcome: AdaptationOutcome
-    record: dict[str, Any]
-
-
 @contextmanager
-def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
-    """Open the world that a run is evaluated in.
-
-    Raises:
-        RunError: there are no such tasks, or the policy cannot play there.
-    """
+def new_tasks(
+    run: Run, evaluation: Evaluation
+) -> Iterator[tuple[AbstractWorld, AbstractFastLearner[Any]]]:
+    """Open the world that a run is evaluated in, and say what learns there."""
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,
@@ -55,38 +94,21 @@ def new_tasks(run: Run, evaluation: Evaluation) -> Iterator[AbstractWorld]:
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        check_policy(run.learner, run.latest_state(), world.env)
-        yield world
+        trained = Trained(run.learner, run.latest_state())
+        check_policy(run.learner, trained.state, world.env)
+        yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
-def fast_learner(
-    run: Run, evaluation: Evaluation, world: AbstractWorld
-) -> AbstractFastLearner[Any]:
-    """Return what a run learns with in new tasks.
+def evaluate(
+    run: Run, evaluation: Evaluation, start: Path | None = None
+) -> tuple[AdaptationOutcome, dict[str, Any]]:
+    """Adapt the latest checkpoint of a run to new tasks; see `maesn.adapt`.
 
-    Raises:
-        RunError: rule and method do not fit.
+    Returns:
+        The outcome, and the record of what decides it.
     """
-    trained = Trained(run.learner, run.latest_state())
-    return evaluation.fast_learner(trained, run.settings.method, world.env)
-
-
-def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Evaluated:
-    """Adapt the latest checkpoint of a run to new tasks.
-
-    Args:
-        run: whose.
-        evaluation: to what, and how.
-        start: latents of an earlier adaptation to the same tasks to go on from.
-
-    Raises:
-        RunError: a setting cannot be used, or not together with another one.
-        EpisodeError: an episode went wrong.
-    """
-    with new_tasks(run, evaluation) as world:
-        learner = fast_learner(run, evaluation, world)
-        saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
-        judged = evaluation.deploy_episodes
+    judged = evaluation.deploy_episodes
+    with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(
             learner,
             Collector(world, evaluation.episodes_per_update),
@@ -98,14 +120,13 @@ def evaluate(run: Run, evaluation: Evaluation, start: Path | None = None) -> Eva
                 max(evaluation.episodes_per_update, judged),
                 evaluation.tasks_at_once,
             ),
-            saved=saved,
+            saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),
             tasks=range(evaluation.count(world.tasks)),
         )
-        engine = run.settings.engine if evaluation.engine is None else evaluation.engine
-        record = adaptation_record(
-            identity_of_run(run), world, engine, evaluation, outcome.first_update
-        )
-    return Evaluated(outcome, record | {"trial_episodes": outcome.trial_episodes})
+        engine = evaluation.engine or run.settings.engine
+        first = outcome.first_update
+        record = adaptation_record(identity_of_run(run), world, engine, evaluation, first)
+    return outcome, record | {"trial_episodes": outcome.trial_episodes}
 
 
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from maesn.context import AbstractContext, Latent
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.table_files import latents_file, record_file, table_path
+from maesn.report.reading import LATENTS, RECORD, TableName
 from maesn.storage import (
     RunError,
     explained,
@@ -22,38 +22,40 @@ from maesn.storage import (
     write_whole,
 )
 
+# Names of task sets; anything else is a file.
+_TASK_SETS = ("test", "validation", "training", "ood")
+
 
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
-    See `table_path`. Behind the reward stand rule and wrappers, the number of tasks, the sparse
-    radius and the engine, each where it is not the usual one: tables of different kinds never share
-    a file, and so never a figure.
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM` for a user's
+    own file. Before it stands `from-UPDATE-` if an earlier adaptation goes on. Behind the reward
+    stand rule and wrappers, the number of tasks, the sparse radius and the engine, each where it is
+    not the usual one: tables of different kinds never share a file, and so never a figure.
     """
+    tasks = evaluation.tasks
+    name = tasks if tasks in _TASK_SETS else f"file-{Path(tasks).stem}"
+    start = f"from-{first_update}-" if first_update else ""
     parts = {
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
         f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
         f"-on-{evaluation.engine}": evaluation.engine,
     }
     changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
-    return table_path(
-        directory, evaluation.tasks, evaluation.reward, first_update=first_update, changed=changed
-    )
+    return TableName(start + name, evaluation.reward, changed).path(directory)
 
 
-def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write rows of the same columns, at least one, as a `.csv` file."""
+    first, *others = rows
     text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
-    _write(path, text.getvalue().encode())
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a `.csv` file that `write_rows` wrote, as texts."""
-    with explained("read", path), path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    writer.writerows([first, *others])
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text.getvalue().encode())
 
 
 class Adapted(NamedTuple):
@@ -83,10 +85,10 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
         What was written, and where.
     """
     # In this order: a record never stands beside curves that it does not belong to.
-    with explained("replace", record_file(table)):
-        record_file(table).unlink(missing_ok=True)
-    write_rows(table, list(as_rows(outcome)))
-    write_json(record_file(table), dict(record))
+    with explained("replace", table.with_suffix(RECORD)):
+        table.with_suffix(RECORD).unlink(missing_ok=True)
+    write_rows(table, as_rows(outcome))
+    write_json(table.with_suffix(RECORD), dict(record))
     if not isinstance(outcome.contexts, Latent):
         return Adapted(outcome, table, None)
     arrays = {
@@ -94,8 +96,8 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
         "log_std": outcome.contexts.log_std,
         "first_update": np.asarray(outcome.first_update),
     }
-    write_arrays(latents_file(table), arrays)
-    return Adapted(outcome, table, latents_file(table))
+    write_arrays(table.with_suffix(LATENTS), arrays)
+    return Adapted(outcome, table, table.with_suffix(LATENTS))
 
 
 def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
@@ -157,9 +159,3 @@ def _latents(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
     if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
     return mean, log_std, first
-
-
-def _write(path: Path, content: bytes) -> None:
-    with explained("write", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)

@@ -17,7 +17,7 @@ from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.gym.settings import TaskChoice, checked_task, make_steppable
 from maesn.physics import PhysicsError
-from maesn.runs.task_sources import find_tasks, resolve_family
+from maesn.runs.sources import find_tasks, resolve_family
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
 
 # Of the pictures, in pixels.

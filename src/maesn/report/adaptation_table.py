@@ -1,6 +1,6 @@
 """Adaptation curves: the table of one run, and the line of a method with all its seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -48,14 +48,13 @@ def prior_reach(
 class AdaptationTable:
     """One `adaptation/<tasks>-<reward>.csv`: curves `[i, k]` of task i in column k.
 
-    The measures are those of the deployed agent where the file has them, else those of the
-    episodes that were learned from.
+    The measures (see `AdaptationCurves`) are those of the deployed agent where the file has them,
+    else those of the episodes that were learned from.
     """
 
     tasks: str
     """Name of the task set."""
     reward: str
-    """Reward of the adaptation, "sparse" or "dense"."""
     purpose: str
     """What the measures judge, a key of `JUDGED`."""
     updates: Int[np.ndarray, " update"]
@@ -63,24 +62,17 @@ class AdaptationTable:
     episodes: Int[np.ndarray, " update"]
     """Episodes per task that the agent has learned from by then."""
     mean_return: Curves
-    """Mean undiscounted return."""
     goal_return: Curves
-    """The part of it that is due to the goal."""
     success_rate: Curves
-    """Share of the episodes that reach the goal region at some time."""
     final_success_rate: Curves
-    """Share of the episodes that end in the goal region."""
     time_in_region: Curves
-    """Share of the steps that are spent in the goal region."""
     solved_at_reset: Curves
-    """Share of the episodes that start in the goal region."""
     explored_success_rate: Curves
     """`success_rate` of the episodes that were learned from."""
     explored_episodes: int | None = None
     """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None
-    """Number of episodes that meta-training has prepared for; None if there is no such limit, or no
-    record says so."""
+    """Number of episodes that meta-training has prepared for; None if no record says so."""
 
     @property
     def num_tasks(self) -> int:
@@ -97,8 +89,8 @@ class AdaptationTable:
         """First column that lies beyond what meta-training has prepared for; None without one."""
         if self.trial_episodes is None:
             return None
-        beyond = np.flatnonzero(self.episodes >= self.trial_episodes)
-        return int(beyond[0]) if len(beyond) else None
+        column = int(np.searchsorted(self.episodes, self.trial_episodes))
+        return column if column < len(self.episodes) else None
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
@@ -111,8 +103,7 @@ class AdaptationTable:
         episodes = self.explored_episodes or self.episodes_per_update
         if self.updates[0] or episodes is None:
             return None
-        rates, solved = self.explored_success_rate[:, 0], self.is_solved_at_reset
-        return prior_reach(rates, solved, episodes)
+        return prior_reach(self.explored_success_rate[:, 0], self.is_solved_at_reset, episodes)
 
     def measure(self, name: str) -> Curves:
         """Return the curves of one of `MEASURES`."""
@@ -122,19 +113,15 @@ class AdaptationTable:
         self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
     ) -> "AdaptationTable":
         """Return the table of some of the tasks and updates."""
-        curves: dict[str, Any] = {
-            name: x[tasks][:, columns] for name, x in vars(self).items() if np.ndim(x) == 2
+        changed: dict[str, Any] = {
+            name: x[tasks][:, columns] if x.ndim == 2 else x[columns]
+            for name, x in vars(self).items()
+            if isinstance(x, np.ndarray)
         }
-        return replace(
-            self, updates=self.updates[columns], episodes=self.episodes[columns], **curves
-        )
+        return replace(self, **changed)
 
     def first_part(self, num_tasks: int, updates: int) -> "AdaptationTable":
-        """Return the table of the first so many tasks and updates.
-
-        Raises:
-            RunError: the table holds less.
-        """
+        """Return the table of the first so many tasks and updates, or raise a `RunError`."""
         if self.updates[0] or self.num_tasks < num_tasks or len(self.updates) <= updates:
             raise RunError(
                 f"Expected {num_tasks} tasks with {updates} updates from the start, got "
@@ -147,11 +134,7 @@ class AdaptationTable:
 def stack_seeds(
     tables: Sequence[AdaptationTable], measure: str
 ) -> Float[np.ndarray, "seed task update"]:
-    """Return one measure of several runs that differ in their seed.
-
-    Raises:
-        RunError: the runs were not adapted to as many tasks, or not with as many updates.
-    """
+    """Return one measure of several seeds; a `RunError` says if they were not adapted alike."""
     extents = sorted({(t.num_tasks, int(t.updates[0]), int(t.updates[-1])) for t in tables})
     if len(extents) > 1:
         found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)
@@ -207,9 +190,12 @@ class Line:
 
 def note_on_judging(lines: Sequence[Line]) -> str:
     """Say which episodes the lines are judged on, by name where lines differ in it."""
-    judged: dict[str, list[str]] = {}
-    for line in lines:
-        judged.setdefault(JUDGED[line.table.purpose], []).append(line.label)
+    judged = by_text({line.label: JUDGED[line.table.purpose] for line in lines})
     if len(judged) == 1:
         return next(iter(judged))
     return "; ".join(f"{', '.join(labels)}: {how}" for how, labels in judged.items())
+
+
+def by_text(said: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return of which lines a text is said, by the text."""
+    return {text: [name for name in said if said[name] == text] for text in said.values()}

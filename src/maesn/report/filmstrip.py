@@ -2,9 +2,9 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -20,13 +20,12 @@ _MARGIN = 8
 _TITLE_SIZE, _ROW_SIZE, _CAPTION_SIZE = 17, 15, 13
 _LINE = 1.5  # height of a line of text in units of its size
 _BORDER = 4
-_WHITE = "#FFFFFF"
+_WHITE = 255
 _COLOURS = 256  # of a GIF
 _HOLD = 1500  # milliseconds that the last picture stays
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """One episode."""
 
     caption: str
@@ -36,8 +35,7 @@ class Cell:
     """As many as those of every other cell, all of one size."""
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """Episodes that belong together."""
 
     title: str
@@ -51,22 +49,13 @@ def film(title: str, rows: Sequence[Row], milliseconds: int) -> bytes:
     row, of at least one cell.
     """
     count = len(rows[0].cells[0].pictures)
-    still = _compose(title, rows, count - 1)
     # One palette for all pictures: with palettes of their own, still areas would flicker.
-    palette = still.quantize(_COLOURS, dither=Image.Dither.NONE)
-    pictures = [
-        _compose(title, rows, index).quantize(palette=palette, dither=Image.Dither.NONE)
-        for index in range(count)
-    ]
+    palette = _compose(title, rows, -1).quantize(_COLOURS, dither=Image.Dither.NONE)
+    sheets = (_compose(title, rows, index) for index in range(count))
+    first, *others = (sheet.quantize(palette=palette, dither=Image.Dither.NONE) for sheet in sheets)
+    durations = [milliseconds] * (count - 1) + [_HOLD]
     content = io.BytesIO()
-    pictures[0].save(
-        content,
-        "GIF",
-        save_all=True,
-        append_images=pictures[1:],
-        duration=[milliseconds] * (count - 1) + [_HOLD],
-        loop=0,
-    )
+    first.save(content, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
     return content.getvalue()
 
 
@@ -78,52 +67,37 @@ def contact_sheet(title: str, rows: Sequence[Row]) -> bytes:
 
 
 def _compose(title: str, rows: Sequence[Row], index: int) -> Image.Image:
-    height, width, _ = rows[0].cells[0].pictures[0].shape
-    columns = max(len(row.cells) for row in rows)
-    title_height, row_height = (round(_LINE * size) for size in (_TITLE_SIZE, _ROW_SIZE))
-    below = round(_LINE * _CAPTION_SIZE) + _MARGIN
-    sheet_width = columns * (width + _MARGIN) + _MARGIN
-    sheet_height = title_height + 2 * _MARGIN + len(rows) * (row_height + height + below)
-    sheet = Image.new("RGB", (sheet_width, sheet_height), _WHITE)
-    draw = ImageDraw.Draw(sheet)
-    _write(draw, (_MARGIN, _MARGIN), title, _TITLE_SIZE, BLACK, sheet_width)
-    top = title_height + 2 * _MARGIN
-    for row in rows:
-        _write(draw, (_MARGIN, top), row.title, _ROW_SIZE, BLACK, sheet_width)
-        top += row_height
-        for column, cell in enumerate(row.cells):
-            left = _MARGIN + column * (width + _MARGIN)
-            _draw_cell(sheet, draw, cell, index, (left, top))
-        top += height + below
-    return sheet
+    drawn = [np.hstack([_cell(cell, index) for cell in row.cells]) for row in rows]
+    width = max(cells.shape[1] for cells in drawn)
+    below = np.full((_MARGIN, width, 3), _WHITE, np.uint8)
+    parts = [_text(title, _TITLE_SIZE, BLACK, width), below]
+    for row, cells in zip(rows, drawn, strict=True):
+        beside = ((0, 0), (0, width - cells.shape[1]), (0, 0))
+        parts.append(_text(row.title, _ROW_SIZE, BLACK, width))
+        parts.append(np.pad(cells, beside, constant_values=_WHITE))
+    margins = ((_MARGIN, 0), (_MARGIN, 0), (0, 0))
+    return Image.fromarray(np.pad(np.vstack(parts), margins, constant_values=_WHITE))
 
 
-def _draw_cell(
-    sheet: Image.Image, draw: ImageDraw.ImageDraw, cell: Cell, index: int, corner: tuple[int, int]
-) -> None:
-    picture = cell.pictures[index]
-    (left, top), (height, width, _) = corner, picture.shape
-    sheet.paste(Image.fromarray(picture), corner)
+def _cell(cell: Cell, index: int) -> Picture:
+    """Return a picture with its caption, and a margin at the right and below."""
+    picture = Image.fromarray(cell.pictures[index])
     if cell.success:
-        box = (left, top, left + width - 1, top + height - 1)
-        draw.rectangle(box, outline=BLUISH_GREEN, width=_BORDER)
+        frame = (0, 0, picture.width - 1, picture.height - 1)
+        ImageDraw.Draw(picture).rectangle(frame, outline=BLUISH_GREEN, width=_BORDER)
     colour = BLUISH_GREEN if cell.success else DARK_GREY
-    _write(draw, (left, top + height), cell.caption, _CAPTION_SIZE, colour, left + width)
+    caption = _text(cell.caption, _CAPTION_SIZE, colour, picture.width)
+    margins = ((0, _MARGIN), (0, _MARGIN), (0, 0))
+    return np.pad(np.vstack([np.asarray(picture), caption]), margins, constant_values=_WHITE)
 
 
-def _write(
-    draw: ImageDraw.ImageDraw,
-    corner: tuple[int, int],
-    text: str,
-    size: int,
-    colour: str,
-    right: int,
-) -> None:
-    """Write a line, smaller if it would reach beyond `right`."""
-    width = right - corner[0]
+def _text(text: str, size: int, colour: str, width: int) -> Picture:
+    """Return a line of text, smaller if it would not fit into the width."""
+    line = Image.new("RGB", (width, round(_LINE * size)), "white")
     while size > 1 and _font(size).getlength(text) > width:
         size -= 1
-    draw.text(corner, text, fill=colour, font=_font(size))
+    ImageDraw.Draw(line).text((0, 0), text, fill=colour, font=_font(size))
+    return np.asarray(line)
 
 
 @cache

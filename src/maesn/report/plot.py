@@ -3,7 +3,7 @@
 What a figure shows is in `maesn.report.figures`; here is what it is drawn from and where it goes.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
@@ -11,19 +11,18 @@ from typing import TypeAlias
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from maesn.report.figures.adaptation import plot_adaptation_curves
-from maesn.report.figures.exploration import (
-    ExplorationPanel,
-    plot_exploration,
-    plot_structured_noise,
-    plot_task_distribution,
+from maesn.report.figures import exploration
+from maesn.report.figures.adaptation import comparable_curve, plot_adaptation_curves
+from maesn.report.figures.curves import plot_learning_curves
+from maesn.report.runs import (
+    LearningCurve,
+    RecordedRun,
+    read_exploration,
+    read_learning_curve,
+    read_run,
 )
-from maesn.report.figures.latents import plot_latents
-from maesn.report.figures.learning import Trained, plot_learning_curves
-from maesn.report.published import comparable_curve
-from maesn.report.runs import RecordedRun, read_exploration, read_learning_curve, read_run
 from maesn.report.series import Series, group_series, group_worlds
-from maesn.report.style import save_figure
+from maesn.report.style import MethodStyle, save_figure
 from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
@@ -38,23 +37,17 @@ Figures: TypeAlias = Iterator[tuple[str, Figure]]
 def plot_run_directories(
     directories: Sequence[Path], out: Path, console: Console | None = None
 ) -> list[Path]:
-    """Draw every figure that the runs have data for.
+    """Draw every figure that the runs have data for, each as a PNG and a PDF.
 
     Runs that differ in their seed alone become one line. Runs in different worlds (family, variant,
     sparse radius or engine) get a directory of figures each, because their returns cannot be
     compared. Sentences say what is missing, with the command that makes it, and which share of the
-    goals each method reaches before it adapts.
+    goals each method reaches before it adapts. A `RunError` says which file is missing or broken.
 
     Args:
         directories: of runs, as `maesn train` and `maesn adapt` leave them.
         out: where the figures go; made if need be.
         console: where the sentences go; None for standard output.
-
-    Returns:
-        The files written, a PNG and a PDF for each figure.
-
-    Raises:
-        RunError: a directory holds no run, or a file in it is broken.
     """
     if not directories:
         raise RunError("Expected at least one run directory in `directories`, got none.")
@@ -75,15 +68,15 @@ def plot_run_directories(
 
 def _learning(series: Sequence[Series], say: Say) -> Figures:
     """Draw one figure per training reward; returns of two rewards have no common axis."""
-    trained: dict[str, list[Trained]] = {}
-    missing: list[RecordedRun] = []
-    for one in series:
-        curves = {run: read_learning_curve(run.path) for run in one.runs}
-        missing += [run for run, curve in curves.items() if curve is None]
-        finished = tuple(curve for curve in curves.values() if curve is not None)
-        if finished:
-            reward = str(one.runs[0].settings.get("reward", "dense"))
-            trained.setdefault(reward, []).append(Trained(one.style, finished))
+    trained: dict[str, dict[MethodStyle, list[LearningCurve]]] = {}
+    missing = []
+    for style, run in ((one.style, run) for one in series for run in one.runs):
+        curve = read_learning_curve(run.path)
+        if curve is None:
+            missing.append(run)
+            continue
+        reward = str(run.settings.get("reward", "dense"))
+        trained.setdefault(reward, {}).setdefault(style, []).append(curve)
     _say_missing(missing, "metrics", "`maesn train` or `maesn resume DIR` writes them", say)
     for reward, lines in trained.items():
         yield f"learning-curves-{reward}", plot_learning_curves(lines, reward)
@@ -95,7 +88,12 @@ def _adaptation(series: Sequence[Series], say: Say) -> Figures:
     sets = list(dict.fromkeys(pair for run in runs for pair in _adapted_sets(run)))
     if not sets:
         _say_missing(runs, "adaptation", "`maesn adapt DIR` writes it", say)
-    _say_changed(runs, say)
+    changed = [file for run in runs for name, file in run.tables().items() if name.changed]
+    if changed:
+        say(
+            "Not drawn, because the rule or the radius was changed in the new tasks or the engine "
+            f"asked for by name: {', '.join(f'`{file}`' for file in changed)}."
+        )
     for tasks, reward in sets:
         lacking = [run for run in runs if (tasks, reward) not in _adapted_sets(run)]
         command = f"`maesn adapt DIR --tasks {tasks} --reward {reward}` writes it"
@@ -113,63 +111,49 @@ def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
 
 def _exploration(series: Sequence[Series], say: Say) -> Figures:
     """Draw the tasks, what the prior explores, and what its latents contribute."""
-    found = {one.name: _explorer(one, say) for one in series}
-    explorers = {name: explorer for name, explorer in found.items() if explorer is not None}
-    missing = [one.runs[0] for one in series if one.name not in explorers]
+    panels: dict[str, exploration.ExplorationPanel] = {}
+    for one in series:
+        found = ((run, read_exploration(run.path)) for run in one.runs)
+        run, recorded = next((pair for pair in found if pair[1]), (one.runs[0], None))
+        if recorded is None:
+            continue
+        table = run.adaptation(_RECORDED_TASKS, "sparse")
+        has_goals = table is not None and table.num_tasks == len(recorded.goals)
+        reach = table.prior_reach if table is not None and has_goals else None
+        if reach is not None:
+            say(
+                f"{one.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
+                f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
+            )
+        panels[one.name] = exploration.ExplorationPanel(one.style, recorded, reach)
+    missing = [one.runs[0] for one in series if one.name not in panels]
     _say_missing(missing, "exploration trajectories", _RECORDING, say)
-    if not explorers:
-        return
-    first, *_ = panels = list(explorers.values())
-    yield "task-distribution", plot_task_distribution(first.exploration)
-    yield "exploration", plot_exploration(panels)
-    for name, explorer in explorers.items():
-        if explorer.exploration.fixed_paths is not None:
-            yield f"structured-noise-{name}", plot_structured_noise(explorer.exploration)
-
-
-def _explorer(series: Series, say: Say) -> ExplorationPanel | None:
-    """Return what the first run with trajectories explores, and say how many goals it reaches."""
-    for run in series.runs:
-        exploration = read_exploration(run.path)
-        if exploration is not None:
-            table = run.adaptation(_RECORDED_TASKS, "sparse")
-            has_goals = table is not None and table.num_tasks == len(exploration.goals)
-            reach = table.prior_reach if table is not None and has_goals else None
-            if reach is not None:
-                say(
-                    f"{series.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
-                    f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
-                )
-            return ExplorationPanel(series.style, exploration, reach)
-    return None
+    if panels:
+        first, *_ = panels.values()
+        yield "task-distribution", exploration.plot_task_distribution(first.exploration)
+        yield "exploration", exploration.plot_exploration(list(panels.values()))
+    for name, panel in panels.items():
+        if panel.exploration.fixed_paths is not None:
+            figure = exploration.plot_structured_noise(panel.exploration)
+            yield f"structured-noise-{name}", figure
 
 
 def _latents(series: Sequence[Series], _: Say) -> Figures:
     """Draw the latents of each method that has them, for each task set that it was adapted to."""
     for one in series:
         run = one.runs[0]
-        exploration = read_exploration(run.path)
+        recorded = read_exploration(run.path)
         for tasks, reward in _adapted_sets(run):
             latents = run.latents(tasks, reward)
             if latents is None or latents.mean.shape[-1] < 2:
                 continue
             goals = None
-            if exploration is not None and tasks == _RECORDED_TASKS:
-                goals = exploration.goals if len(exploration.goals) == len(latents.mean) else None
-            yield f"latents-{one.name}-{tasks}-{reward}", plot_latents(latents, goals)
+            if recorded is not None and tasks == _RECORDED_TASKS:
+                goals = recorded.goals if len(recorded.goals) == len(latents.mean) else None
+            yield f"latents-{one.name}-{tasks}-{reward}", exploration.plot_latents(latents, goals)
 
 
-def _say_changed(runs: Iterable[RecordedRun], say: Say) -> None:
-    files = [file for run in runs for name, file in run.tables().items() if name.changed]
-    if files:
-        paths = ", ".join(f"`{file}`" for file in files)
-        say(
-            "Not drawn, because the rule or the radius was changed in the new tasks or the engine "
-            f"asked for by name: {paths}."
-        )
-
-
-def _say_missing(runs: Iterable[RecordedRun], what: str, command: str, say: Say) -> None:
+def _say_missing(runs: Sequence[RecordedRun], what: str, command: str, say: Say) -> None:
     paths = ", ".join(f"`{run.path}`" for run in runs)
     if paths:
         say(f"No {what} in {paths}: {command}.")

@@ -9,8 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.report.reading import read_adaptation, read_record, remedy
-from maesn.report.table_files import TableName, latents_file, table_name
+from maesn.report.reading import (
+    LATENTS,
+    TableName,
+    read_adaptation,
+    read_record,
+    remedy,
+    table_name,
+)
 from maesn.storage import RunError, read_json, read_json_lines
 
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -28,11 +34,6 @@ class Latents:
     log_std: Float[np.ndarray, "task update z"]
     first_update: int = 0
     """Number of updates that lie before the first column."""
-
-    @property
-    def last_update(self) -> int:
-        """Number of updates that lie before the last column."""
-        return self.first_update + int(self.mean.shape[1]) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,25 +68,21 @@ class RecordedRun:
 
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the usual adaptation to a task set with a reward; None if there is none."""
-        file = self.tables().get(TableName(tasks, reward))
-        return None if file is None else read_adaptation(file)
+        file = TableName(tasks, reward).path(self.path)
+        return read_adaptation(file) if file.exists() else None
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
         """Return the latents of the same adaptation; None if there are none."""
-        table = self.tables().get(TableName(tasks, reward))
-        if table is None or not latents_file(table).exists():
+        table = TableName(tasks, reward).path(self.path)
+        if not table.with_suffix(LATENTS).exists():
             return None
         adapted = read_adaptation(table)
         sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-        return read_record(Latents, latents_file(table), remedy(table), sizes)
+        return read_record(Latents, table.with_suffix(LATENTS), remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:
-    """Read a run's `config.json`.
-
-    Raises:
-        RunError: it is missing or lacks a setting.
-    """
+    """Read a run's `config.json`; a `RunError` says what is missing."""
     file = path / "config.json"
     config = read_json(file, _RUN_REMEDY)
     settings, learner = config.get("settings"), config.get("learner")
@@ -114,21 +111,16 @@ class LearningCurve:
 
 
 def read_learning_curve(path: Path) -> LearningCurve | None:
-    """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet.
-
-    Raises:
-        RunError: a line is broken or has no `iteration`.
-    """
+    """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet."""
     file = path / "metrics.jsonl"
     lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
     if not lines:
         return None
-
-    def column(name: str) -> np.ndarray:
-        values = (line.get(name) for line in lines)
-        return np.array([x if isinstance(x, int | float) else np.nan for x in values], float)
-
-    curve = LearningCurve(*(column(field.name) for field in fields(LearningCurve)))
+    columns = (
+        [x if isinstance(x := line.get(field.name), int | float) else np.nan for line in lines]
+        for field in fields(LearningCurve)
+    )
+    curve = LearningCurve(*(np.array(column, float) for column in columns))
     if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
         raise RunError(
             f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
@@ -173,12 +165,6 @@ class RecordedExploration:
 
 
 def read_exploration(path: Path) -> RecordedExploration | None:
-    """Read a run's `figures/exploration.npz`; None if there is none.
-
-    Raises:
-        RunError: an array is missing or misshapen.
-    """
+    """Read a run's `figures/exploration.npz`; None if there is none."""
     file = path / "figures" / "exploration.npz"
-    if not file.exists():
-        return None
-    return read_record(RecordedExploration, file, _EXPLORE_REMEDY)
+    return read_record(RecordedExploration, file, _EXPLORE_REMEDY) if file.exists() else None

@@ -3,7 +3,7 @@
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,8 +12,8 @@ from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.storage import RunError
 
-# What decides whether returns can be compared at all.
-_WORLD = ("family", "variant", "sparse_radius", "engine")
+# What decides whether returns can be compared at all, and how it is called in a directory's name.
+_WORLD = {"family": "", "variant": "", "sparse_radius": "radius-", "engine": ""}
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -50,11 +50,12 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
         worlds[tuple(_text(run.settings.get(name)) for name in _WORLD)].append(run)
     named: dict[str, list[RecordedRun]] = {}
     for world, members in worlds.items():
-        others = [other for other in worlds if other[0] == world[0]]
-        parts = [world[0]]
-        for position, prefix in ((1, ""), (2, "radius-"), (3, "")):
-            if any(other[position] != world[position] for other in others):
-                parts.append(prefix + world[position])
+        values = zip(*(other for other in worlds if other[0] == world[0]), strict=True)
+        parts = [
+            _WORLD[name] + own
+            for name, own, found in zip(_WORLD, world, values, strict=True)
+            if name == "family" or len(set(found)) > 1
+        ]
         named[re.sub(r"[^\w.]+", "-", "-".join(parts))] = members
     return named
 
@@ -62,61 +63,52 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
 def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     """Return one series for each experiment, in the order of the methods' styles.
 
-    Raises:
-        RunError: if two runs have the same settings, the seed included.
+    A `RunError` names runs that have the same settings, the seed included.
     """
-    experiments: defaultdict[str, list[RecordedRun]] = defaultdict(list)
+    experiments: defaultdict[str, dict[int, RecordedRun]] = defaultdict(dict)
     order = {method: position for position, method in enumerate(METHOD_STYLES)}
     for run in sorted(runs, key=lambda run: order.get(run.method, len(order))):
-        experiments[_text(_experiment(run))].append(run)
-    for members in experiments.values():
-        _check_seeds_differ(members)
-    firsts = [members[0] for members in experiments.values()]
-    methods = [run.method for run in firsts]
+        seeds = experiments[_text(_experiment(run))]
+        if run.seed in seeds:
+            raise RunError(
+                f"Expected runs with different seeds or settings, got seed {run.seed} in both "
+                f"`{seeds[run.seed].path}` and `{run.path}`; give only one of them."
+            )
+        seeds[run.seed] = run
+    groups = [tuple(seeds.values()) for seeds in experiments.values()]
+    methods = [members[0].method for members in groups]
     series = []
-    for position, (style, members) in enumerate(
-        zip(series_styles(methods), experiments.values(), strict=True)
-    ):
+    for position, (members, style) in enumerate(zip(groups, series_styles(methods), strict=True)):
         method, before = methods[position], methods[:position].count(methods[position])
         name = f"{method}-{before + 1}" if before else method
-        label = style.label + _differences(members[0], firsts)
-        series.append(Series(name, replace(style, label=label), tuple(members)))
+        rivals = [other[0] for other in groups if other[0].method == method]
+        label = style.label + _differences(members[0], rivals)
+        series.append(Series(name, replace(style, label=label), members))
     return series
 
 
 def _experiment(run: RecordedRun) -> dict[str, Any]:
     """Return all settings that decide what is learned, by their path."""
     settings = {name: value for name, value in run.settings.items() if name not in _IMMATERIAL}
-    return {**settings, **dict(_leaves("learner", run.learner))}
+    return settings | _leaves("learner", run.learner)
 
 
-def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        for name, child in value.items():
-            yield from _leaves(f"{path}.{name}", child)
-    else:
-        yield path, value
+def _leaves(path: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        return {path: value}
+    leaves: dict[str, Any] = {}
+    for name, child in value.items():
+        leaves |= _leaves(f"{path}.{name}", child)
+    return leaves
 
 
-def _check_seeds_differ(runs: Sequence[RecordedRun]) -> None:
-    seen: dict[int, RecordedRun] = {}
-    for run in runs:
-        if run.seed in seen:
-            raise RunError(
-                f"Expected runs with different seeds or settings, got seed {run.seed} in both "
-                f"`{seen[run.seed].path}` and `{run.path}`; give only one of them."
-            )
-        seen[run.seed] = run
-
-
-def _differences(run: RecordedRun, firsts: Sequence[RecordedRun]) -> str:
+def _differences(run: RecordedRun, rivals: Sequence[RecordedRun]) -> str:
     """Name the settings in which a run differs from other experiments with its method."""
-    rivals = [_experiment(other) for other in firsts if other.method == run.method]
-    own = _experiment(run)
+    own, *others = [_experiment(one) for one in (run, *rivals)]
     changed = [
         f"{name.rpartition('.')[2].replace('_', ' ')} {_text(own.get(name))}"
-        for name in sorted({name for rival in rivals for name in rival})
-        if any(_text(rival.get(name)) != _text(own.get(name)) for rival in rivals)
+        for name in sorted({name for other in others for name in other})
+        if any(_text(other.get(name)) != _text(own.get(name)) for other in others)
     ]
     return f" ({', '.join(changed)})" if changed else ""
 

@@ -7,7 +7,6 @@ Annals of Applied Statistics 1(2), 2007). Drawing tasks afresh within every seed
 task as several lucky ones and make the interval too narrow.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -24,25 +23,25 @@ _COLUMNS = 16  # of which there are so many at a time
 # Share of the values that an interquartile mean leaves out at each end.
 _OUTER_QUARTER = 0.25
 
-Values = Float[np.ndarray, "_ _"]
+Values = Float[np.ndarray, "*batch _ _"]
 """One value per seed and task. Samples that are compared may differ in their number of seeds."""
 
-# A number that describes samples; each is `[column, *resample, seed, task]`, the result
-# `[column, *resample]`.
-_Statistic: TypeAlias = Callable[..., Float[np.ndarray, "column *resample"]]
+Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
+"""A number that describes samples, `Values` each; one number for each element of the batch."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean (or whatever the label says) and what a repetition might have given instead."""
+    """A statistic, and what a repetition might have given instead."""
 
+    label: str
+    """What the interval is and what it resamples, to be printed beside it."""
     mean: float
+    """The statistic of the values themselves."""
     low: float
     """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
     high: float
     standard_error: float
-    label: str
-    """What the interval is and what it resamples, to be printed beside it."""
 
     @property
     def is_known(self) -> bool:
@@ -50,125 +49,88 @@ class Interval:
         return bool(np.isfinite(self.low))
 
 
-def mean_interval(values: Values) -> Interval:
-    """Return the mean over seeds and tasks with its 95 % percentile bootstrap interval.
+def mean(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean over seeds and tasks."""
+    return np.asarray(x.mean((-2, -1)))
+
+
+def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean of the middle half of all values.
+
+    Unlike the mean it does not depend on a few outliers, and unlike the median it uses more than
+    the one in the middle (Agarwal et al., "Deep reinforcement learning at the edge of the
+    statistical precipice", NeurIPS 2021).
+    """
+    flat = x.reshape(*x.shape[:-2], -1)
+    return np.asarray(scipy.stats.trim_mean(flat, _OUTER_QUARTER, axis=-1))
+
+
+def difference(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean of x minus that of y."""
+    return mean(x) - mean(y)
+
+
+def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the probability that x is better than y in a task. Larger values are better.
+
+        P = 1/(S S' T) Σ_t Σ_s Σ_s' ( 1[x_st > y_s't] + 1/2 1[x_st = y_s't] )
+
+    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al. 2021, "probability of
+    improvement").
+    """
+    # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
+    signs = np.sign(x[..., :, None, :] - y[..., None, :, :])
+    return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
+
+
+def score(x: Values, oracle: Values, *baselines: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the normalised score of x; NaN where the oracle is not above the baseline.
+
+    score = (m(x) - b) / (m(oracle) - b),   b the largest m of the baselines, m the mean
+    """
+    baseline = np.max([mean(one) for one in baselines], axis=0)
+    above = mean(oracle) - baseline
+    return np.asarray((mean(x) - baseline) / np.where(above > 0, above, np.nan))
+
+
+_NAMES: dict[Statistic, str] = {
+    mean: "",
+    interquartile_mean: " of the interquartile mean",
+    difference: " of the paired difference",
+    improvement: " of the paired probability",
+    score: " of the score",
+}
+
+
+def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "_ _"]) -> Interval:
+    """Return a statistic of samples `[seed, task]` with its 95 % percentile bootstrap interval.
 
         m* = 1/(S T) Σ_s Σ_t x[a_s, b_t],   a_s uniform on seeds, b_t uniform on tasks, iid
 
-    with s in [1, S] and t in [1, T]; the interval lies between the quantiles of m*. A factor with
-    one level is not resampled: with one seed the interval says nothing about other seeds. With
-    fewer than five seeds it is narrower than it should be (a bootstrap of S values has (S - 1)/S
-    of their variance). Values that are all equal give an interval of width 0.
+    with s in [1, S] and t in [1, T], here of the mean; the interval lies between the quantiles of
+    m*. A factor with one level is not resampled: with one seed the interval says nothing about
+    other seeds. With fewer than five seeds it is narrower than it should be (a bootstrap of S
+    values has (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
+
+    Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
+    task easy for all cancels. Their seeds are unrelated and drawn independently.
+
+    Raises:
+        ValueError: the numbers of tasks differ.
     """
-    return _interval("", _mean, values)
+    (interval,) = _bootstrap(statistic, *(sample[None].copy() for sample in samples))
+    return interval
 
 
 def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
     """Return one interval per update. All draw the same resamples, so that curves are smooth."""
     columns = np.moveaxis(values, -1, 0).copy()
     blocks = [columns[first : first + _COLUMNS] for first in range(0, len(columns), _COLUMNS)]
-    return [interval for block in blocks for interval in _intervals("", _mean, [block])]
+    return [interval for block in blocks for interval in _bootstrap(mean, block)]
 
 
-def interquartile_mean_interval(values: Values) -> Interval:
-    """Return the interquartile mean over seeds and tasks, with an interval as of `mean_interval`.
-
-    The mean of the middle half of all S T values: unlike the mean it does not depend on a few
-    outliers, and unlike the median it uses more than the one in the middle (Agarwal et al., "Deep
-    reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
-    """
-    return _interval(" of the interquartile mean", _interquartile_mean, values)
-
-
-def improvement_interval(first: Values, second: Values) -> Interval:
-    """Return the probability that `first` is better than `second` in a task, with its interval.
-
-        P = 1/(S S' T) Σ_t Σ_s Σ_s' ( 1[x_st > y_s't] + 1/2 1[x_st = y_s't] )
-
-    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al. 2021, "probability of
-    improvement"). Larger values are better. Paired by tasks, as `difference_interval` is.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    return _interval(" of the paired probability", _improvement, first, second)
-
-
-def difference_interval(first: Values, second: Values) -> Interval:
-    """Return the mean of `first` minus `second` over the same tasks, with its interval.
-
-    Paired: one resample takes the same tasks for both, so what makes a task easy for both cancels.
-    The seeds of the two are unrelated and drawn independently.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    return _interval(" of the paired difference", lambda x, y: _mean(x) - _mean(y), first, second)
-
-
-def score_interval(values: Values, baselines: Sequence[Values], oracle: Values) -> Interval:
-    """Return the normalised score with its interval.
-
-        score = (m(x) - b) / (m(o) - b),   b the largest m of the baselines, m as in `mean_interval`
-
-    One resample takes the same tasks for all, and seeds of each. If in any resample the oracle is
-    not above the baseline, the ratio has no interval.
-
-    Args:
-        values: x.
-        baselines: of the agents that learn nothing, in the same tasks in the same order.
-        oracle: o, of the agent that is given the task, as well.
-
-    Raises:
-        ValueError: the numbers of tasks differ.
-    """
-    with warnings.catch_warnings():
-        # `is_known` says that an interval has no ends.
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
-        return _interval(" of the score", _score, values, oracle, *baselines)
-
-
-def _mean(x: np.ndarray) -> np.ndarray:
-    return np.asarray(x.mean((-2, -1)))
-
-
-def _interquartile_mean(x: np.ndarray) -> np.ndarray:
-    flat = x.reshape(*x.shape[:-2], -1)
-    return np.asarray(scipy.stats.trim_mean(flat, _OUTER_QUARTER, axis=-1))
-
-
-def _improvement(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
-    signs = np.sign(x[..., :, None, :] - y[..., None, :, :])
-    return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
-
-
-def _score(x: np.ndarray, oracle: np.ndarray, *baselines: np.ndarray) -> np.ndarray:
-    baseline = np.max([_mean(one) for one in baselines], axis=0)
-    above = _mean(oracle) - baseline
-    return np.asarray((_mean(x) - baseline) / np.where(above > 0, above, np.nan))
-
-
-def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
-    """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
-    # Of the flattened values: much faster than two indices.
-    seeds, tasks = seeds.astype(int)[..., :, None], tasks.astype(int)[..., None, :]
-    chosen = seeds * values.shape[-1] + tasks
-    return np.take(values.reshape(len(values), -1), chosen, axis=-1)
-
-
-def _interval(what: str, statistic: _Statistic, *samples: Values) -> Interval:
-    (interval,) = _intervals(what, statistic, [sample[None].copy() for sample in samples])
-    return interval
-
-
-def _intervals(
-    what: str, statistic: _Statistic, samples: Sequence[Float[np.ndarray, "column _ _"]]
-) -> list[Interval]:
-    """Bootstrap a statistic of every column with the same resamples.
-
-    SciPy draws *indices*, which keeps the factors crossed.
-    """
+def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) -> list[Interval]:
+    """Bootstrap a statistic of every column with the same resamples."""
     num_tasks = [sample.shape[-1] for sample in samples]
     if len(set(num_tasks)) > 1:
         raise ValueError(
@@ -176,40 +138,34 @@ def _intervals(
             f"{' and '.join(map(str, num_tasks))}; compare results on one task set."
         )
     sizes = [num_tasks[0], *(sample.shape[-2] for sample in samples)]
-    resampled = [factor for factor, size in enumerate(sizes) if size > 1]
-
-    def of_indices(*drawn: np.ndarray, axis: int) -> np.ndarray:
-        indices = dict(zip(resampled, drawn, strict=True))
-        tasks, *seeds = (indices.get(factor, np.zeros(1)) for factor in range(len(sizes)))
+    generator = np.random.default_rng(0)  # the same numbers in every table and figure
+    batches = []
+    for _ in range(NUM_RESAMPLES // _BATCH):
+        tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
         pairs = zip(samples, seeds, strict=True)
-        return statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs))
+        batches.append(statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs)))
+    drawn = np.concatenate(batches, axis=-1) if max(sizes) > 1 else np.full((1, 2), np.nan)
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(drawn, (tail, 100 - tail), axis=-1)
+    numbers = np.broadcast_arrays(statistic(*samples), low, high, drawn.std(axis=-1, ddof=1))
+    label = _label(sizes[0], sizes[1:], _NAMES[statistic])
+    return [Interval(label, *map(float, row)) for row in zip(*numbers, strict=True)]
 
-    values = statistic(*samples).tolist()
-    label = _label(sizes[0], sizes[1:], what)
-    if not resampled:
-        return [Interval(value, np.nan, np.nan, np.nan, label) for value in values]
-    result = scipy.stats.bootstrap(
-        [np.arange(sizes[factor], dtype=float) for factor in resampled],
-        of_indices,
-        n_resamples=NUM_RESAMPLES,
-        batch=_BATCH,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(0),  # the same numbers in every table and figure
-    )
-    ends = result.confidence_interval
-    numbers = (values, ends.low.tolist(), ends.high.tolist(), result.standard_error.tolist())
-    return [Interval(*row, label) for row in zip(*numbers, strict=True)]
+
+def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
+    """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
+    # Of the flattened values: much faster than two indices.
+    chosen = seeds[..., :, None] * values.shape[-1] + tasks[..., None, :]
+    return np.take(values.reshape(len(values), -1), chosen, axis=-1)
 
 
 def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     """Say what is resampled, and what is not because there is only one of it."""
     if len(set(num_seeds)) == 1:
-        seeds = _count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
+        seeds = count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
     else:
         seeds = " against ".join(map(str, num_seeds)) + " seeds"
-    factors = {_count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
+    factors = {count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
     resampled = " and ".join(name for name, is_resampled in factors.items() if is_resampled)
     fixed = " and ".join(name for name, is_resampled in factors.items() if not is_resampled)
     if not resampled:
@@ -218,5 +174,6 @@ def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     return f"{level}; {fixed}" if fixed else level
 
 
-def _count(number: int, noun: str) -> str:
+def count(number: int, noun: str) -> str:
+    """Return a number of things, as in "1 seed" and "3 seeds"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -10,7 +10,6 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import cycle
 from pathlib import Path
 from typing import TypeAlias
 
@@ -35,6 +34,11 @@ GREY = "#7F7F7F"
 DARK_GREY = "#444444"
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
+_LONG_DASH: LineStyle = (0, (6.0, 1.5))
+_DASH_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2))
+_DASH_DOT_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
+_DOTS: LineStyle = (0, (1.2, 1.2))
+_SHORT_DASH: LineStyle = (0, (3.0, 1.5))
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,6 @@ class MethodStyle:
     line: LineStyle
     marker: str
 
-
-_LONG_DASH: LineStyle = (0, (6.0, 1.5))
-_DASH_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2))
-_DASH_DOT_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
-_DOTS: LineStyle = (0, (1.2, 1.2))
-_SHORT_DASH: LineStyle = (0, (3.0, 1.5))
 
 METHOD_STYLES = {
     "maesn": MethodStyle("MAESN", VERMILLION, "-", "o"),
@@ -82,13 +80,14 @@ _SPARE = (
 def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
     """Return a style for each line of a figure; the first of a method gets the method's own."""
     styles: list[MethodStyle] = []
-    spare = cycle(_SPARE)
+    num_spare = 0
     for position, method in enumerate(methods):
-        own = METHOD_STYLES.get(method)
-        if own is not None and method not in methods[:position]:
-            styles.append(own)
-        else:
-            styles.append(replace(next(spare), label=method if own is None else own.label))
+        style = METHOD_STYLES.get(method)
+        if style is None or method in methods[:position]:
+            spare = _SPARE[num_spare % len(_SPARE)]
+            style = replace(spare, label=style.label if style else method)
+            num_spare += 1
+        styles.append(style)
     return styles
 
 

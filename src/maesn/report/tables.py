@@ -1,7 +1,6 @@
 """Tables of numbers with their intervals, for the terminal and as Markdown."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,15 +10,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from maesn.report.adaptation_table import (
-    JUDGED,
-    MEASURES,
-    AdaptationTable,
-    solved_at_reset,
-    stack_seeds,
-)
+from maesn.report import adaptation_table as data
+from maesn.report.adaptation_table import AdaptationTable
 from maesn.report.reading import read_adaptation
-from maesn.report.statistics import Interval, difference_interval, mean_intervals
+from maesn.report.statistics import Interval, bootstrap, difference, mean_intervals
+from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
@@ -37,31 +32,27 @@ class Unit(NamedTuple):
         """Return the number as text, 0 without a minus; `sign` as in format specifications."""
         return format(self.scale * value, f"{sign}z.{self.digits}f")
 
-    def ends(self, interval: Interval, sign: str = "") -> str:
-        """Return the mean and both ends of its interval, where it has any."""
-        mean, low, high = (
-            self.number(x, sign) for x in (interval.mean, interval.low, interval.high)
-        )
-        return f"{mean} [{low}, {high}]" if interval.is_known else mean
-
-    def half_width(self, interval: Interval) -> str:
-        """Return the mean and half the width of its interval, which is shorter."""
-        mean, half = (self.number(x) for x in (interval.mean, (interval.high - interval.low) / 2))
-        return f"{mean} ±{half}" if interval.is_known else mean
+    def text(self, interval: Interval, sign: str = "", *, brief: bool = False) -> str:
+        """Return the mean and the ends of its interval or, if `brief`, half its width."""
+        mean = self.number(interval.mean, sign)
+        if not interval.is_known:
+            return mean
+        if brief:
+            return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
+        return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
 
 
-_PERCENT = 100.0
-UNITS: dict[str, Unit] = {
+UNITS = {
     "mean_return": Unit("return"),
     "goal_return": Unit("goal return"),
-    "success_rate": Unit("reaches goal (%)", _PERCENT),
-    "final_success_rate": Unit("ends at goal (%)", _PERCENT),
-    "time_in_region": Unit("time at goal (%)", _PERCENT),
+    "success_rate": Unit("reaches goal (%)", 100.0),
+    "final_success_rate": Unit("ends at goal (%)", 100.0),
+    "time_in_region": Unit("time at goal (%)", 100.0),
 }
+_HEADINGS = tuple(unit.heading for unit in UNITS.values())
 
 
-@dataclass(frozen=True)
-class TextTable:
+class TextTable(NamedTuple):
     """A table of texts, with a title above and sentences below."""
 
     title: str
@@ -102,39 +93,42 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
 
+def write_tables(tables: Sequence[TextTable], path: Path) -> None:
+    """Write tables as Markdown."""
+    write_whole(path, "\n".join(table.to_markdown() for table in tables).encode())
+
+
 def summary_tables(
     tables: Sequence[AdaptationTable], title: str, *, brief: bool = False
 ) -> list[TextTable]:
-    """Summarise adaptation to all tasks and, where some are solved at reset, to the others alone.
+    """Summarise adaptation, update by update: one table per seed of the same method is given.
 
-    There is one table per seed of the same method, adapted to the same tasks. Summaries that are
-    `brief` have half the widths of the intervals instead of their ends, to fit into 80 columns.
+    A second summary leaves out the tasks that are solved at reset, where there are some. Summaries
+    that are `brief` fit into 80 columns.
     """
-    summaries = [_summary_table(tables, title, brief=brief)]
-    unsolved = ~solved_at_reset(tables)
-    if unsolved.any() and not unsolved.all():
-        others = [table.part(unsolved) for table in tables]
-        summaries.append(_summary_table(others, f"{title}, {WITHOUT_SOLVED}", brief=brief))
-    return summaries
+    solved, parts = data.solved_at_reset(tables), {title: tables}
+    if solved.any() and not solved.all():
+        parts[f"{title}, {WITHOUT_SOLVED}"] = [table.part(~solved) for table in tables]
+    return [_summary_table(part, name, brief=brief) for name, part in parts.items()]
 
 
 def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool) -> TextTable:
-    """Summarise adaptation, update by update."""
-    intervals = {name: mean_intervals(stack_seeds(tables, name)) for name in MEASURES}
+    first = tables[0]
+    intervals = {name: mean_intervals(data.stack_seeds(tables, name)) for name in UNITS}
     texts = [
-        [UNITS[name].half_width(one) if brief else UNITS[name].ends(one) for one in column]
-        for name, column in intervals.items()
+        [UNITS[name].text(one, brief=brief) for one in column] for name, column in intervals.items()
     ]
     labels = labels_of(one for column in intervals.values() for one in column)
-    first = tables[0]
-    note = _join(note_on_solved(solved_at_reset(tables)), _beyond(first))
-    judged = f"{JUDGED[first.purpose].capitalize()}."
-    notes = [note, f"± half the {labels}", judged]
+    notes = [
+        _join(note_on_solved(data.solved_at_reset(tables)), _beyond(first)),
+        f"± half the {labels}" if brief else f"In brackets: {labels}.",
+        f"{data.JUDGED[first.purpose].capitalize()}.",
+    ]
     return TextTable(
         title,
-        ("update", "episodes", *(UNITS[name].heading for name in MEASURES)),
+        ("update", "episodes", *_HEADINGS),
         tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
-        tuple(filter(None, notes)) if brief else (_join(f"In brackets: {labels}.", note, judged),),
+        tuple(filter(None, notes)) if brief else (_join(notes[1], notes[0], notes[2]),),
     )
 
 
@@ -147,38 +141,32 @@ def difference_table(
 
     There is one table per seed, of the reference and of each method by its name.
     """
-    rows, intervals = [], []
+    rows, intervals, beyond = [], [], []
     for name, tables in others.items():
         cells = [name]
-        for measure in MEASURES:
-            ends = (stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
-            intervals.append(difference_interval(*ends))
-            cells.append(UNITS[measure].ends(intervals[-1], sign="+"))
+        for measure, unit in UNITS.items():
+            ends = (data.stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
+            intervals.append(bootstrap(difference, *ends))
+            cells.append(unit.text(intervals[-1], sign="+"))
         rows.append(tuple(cells))
-    beyond = [f"{name}: {said}" for name, tables in others.items() if (said := _beyond(tables[0]))]
-    solved = note_on_solved(solved_at_reset(reference))
-    return TextTable(
-        title,
-        ("method", *(UNITS[name].heading for name in MEASURES)),
-        tuple(rows),
-        (_join(f"In brackets: {labels_of(intervals)}.", solved, *beyond),),
-        is_named=True,
-    )
+        beyond += [f"{name}: {said}"] if (said := _beyond(tables[0])) else []
+    solved = note_on_solved(data.solved_at_reset(reference))
+    note = _join(f"In brackets: {labels_of(intervals)}.", solved, *beyond)
+    return TextTable(title, ("method", *_HEADINGS), tuple(rows), (note,), is_named=True)
 
 
 def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
     """Show one table of `maesn adapt` in the terminal.
 
     Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
-    tasks no episode reached the goal.
-
-    Raises:
-        RunError: the file is missing or broken.
+    tasks no episode reached the goal. A `RunError` says if the file is missing or broken.
     """
     console = console or Console()
-    table, title = read_adaptation(path), f"Adaptation: {path.stem}"
-    few = [_task_table(table)] if table.num_tasks <= _FEW_TASKS else []
-    print_tables([*summary_tables([table], title, brief=True), *few], console)
+    table = read_adaptation(path)
+    shown = summary_tables([table], f"Adaptation: {path.stem}", brief=True)
+    if table.num_tasks <= _FEW_TASKS:
+        shown.append(_task_table(table))
+    print_tables(shown, console)
     failed = int((table.explored_success_rate == 0).all(axis=1).sum())
     if failed and table.reward == "sparse" and len(table.updates) > 1:
         console.print(

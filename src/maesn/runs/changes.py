@@ -21,13 +21,8 @@ CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not
 def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     """Change settings of a run from its latest checkpoint on, write that down, and return the run.
 
-    Args:
-        run: that has begun.
-        changes: name -> value. Names are those in `CHANGEABLE`, and those of the learner's
-            settings as on the command line of `maesn train`, such as `trust_region.damping`.
-
-    Raises:
-        RunError: a name or a value cannot be used; nothing was written.
+    Names are those in `CHANGEABLE`, and those of the learner's settings, such as
+    `trust_region.damping`. Where a name or a value cannot be used nothing is written.
     """
     with refusals("the change cannot be made: "):
         config = _changed(run, changes)
@@ -44,9 +39,10 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
 def _changed(run: Run, changes: Mapping[str, Any]) -> RunConfig:
     """Return the configuration with other values; raises ValueError where they are refused."""
     own = {name: value for name, value in changes.items() if name in CHANGEABLE}
+    others = {name: value for name, value in changes.items() if name not in CHANGEABLE}
     settings = replaced(run.settings, own)
     try:
-        learner = replaced(run.learner, {n: v for n, v in changes.items() if n not in own})
+        learner = replaced(run.learner, others)
     except KeyError as error:
         raise RunError(_refusal(error.args[0])) from error
     learner.check_batch(settings.episodes_per_task)

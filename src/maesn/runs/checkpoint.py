@@ -1,12 +1,10 @@
-"""Checkpoints: any pytree of arrays as a safetensors file.
+"""Checkpoints: any pytree of arrays as a safetensors file, which can execute nothing.
 
 A tensor is named by its path in the tree, such as `parameters/policy/mlp/layers/0/weight`, and can
-be read from NumPy and PyTorch without this library. The format holds numbers and strings alone, so
-loading a checkpoint can execute nothing.
+be read from NumPy and PyTorch without this library.
 
-Safetensors recognises a file that was cut short, but not a flipped bit. So the metadata hold a
-SHA-256 of names, types, shapes, values and the other metadata. It is inside the file and not beside
-it: one rename then replaces both, and a copied checkpoint keeps it.
+Safetensors does not recognise a flipped bit. So the metadata hold a SHA-256 of all else. It is
+inside the file and not beside it: one rename then replaces both.
 """
 
 import hashlib
@@ -32,7 +30,7 @@ CHECKSUM = "sha256"
 
 
 class CheckpointError(RunError):
-    """A checkpoint is damaged: cut short, altered, or no checkpoint at all."""
+    """A checkpoint is missing or damaged."""
 
 
 class MismatchError(RunError):
@@ -85,8 +83,7 @@ def read_checkpoint(path: Path) -> Tensors:
             values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (RunError, safetensors.SafetensorError) as error:
         raise CheckpointError(f"`{path}` is no readable checkpoint: {error}") from error
-    stated = metadata.pop(CHECKSUM, "none")
-    content = Tensors(values, metadata)
+    stated, content = metadata.pop(CHECKSUM, "none"), Tensors(values, metadata)
     if _checksum(content) != stated:
         raise CheckpointError(
             f"`{path}` is damaged: its content does not have the checksum that it states."
@@ -95,15 +92,9 @@ def read_checkpoint(path: Path) -> Tensors:
 
 
 def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
-    """Return a tree of the structure of `like` with the given values.
+    """Return a tree like another one, with values by the names of `named_leaves` that fit it.
 
-    Args:
-        like: a freshly initialised tree, or the shapes and types of one.
-        values: by the names of `named_leaves`.
-        source: where the values come from, for error messages.
-
-    Raises:
-        MismatchError: a tensor is missing, left over, or of another shape or type.
+    If they do not, the message of the `MismatchError` names their `source`.
     """
     expected = named_leaves(like)
     for name in sorted(expected.keys() | values.keys()):
@@ -143,7 +134,7 @@ def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpo
 
 
 def _named_arrays(tree: Any) -> dict[str, np.ndarray]:
-    """Return the leaves by name, in C order: the format stores the bytes as they lie in memory."""
+    """Return the leaves by name, in C order: their bytes are stored as they lie in memory."""
     leaves = named_leaves(jax.device_get(tree))
     return {name: np.asarray(leaf, order="C") for name, leaf in leaves.items()}
 
@@ -153,11 +144,10 @@ def _describe(leaf: Any) -> str:
 
 
 def _checksum(content: Tensors) -> str:
-    names = sorted(content.values)
-    described = [[name, _describe(content.values[name])] for name in names]
+    arrays = sorted(content.values.items())
+    described = [[name, _describe(array)] for name, array in arrays]
     # The order of the metadata is lost in the file, hence the sorting.
-    header = json.dumps([sorted(content.metadata.items()), described])
-    sha = hashlib.sha256(header.encode())
-    for name in names:
-        sha.update(content.values[name].tobytes())
+    sha = hashlib.sha256(json.dumps([sorted(content.metadata.items()), described]).encode())
+    for _, array in arrays:
+        sha.update(array.tobytes())
     return sha.hexdigest()

@@ -31,8 +31,7 @@ def enable_compilation_cache() -> None:
     directory = cache_directory()
     settings = {
         "jax_compilation_cache_dir": str(directory),
-        # By default JAX keeps what took a second to compile. The first iteration consists of
-        # dozens of programs, of which most take less.
+        # Most programs of the first iteration compile in less than the second of JAX's default.
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }

@@ -1,7 +1,7 @@
 """`config.json`: everything that is needed to rebuild a run, as numbers and names.
 
-The file holds a digest of all that it says, and so does every checkpoint. A file that was changed
-by hand is noticed; `maesn.runs.changes` changes one on purpose.
+The file and every checkpoint hold a digest of all that it says, so a change by hand is noticed;
+`maesn.runs.changes` makes one on purpose.
 """
 
 import dataclasses
@@ -13,14 +13,10 @@ from typing import Annotated, Any
 import tyro
 
 from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
-from maesn.learners import AbstractMetaLearner
-from maesn.runs.serialization import (
-    digest_of_document,
-    fields_from_json,
-    fields_to_json,
-    from_json,
-    to_json,
-)
+from maesn.learners import AbstractMetaLearner, method_name
+from maesn.policies import USUAL
+from maesn.runs.serialization import digest_of_document, fields_from_json, fields_to_json
+from maesn.settings import check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
 
@@ -67,16 +63,7 @@ class RunSettings:
     for families on a MuJoCo model."""
 
     def __post_init__(self) -> None:
-        smallest = {"seed": 0, "iterations": 0, "num_threads": 0}
-        smallest |= {"episodes_per_task": 1, "checkpoint_every": 1}
-        for name, least in smallest.items():
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if self.seed >= 2**32:  # JAX would silently take it modulo 2^32
-            raise ValueError(f"`seed` must be below 2^32, got {self.seed}.")
-        if self.sparse_radius is not None and not self.sparse_radius > 0:
-            raise ValueError(f"`sparse_radius` must be positive, got {self.sparse_radius}.")
+        check_numbers(self, iterations=0, num_threads=0, episodes_per_task=1, checkpoint_every=1)
 
     @property
     def own_family(self) -> str | None:
@@ -144,19 +131,18 @@ def new_config(
     """Return what a new run will write down."""
     env = make_env(family, settings)
     with refusals():
-        # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
-        stored = from_json(to_json(learner))
         engine = engine_of(env, settings.engine)
-    assert isinstance(stored, AbstractMetaLearner)
-    return RunConfig(
-        settings=settings,
-        learner=stored,
-        family=family.name,
-        world=describe_env(env),
-        task_digest=tasks.digest(),
-        engine=engine,
-        versions=installed_versions(engine),
-    )
+        made = RunConfig(
+            settings=settings,
+            learner=learner,
+            family=family.name,
+            world=describe_env(env),
+            task_digest=tasks.digest(),
+            engine=engine,
+            versions=installed_versions(engine),
+        )
+        # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
+        return fields_from_json(RunConfig, fields_to_json(made))
 
 
 def make_env(
@@ -164,9 +150,36 @@ def make_env(
 ) -> AnyEnv:
     """Return the environment that a new run is to have; an existing one has its own, `Run.env`."""
     radius = {} if settings.sparse_radius is None else {"sparse_radius": settings.sparse_radius}
-    kind = settings.reward if reward_kind is None else reward_kind
+    reward = reward_kind or settings.reward
     with refusals():
-        return family.make_env(variant=settings.variant, reward_kind=kind, **radius)
+        return family.make_env(variant=settings.variant, reward_kind=reward, **radius)
+
+
+def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
+    """Refuse policies whose actions are of another kind, or that read a reward that is lacking."""
+    policy = learner.player(state)
+    with refusals():
+        env.check_shown(policy.observed_reward)
+    wanted, kind = env.action_kind, policy.action_kind
+    if kind != wanted:
+        method, usual = method_name(learner), type(USUAL[wanted]).__name__
+        raise RunError(
+            f"`{env.name}` needs a policy of {wanted} actions, but that of `{method}` chooses "
+            f"{kind} ones: give the learner another, as in "
+            f'maesn.PRESETS["maesn"](policy=maesn.{usual}()); for `rl2` and its like, '
+            f'maesn.Recurrent(action_kind="{wanted}").'
+        )
+
+
+def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:
+    """Refuse an environment whose observations or actions have other sizes than a run's own."""
+    for name in ("observation_size", "action_size"):
+        wanted, found = getattr(env, name), getattr(trained, name)
+        if wanted != found:
+            raise RunError(
+                f"`{directory}` must have an environment of `{name}` {wanted}, as this "
+                f"`{env.name}` of variant `{env.variant}` has, got {found}: {remedy}."
+            )
 
 
 def installed_versions(engine: str) -> dict[str, str]:

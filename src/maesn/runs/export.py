@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -12,7 +13,6 @@ from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
 from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
-from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
@@ -27,19 +27,22 @@ _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
 
 
-def export_policy(
+def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
+    """Write what `exported_policy` returns as an `.npz` file, in place of any that is there."""
+    write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
+
+
+def exported_policy(
     learner: AbstractFastLearner[Any],
     env: AnyEnv,
-    path: str | os.PathLike[str],
-    description: Mapping[str, str | int | float] | None = None,
+    description: Mapping[str, str | int | float] = MappingProxyType({}),
     start: tuple[Latent, int] | None = None,
-) -> None:
-    """Write a fast learner as an `.npz` file of plain arrays.
+) -> ExportedPolicy:
+    """Return a fast learner as arrays for the runtime.
 
     Args:
         learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
         env: the environment that it acts in, for the sizes and the map from actions to controls.
-        path: of the file; one that exists is replaced.
         description: whatever should be known of the policy on the robot, such as the run and its
             iteration. Family, horizon and control period are added.
         start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
@@ -47,28 +50,22 @@ def export_policy(
 
     Raises:
         ValueError: the runtime cannot learn as this learner does, or a number is not finite.
-        OSError: the file cannot be written.
     """
-    exported = exported_policy(learner, env, description or {}, start)
-    write_snapshot(path, Snapshot(exported, None, Safeguards(), None))
-
-
-def exported_policy(
-    learner: AbstractFastLearner[Any],
-    env: AnyEnv,
-    description: Mapping[str, str | int | float],
-    start: tuple[Latent, int] | None = None,
-) -> ExportedPolicy:
-    """Return what `export_policy` writes; see there."""
-    supported = _supported(learner)
-    prior = jax.tree.map(lambda x: x[0], supported.context.start_new(supported.context_table, 1))
+    obstacle = _obstacle(learner)
+    if obstacle is not None:
+        raise ValueError(
+            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
+            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
+        )
+    assert isinstance(learner, GradientFastLearner)
+    prior = jax.tree.map(lambda x: x[0], learner.context.start_new(learner.context_table, 1))
     latent, update = (prior, 0) if start is None else start
     if latent.mean.shape != prior.mean.shape:
         raise ValueError(
             f"the latents have {latent.mean.size} components, but the policy's z has "
             f"{prior.mean.size}; give latents to which this run was adapted."
         )
-    policy = _policy(supported)
+    policy = _policy(learner)
     size = policy.input_size - prior.mean.size
     if (size, policy.action_size) != (env.observation_size, env.action_size):
         raise ValueError(
@@ -81,7 +78,7 @@ def exported_policy(
         actuators=probe_actuators(env),
         start=RuntimeLatent(_float64(latent.mean), _float64(latent.log_std)),
         start_update=update,
-        rule=_rule(supported),
+        rule=_rule(learner),
         description={
             "family": env.name,
             "horizon": env.horizon,
@@ -102,11 +99,8 @@ def exported_policy(
 def probe_actuators(env: AnyEnv) -> Actuators:
     """Return `env.control` as the numbers of clip(offset + scale * action, lower, upper).
 
-    The numbers are read off the function itself, so that no environment states them twice, and
-    compared with it on random actions.
-
-    Raises:
-        ValueError: the function has another form.
+    They are read off the function itself, and compared with it on random actions: `ValueError` if
+    it has another form.
     """
 
     def control(action: np.ndarray | float) -> np.ndarray:
@@ -131,19 +125,8 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     return actuators
 
 
-def _supported(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
-    """Return the learner if the runtime's closed-form update is the learner's own."""
-    obstacle = _obstacle(learner)
-    if obstacle is not None:
-        raise ValueError(
-            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
-            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
-        )
-    assert isinstance(learner, GradientFastLearner)
-    return learner
-
-
 def _obstacle(learner: AbstractFastLearner[Any]) -> str | None:
+    """Return why the runtime's update in closed form is not the learner's own; None if it is."""
     if isinstance(learner, BonusFastLearner):
         return "has a curiosity bonus, which needs a model"
     if not isinstance(learner, GradientFastLearner):
@@ -168,25 +151,17 @@ def _policy(learner: GradientFastLearner) -> GaussianPolicy:
     weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
     biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
     if learner.statistics is not None:
-        weights[0], biases[0] = _with_normalization(learner.statistics, weights[0], biases[0])
+        # Observations are normalised by the first layer. With D = diag(1 / scale):
+        # ((o - mean) D) W + b = o (D W) + (b - mean D W).
+        # In double precision, because the two parts may cancel.
+        mean, scaled = _float64(learner.statistics.mean), _float64(weights[0]).copy()
+        scaled[: len(mean)] /= _float64(learner.statistics.scale)[:, None]
+        weights[0], biases[0] = scaled, biases[0] - mean @ scaled[: len(mean)]
     return GaussianPolicy(
         weights=tuple(weight.astype(np.float32) for weight in weights),
         biases=tuple(bias.astype(np.float32) for bias in biases),
         std=np.maximum(np.exp(_float64(learner.policy.log_std)), MINIMUM_STD),
     )
-
-
-def _with_normalization(
-    statistics: ObservationStatistics, weight: np.ndarray, bias: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fold the normalisation of observations into the first layer.
-
-    With D = diag(1 / scale): ((o - mean) D) W + b = o (D W) + (b - mean D W). So the robot computes
-    the same policy without knowing of it. In double precision, because the two parts may cancel.
-    """
-    mean, scaled = _float64(statistics.mean), weight.astype(np.float64)
-    scaled[: len(mean)] /= _float64(statistics.scale)[:, None]
-    return scaled, bias - mean @ scaled[: len(mean)]
 
 
 def _rule(learner: GradientFastLearner) -> LearningRule:

@@ -22,8 +22,7 @@ METRICS = "metrics.jsonl"
 TIMING = "timing.jsonl"
 TENSORBOARD = "tensorboard"
 
-# Numbers that have another name on a TensorBoard. Others with a path in their name keep it, and the
-# rest goes to `charts/`.
+# Numbers that have another name on a TensorBoard. Those without a path go to `charts/`.
 _TAGS = {
     "return_before": "returns/before",
     "return_after": "returns/after",
@@ -36,21 +35,21 @@ class Progress(NamedTuple):
 
     iteration: int
     """Iterations so far, this one included."""
-    info: dict[str, float]
-    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
+    environment_steps: int
+    """Control steps so far."""
     seconds: float
     """Wall time of the iteration, compilation included."""
     compile_seconds: float
     """The part of `seconds` in which programs were compiled: the first iteration, mostly."""
     steps_per_second: float
     """Control steps per second of the time without compilation."""
-    environment_steps: int
-    """Control steps so far."""
+    info: dict[str, float]
+    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""
-        found = [value for path, value in self.info.items() if path.split("/")[-1] == name]
-        return found[0] if found else None
+        found = (value for path, value in self.info.items() if path.split("/")[-1] == name)
+        return next(found, None)
 
 
 class JsonLines:
@@ -73,18 +72,14 @@ class JsonLines:
                 end += len(line)
             self._file.truncate(end)
         if kept < iterations:
-            message = (
-                "`%s` holds only %d of the %d iterations before this one; the rest is lost, but "
-                "not for the learner."
+            logger.warning(
+                f"`{self._path}` holds only {kept} of the {iterations} iterations before this one; "
+                "the rest is lost, but not for the learner."
             )
-            logger.warning(message, self._path, kept, iterations)
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def append(self, record: Mapping[str, float | int]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
-        finite = {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in record.items()
-        }
+        finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
         line = json.dumps(finite, allow_nan=False).encode() + b"\n"
         with explained("write", self._path):
             while line:  # a disk that is nearly full takes a part of it
@@ -103,14 +98,13 @@ class JsonLines:
 class EventLog:
     """Events for TensorBoard, written at once and in this thread.
 
-    `tensorboardX.SummaryWriter` writes in a thread of its own. If that thread dies, for example
-    because the disk is full, the next event waits for it for ever.
+    If the thread of `tensorboardX.SummaryWriter` dies of a full disk, the next event waits for
+    ever.
     """
 
     def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
         self._directory = directory
-        # TensorBoard looks for "tfevents". The iteration keeps the names of processes apart that
-        # begin within the same second.
+        # The iteration keeps apart the names of processes that begin within the same second.
         name = f"events.out.tfevents.{int(time.time())}.{iteration}"
         with explained("write", directory):
             directory.mkdir(exist_ok=True)
@@ -151,16 +145,11 @@ class RunLog(NamedTuple):
 
     def write(self, progress: Progress) -> None:
         """Write down one iteration; raises `RunError` if the disk is full, or the like."""
-        steps = progress.environment_steps
-        counts = {"iteration": progress.iteration, "environment_steps": steps}
-        timing = {
-            "seconds": progress.seconds,
-            "compile_seconds": progress.compile_seconds,
-            "steps_per_second": progress.steps_per_second,
-        }
-        self.timing.append(counts | timing)
-        self.metrics.append(counts | progress.info)
-        scalars = {_TAGS.get(name, name): value for name, value in progress.info.items()}
+        timing = progress._asdict()
+        info, steps = timing.pop("info"), progress.environment_steps
+        self.timing.append(timing)
+        self.metrics.append({"iteration": progress.iteration, "environment_steps": steps, **info})
+        scalars = {_TAGS.get(name, name): value for name, value in info.items()}
         scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
         values = [
             Summary.Value(tag=tag if "/" in tag else f"charts/{tag}", simple_value=value)
@@ -169,7 +158,7 @@ class RunLog(NamedTuple):
         self.events.append(step=steps, summary=Summary(value=values))
 
     def sync(self) -> None:
-        """Make all that was written survive the end of the process, and a power cut."""
+        """Make all that was written survive a power cut."""
         for file in self:
             file.sync()
 

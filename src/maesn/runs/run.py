@@ -1,13 +1,6 @@
 """Run directories: everything about one training run, and nothing that could be executed.
 
-```
-DIR/config.json      settings, learner, world, versions, digests of the tasks and of all of it
-DIR/tasks.npz        the training tasks, if they are a user's own
-DIR/checkpoints/     iteration-000000.safetensors (untrained), iteration-000010.safetensors, ...
-DIR/metrics.jsonl    one line per iteration, the same whenever the run is repeated
-DIR/timing.jsonl     one line per iteration, never the same
-DIR/tensorboard/     events for TensorBoard
-```
+`docs/files.md` lists what is in one.
 """
 
 import dataclasses
@@ -21,35 +14,25 @@ import numpy as np
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.learners import AbstractMetaLearner, method_name
-from maesn.runs.checkpoint import (
-    Checkpoint,
-    MismatchError,
-    checkpoint_paths,
-    latest_sound,
-    named_leaves,
-    read_checkpoint,
-    restore,
-    save_checkpoint,
+from maesn.runs import checkpoint, sources
+from maesn.runs.checkpoint import Checkpoint
+from maesn.runs.config import (
+    RunConfig,
+    RunSettings,
+    check_policy,
+    check_sizes,
+    new_config,
+    read_config,
+    write_config,
 )
-from maesn.runs.config import RunConfig, RunSettings, new_config, read_config, write_config
 from maesn.runs.log import METRICS
-from maesn.runs.shipped import find_run
-from maesn.runs.starting import check_policy, check_sizes, warn_of_known_tests
-from maesn.runs.task_sources import (
-    TASKS_FILE,
-    find_tasks,
-    recorded_family,
-    recorded_tasks,
-    resolve_family,
-    save_tasks,
-)
 from maesn.storage import new_directory, read_json_lines, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
 CHECKPOINTS = "checkpoints"
 
-# An "iteration" that no run reaches: its key makes the untrained state. Splitting the seed's key
-# instead would yield the keys of iterations 0 and 1 a second time.
+# An "iteration" that no run reaches: its key makes the untrained state. A split of the seed's key
+# would yield those of iterations 0 and 1 again.
 _UNTRAINED = 0xFFFFFFFF
 
 
@@ -83,23 +66,17 @@ class Run:
     ) -> "Run":
         """Make a new run directory with the state in it that training begins with.
 
-        Args:
-            directory: must be empty or not exist.
-            learner: the method and its settings.
-            settings: of the run.
-            family: a family of your own; None for the one that `settings.family` names.
-            init_from: directory of a run, or name of a policy that comes with the library. Policy,
-                step sizes, and all else that tasks share come from there; what belongs to single
-                tasks, such as the latents, begins afresh, and so does the count of iterations.
+        Arguments are those of `maesn.train`. What tasks share comes from the run `init_from`, such
+        as policy and step sizes; what belongs to single tasks, such as the latents, begins afresh,
+        and so does the count of iterations.
 
         Raises:
-            RunError: the directory is in use or cannot be written, a setting is wrong, or the
-                source does not fit.
+            RunError: directory or settings cannot be used, or the other run does not fit.
         """
         named = settings.family if family is None else family.name
-        family = resolve_family(named) if family is None else family
+        family = sources.resolve_family(named) if family is None else family
         settings = dataclasses.replace(settings, family=named, method=method_name(learner))
-        tasks = find_tasks(settings.tasks, family)
+        tasks = sources.find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks)
         # Before anything is written: the engine may lack something, the environment contradict
@@ -109,11 +86,11 @@ class Run:
             check_env_contract(run.env(), tasks[0])
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
-            warn_of_known_tests(family, tasks)
+            sources.warn_of_known_tests(family, tasks)
         with new_directory(run.directory):
             (run.directory / CHECKPOINTS).mkdir()
             if settings.tasks not in NAMED_SETS:
-                save_tasks(run.directory / TASKS_FILE, tasks, family)
+                sources.save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             state = run.untrained_state() if init_from is None else run._begun_state(init_from)
             check_policy(learner, state, run.env())
             run.save_state(state)
@@ -125,21 +102,17 @@ class Run:
     def open(cls, source: "str | Path | Run", family: str | TaskFamily | None = None) -> "Run":
         """Open a run. Nothing that stands in its directory is executed.
 
-        Args:
-            source: directory of an earlier run, name of a policy that comes with the library, or a
-                run, which is read again. A directory wins over a policy of the same name.
-            family: the run's family, if it is your own: itself, or `module:name`.
-
-        Raises:
-            RunError: there is no run, or not one that can be understood.
+        `source` is a directory, the name of a policy that comes with the library unless there is a
+        directory of that name, or a run, which is read again. `family` is the run's own family, if
+        it does not come with the library: itself, or `module:name`.
         """
         if isinstance(source, Run):
             family = source.family if family is None else family
             source = source.directory
-        directory = find_run(source)
+        directory = sources.find_run(source)
         config = read_config(directory)
-        found = recorded_family(config.family, family)
-        tasks = recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
+        found = sources.recorded_family(config.family, family)
+        tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         return cls(directory, config, found, tasks)
 
     def env(
@@ -147,29 +120,20 @@ class Run:
     ) -> AnyEnv:
         """Return the run's environment as it was recorded, whatever the family's defaults are now.
 
-        Args:
-            reward_kind: dense or sparse; None for that of training.
-            sparse_radius: radius of the goal region in metres; None for that of training.
-
-        Raises:
-            RunError: the environment has become another, or cannot have that radius.
+        Reward and sparse radius, in metres, are those of training if they are None.
         """
         asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
-        overrides = {name: value for name, value in asked.items() if value is not None}
+        changed = {name: value for name, value in asked.items() if value is not None}
         with refusals():
-            return rebuild_env(self.family, self.config.world, **overrides)
+            return rebuild_env(self.family, self.config.world, **changed)
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
         """Return tasks of the run's family.
 
-        Args:
-            name: `training` for what this run trains on, `validation`, `test` or `ood` for those
-                sets of the family, or the path of an `.npz` file.
-
-        Raises:
-            RunError: there is no such set, or the file cannot be used.
+        `name` is `training` for what this run trains on, `validation`, `test` or `ood` for those
+        sets of the family, or the path of an `.npz` file.
         """
-        return self.training_tasks if name == "training" else find_tasks(name, self.family)
+        return self.training_tasks if name == "training" else sources.find_tasks(name, self.family)
 
     def world(
         self,
@@ -179,24 +143,17 @@ class Run:
         sparse_radius: float | None = None,
         num_threads: int | None = None,
     ) -> AbstractWorld:
-        """Return a world to play in.
-
-        Args:
-            tasks: None for what this run trains on.
-            reward_kind: as for `env`.
-            engine: what moves it; None for the run's own.
-            sparse_radius: as for `env`.
-            num_threads: threads of the engine; None for what the run's settings say.
+        """Return a world to play in. None stands for what the run itself trains with.
 
         Raises:
             EngineError: the engine is not installed.
-            RunError: the engine lacks something that the family needs.
+            RunError: the engine lacks something that the family needs; also as for `env`.
         """
         tasks = self.training_tasks if tasks is None else tasks
-        engine = self.settings.engine if engine is None else engine
         threads = self.settings.num_threads if num_threads is None else num_threads
+        env, engine = self.env(reward_kind, sparse_radius), engine or self.settings.engine
         with refusals():
-            return make_world(self.env(reward_kind, sparse_radius), tasks, threads, engine)
+            return make_world(env, tasks, threads, engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
@@ -214,23 +171,17 @@ class Run:
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.
 
-        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table.
-
-        Raises:
-            RunError: the file is missing or damaged.
+        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table. A file
+        that is missing or damaged is a `RunError`.
         """
         return read_json_lines(self.directory / METRICS)
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
-        return checkpoint_paths(self.directory / CHECKPOINTS)
+        return checkpoint.checkpoint_paths(self.directory / CHECKPOINTS)
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
-        """Write a state, and how many control steps were played for it, and return the path.
-
-        Raises:
-            RunError: it cannot be written.
-        """
+        """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
         path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
         metadata = {
@@ -241,35 +192,25 @@ class Run:
             "iteration": str(iteration),
             "environment_steps": str(environment_steps),
         }
-        save_checkpoint(path, state, metadata)
+        checkpoint.save_checkpoint(path, state, metadata)
         return path
 
     def load(self, path: str | Path) -> Checkpoint:
-        """Read one checkpoint of this run.
-
-        Raises:
-            CheckpointError: it is damaged.
-            MismatchError: it belongs to another run, or to other settings.
-        """
-        values, metadata = read_checkpoint(Path(path))
+        """Read one checkpoint of this run; `MismatchError` if it belongs to another one."""
+        values, metadata = checkpoint.read_checkpoint(Path(path))
         if metadata.get("config") not in self.config.digests():
-            raise MismatchError(
+            raise checkpoint.MismatchError(
                 f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
                 f"`{metadata.get('family')}` that was written with another `config.json` than this "
                 "run's: use it with the run that made it, or restore that file. (`maesn resume RUN "
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
-        state = restore(self.structure(), values, path)
+        state = checkpoint.restore(self.structure(), values, path)
         return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
 
     def latest(self) -> Checkpoint:
-        """Return the latest checkpoint that is sound, saying so if a later one is not.
-
-        Raises:
-            CheckpointError: no checkpoint is sound.
-            MismatchError: the latest sound one belongs to another run, or to other settings.
-        """
-        return latest_sound(self.directory / CHECKPOINTS, self.load)
+        """Return the latest checkpoint that is sound, saying so if a later one is not."""
+        return checkpoint.latest_sound(self.directory / CHECKPOINTS, self.load)
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""
@@ -277,21 +218,21 @@ class Run:
 
     def _begun_state(self, init_from: str | Path) -> Any:
         """Return a first state with what another run has learned; see `create`."""
-        same_family = read_config(find_run(init_from)).family == self.config.family
+        same_family = read_config(sources.find_run(init_from)).family == self.config.family
         source = Run.open(init_from, self.family if same_family else None)
         check_sizes(source.directory, source.env(), self.env(), "begin with a run in the same one")
-        fresh, values = self.untrained_state(), named_leaves(source.latest_state())
-        larger = named_leaves(self.structure(more_tasks=1))
-        for name, leaf in named_leaves(fresh).items():
+        fresh, values = self.untrained_state(), checkpoint.named_leaves(source.latest_state())
+        larger = checkpoint.named_leaves(self.structure(more_tasks=1))
+        for name, leaf in checkpoint.named_leaves(fresh).items():
             per_task = leaf.shape != larger[name].shape  # a row for each
             if per_task or leaf is self.learner.iteration(fresh):
                 values[name] = leaf
-        return restore(fresh, values, source.directory)
+        return checkpoint.restore(fresh, values, source.directory)
 
     def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
         env, rows = self.env(), len(self.training_tasks) + more_tasks
-        description = jax.eval_shape(env.describe, self.training_tasks[0])
-        sizes = (env.observation_size, env.action_size, rows, description.size)
+        description = jax.eval_shape(env.describe, self.training_tasks[0]).size
+        sizes = (env.observation_size, env.action_size, rows, description)
         return self.learner, self.iteration_key(_UNTRAINED), *sizes
 
 

@@ -1,8 +1,7 @@
 """Settings as JSON: a learner goes into `config.json` and comes out the same.
 
-Every object is written with a tag, `"type"`, that names its class. Tags are looked up in a closed
-registry, so a file can ask for nothing but the settings listed here. What is unknown, missing or of
-the wrong type is a `ValueError`.
+Objects have a tag, `"type"`, that is looked up in a closed registry: a file can ask for nothing but
+the settings listed here. What is unknown, missing or of the wrong type is a `ValueError`.
 """
 
 import ast
@@ -93,27 +92,23 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def differing(settings: Any, usual: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the values that two objects of one class do not share, of `settings` by their path.
-
-    A path is as in `trust_region.damping`; `prefix` is what all of them begin with.
-    """
+def leaves(document: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return the values in a document by their path, as in `trust_region.damping`."""
     found: dict[str, Any] = {}
-    for field in dataclasses.fields(settings):
-        value, other = getattr(settings, field.name), getattr(usual, field.name)
-        if dataclasses.is_dataclass(value) and type(value) is type(other):
-            found |= differing(value, other, f"{prefix}{field.name}.")
-        elif value != other:
-            found[prefix + field.name] = value
+    for name, value in document.items():
+        inner = isinstance(value, dict)
+        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
     return found
 
 
-def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other values: path, as `trust_region.damping`, -> JSON value.
+def differing(settings: Any, usual: Any) -> dict[str, Any]:
+    """Return the values, by their path, in which settings differ from others of their class."""
+    own, others = (leaves(fields_to_json(one)) for one in (settings, usual))
+    return {path: value for path, value in own.items() if (path, value) not in others.items()}
 
-    Raises:
-        KeyError: there is no setting of that path.
-    """
+
+def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return settings with other JSON values by their path; `KeyError` if there is no such path."""
     document = fields_to_json(settings)
     for path, value in changes.items():
         *parents, last = path.split(".")
@@ -183,22 +178,23 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     That is a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
     settings, or one of these or None.
     """
-    if value is None and type(None) in get_args(hint):
-        return None
     wanted = _required(hint)
-    if wanted is Any:
+    if wanted is Any or (value is None and wanted is not hint):
         return value
-    if get_origin(wanted) is tuple and isinstance(value, list):
-        item_hint = get_args(wanted)[0]
-        return tuple(_decode(item, item_hint, f"{where}[{i}]") for i, item in enumerate(value))
-    if get_origin(wanted) is dict and isinstance(value, dict):
-        item_hint = get_args(wanted)[1]
-        return {name: _decode(item, item_hint, f"{where}.{name}") for name, item in value.items()}
-    is_class = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
-    if isinstance(value, dict) and is_class and not issubclass(wanted, eqx.Module):
-        return fields_from_json(wanted, value)  # without a tag, because its class is known
-    decoded = from_json(value) if isinstance(value, dict) else value
-    decoded = float(decoded) if wanted is float and type(decoded) is int else decoded
+    origin, decoded = get_origin(wanted), value
+    if origin is tuple and isinstance(value, list):
+        item = get_args(wanted)[0]
+        return tuple(_decode(one, item, f"{where}[{i}]") for i, one in enumerate(value))
+    if origin is dict and isinstance(value, dict):
+        item = get_args(wanted)[1]
+        return {name: _decode(one, item, f"{where}.{name}") for name, one in value.items()}
+    if isinstance(value, dict):
+        # Settings have a tag; of another dataclass the field tells the class.
+        known = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
+        untagged = known and not issubclass(wanted, eqx.Module)
+        decoded = fields_from_json(wanted, value) if untagged else from_json(value)
+    elif wanted is float and type(value) is int:
+        decoded = float(value)
     if not _fits(decoded, wanted):
         name = wanted.__name__ if isinstance(wanted, type) else wanted
         raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")
@@ -219,5 +215,4 @@ def _fits(value: Any, hint: Any) -> bool:
         return value in get_args(hint)
     if isinstance(value, eqx.Module):
         return isinstance(value, get_origin(hint) or hint)
-    # Not `isinstance`: True is no number of tasks.
-    return type(value) is hint
+    return type(value) is hint  # not `isinstance`: True is no number of tasks

@@ -1,18 +1,22 @@
-"""The training loop: one generator that begins, goes on, and ends well however it is stopped."""
+"""The training loop, which ends well however it is stopped, and its live display."""
 
 import contextlib
 import dataclasses
+import datetime
 import logging
 import math
 import time
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Int
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.table import Column
 
-from maesn.axes import TaskKeys
-from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
 from maesn.runs.compilation import compile_seconds
@@ -27,6 +31,11 @@ logger = logging.getLogger(__name__)
 # Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
 MAX_NONFINITE = 5
 
+# Iterations whose mean duration, without compilation, predicts the time that is left.
+_WINDOW = 20
+# Columns of a terminal that has room for a bar beside the numbers.
+_WIDE = 110
+
 
 class TrainingError(RunError):
     """Training cannot go on; the last good state is on disk."""
@@ -36,17 +45,10 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
 
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
-    included, on the same machine with the same versions and number of threads.
+    included, on the same machine with the same versions and number of threads. A checkpoint is
+    written every `checkpoint_every` iterations and at any end but that of the process.
 
-    A checkpoint is written every `checkpoint_every` iterations and at the end, whether that is the
-    last iteration, Ctrl-C, an error, or `close()` of the generator.
-
-    Args:
-        run: what to train.
-        iterations: meta-iterations in total; None for what the run's settings say.
-
-    Yields:
-        One `Progress` for each iteration.
+    `iterations` is the number of meta-iterations in total; None for that of the run's settings.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -63,11 +65,11 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        collect = _Counter(Collector(world, run.settings.episodes_per_task))
-        training = _Training(run, collect, log, start, saved=start.iteration)
+        training = _Training(run, log, start, saved=start.iteration)
         stack.callback(training.end)
+        collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
         while training.checkpoint.iteration < total:
-            yield training.advance()
+            yield training.advance(collect)
 
 
 @dataclasses.dataclass
@@ -75,31 +77,35 @@ class _Training:
     """A run between two iterations."""
 
     run: Run
-    collect: "_Counter"
     log: RunLog
     checkpoint: Checkpoint
     saved: int
     """Iteration of the latest checkpoint on disk."""
+    steps: int = 0
+    """Control steps that were played in the present iteration."""
     nonfinite: int = 0
     """Iterations in a row whose step was not finite."""
 
-    def advance(self) -> Progress:
+    def count(self, episodes: Episodes, *_: Any) -> None:
+        """Count the control steps of episodes."""
+        self.steps += int(np.asarray(episodes.valid).sum())
+
+    def advance(self, collect: Collector) -> Progress:
         """Do one iteration and write it down."""
-        before, run, collect = self.checkpoint, self.run, self.collect
-        collect.steps = 0
+        before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
         start, compiled = time.perf_counter(), compile_seconds()
         state, info = run.learner.step(key, before.state, collect)
         jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
         seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
-        after = Checkpoint(state, before.iteration + 1, before.environment_steps + collect.steps)
+        after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
             info={name: float(value) for name, value in named_leaves(metrics).items()},
             seconds=seconds,
             compile_seconds=compiling,
-            steps_per_second=collect.steps / max(seconds - compiling, 1e-9),
+            steps_per_second=self.steps / max(seconds - compiling, 1e-9),
             environment_steps=after.environment_steps,
         )
         self.log.write(progress)
@@ -128,8 +134,7 @@ class _Training:
         """Say that a step was not finite, and give up after several in a row."""
         broken = [name for name, value in progress.info.items() if not math.isfinite(value)]
         tasks = int(progress.info.get("nonfinite_tasks", 0))
-        accepted = bool(progress.find("accepted"))
-        if accepted or not (broken or tasks):
+        if progress.find("accepted") or not (broken or tasks):
             self.nonfinite = 0
             return
         self.nonfinite += 1
@@ -147,34 +152,82 @@ class _Training:
 
 
 def _compare_versions(run: Run) -> None:
-    message = (
-        "`%s` was begun with %s %s and goes on with %s: it need not become bit for bit what it "
-        "would have become without the interruption."
-    )
     now = installed_versions(run.config.engine)
     for name, version in run.config.versions.items():
         if now.get(name) != version:
-            logger.warning(message, run.directory, name, version, now.get(name))
+            logger.warning(
+                f"`{run.directory}` was begun with {name} {version} and goes on with "
+                f"{now.get(name)}: it need not become bit for bit what it would have become "
+                "without the interruption."
+            )
 
 
-@dataclasses.dataclass(eq=False)
-class _Counter:
-    """`Collect` that counts the control steps that it plays."""
+def train_live(
+    run: Run, iterations: int | None = None, console: Console | None = None
+) -> Progress | None:
+    """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
-    collect: Collector
-    steps: int = 0
+    Returns the last iteration, None if nothing was left to do. All else is as for `train`.
+    """
+    console = console or Console()
+    total = run.settings.iterations if iterations is None else iterations
+    last: Progress | None = None
+    try:
+        with contextlib.closing(train(run, iterations)) as steps, _display(console, total) as show:
+            recent: deque[float] = deque(maxlen=_WINDOW)
+            for last in steps:
+                recent.append(last.seconds - last.compile_seconds)
+                left = sum(recent) / len(recent) * (total - last.iteration)
+                show(last, f"{datetime.timedelta(seconds=round(left))} left")
+    except KeyboardInterrupt:
+        more = "" if total == run.settings.iterations else f" --iterations {total}"
+        more += run.settings.family_option
+        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        raise
+    if last is None:
+        done = run.latest().iteration
+        _say(console, f"{run.directory} has done {done} of {total} iterations: nothing is left.")
+    return last
 
-    @property
-    def num_tasks(self) -> int:
-        return self.collect.num_tasks
 
-    @property
-    def episodes_per_task(self) -> int:
-        return self.collect.episodes_per_task
+def describe(progress: Progress) -> str:
+    """Return one iteration in a line of text."""
+    info, parts = progress.info, []
+    if "return_before" in info and "return_after" in info:
+        parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
+    if "success_after" in info:
+        parts.append(f"success {info['success_after']:.0%}")
+    kl = progress.find("kl")
+    if kl is not None:
+        rejected = progress.find("accepted") == 0.0
+        parts.append("step rejected" if rejected else f"KL {kl:.4f}")
+    parts.append(f"{progress.steps_per_second:,.0f} steps/s")
+    if progress.compile_seconds > 1:
+        parts.append(f"compiled for {progress.compile_seconds:.0f} s")
+    return ", ".join(parts)
 
-    def __call__(
-        self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
-    ) -> Episodes:
-        episodes = self.collect(keys, agents, task_index, stage)
-        self.steps += int(np.asarray(episodes.valid).sum())
-        return episodes
+
+@contextlib.contextmanager
+def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str], None]]:
+    """Yield what shows an iteration and the time that is left."""
+    if not console.is_terminal:
+        yield lambda progress, left: _say(
+            console, f"{progress.iteration}/{total}: {describe(progress)}, {left}"
+        )
+        return
+    columns: list[Any] = [
+        MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+    ]
+    if console.width >= _WIDE:
+        columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
+    with Bar(*columns, console=console) as bar:
+        shown = bar.add_task("compiling", total=total)
+        yield lambda progress, left: bar.update(
+            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+        )
+
+
+def _say(console: Console, text: str) -> None:
+    # As it is: no markup, no colours, no line breaks of its own.
+    console.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -8,7 +8,7 @@
             explorer.end_episode(rewards)
         explorer.adapt()
 
-`policy.npz` comes from `maesn.runs.export.export_policy`. This package needs NumPy and the standard
+`policy.npz` comes from `maesn.export`. This package needs NumPy and the standard
 library alone: no JAX, no simulator, and nothing of the rest of the library.
 """
 

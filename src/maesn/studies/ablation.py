@@ -15,7 +15,7 @@ from maesn.report.style import series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.runs.task_sources import resolve_family
+from maesn.runs.sources import resolve_family
 from maesn.storage import RunError, refusals
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 from maesn.studies.comparison import USUAL, compare_lines, silent

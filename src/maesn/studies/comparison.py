@@ -8,17 +8,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from maesn.api import changed
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.rules import AbstractRule, AbstractWrapper
+from maesn.evaluation.tables import write_rows
 from maesn.report.adaptation_table import Line
-from maesn.report.comparison import Comparison, write_tidy_table
-from maesn.report.comparison_tables import write_summary
+from maesn.report.comparison import Comparison, summary_tables, tidy_rows
 from maesn.report.figures.adaptation import plot_comparison
 from maesn.report.reading import read_adaptation
 from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
+from maesn.report.tables import write_tables
 from maesn.runs.run import Run
 from maesn.storage import RunError, explained
 from maesn.studies.curves import Say, curves_of
@@ -128,8 +128,8 @@ def compare_lines(
     )
     with explained("make", out):
         out.mkdir(parents=True, exist_ok=True)
-    write_tidy_table(comparison, out / TABLE)
-    write_summary(comparison, out / SUMMARY)
+    write_rows(out / TABLE, tidy_rows(comparison))
+    write_tables(summary_tables(comparison), out / SUMMARY)
     for path in (*save_figure(plot_comparison(comparison), out, FIGURE), out / TABLE):
         say(str(path))
     return comparison
@@ -173,10 +173,10 @@ def _lines_of_runs(
         line = partial(line_of_runs, series.name, series.style, members, world)
         rule = changes.rules.get(method)
         episodes = world.evaluation.episodes if run_episodes is None else run_episodes
-        lines.append(line(changed(world.evaluation, {"rule": rule, "episodes": episodes})))
+        lines.append(line(world.evaluation.changed(rule=rule, episodes=episodes)))
         if not changes.wrappers or (changes.twice and method not in changes.twice):
             continue
-        second = changed(world.evaluation, {"rule": rule, "wrappers": changes.wrappers})
+        second = world.evaluation.changed(rule=rule, wrappers=changes.wrappers)
         try:
             lines.append(line(second))
         except RunError as error:

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from maesn.evaluation.evaluate import adapt, as_rows, tasks_at_once
-from maesn.evaluation.tables import adaptation_file, read_rows, write_rows
+from maesn.evaluation.tables import adaptation_file, write_rows
 from maesn.learners import AbstractFastLearner
-from maesn.report.table_files import record_file
+from maesn.report.reading import RECORD, read_rows
 from maesn.runs.serialization import digest_of_document
 from maesn.storage import explained, read_json, write_json
 from maesn.studies.world import ComparisonWorld
@@ -68,7 +68,7 @@ def curves_of(one: SeededLearner, world: ComparisonWorld, directory: Path, say: 
 
 def _fits(record: Mapping[str, Any], earlier: Path) -> bool:
     """Whether an earlier adaptation is the same one, or one of more tasks or episodes."""
-    path = record_file(earlier)
+    path = earlier.with_suffix(RECORD)
     if not (path.exists() and earlier.exists()):
         return False
     found, wanted = read_json(path), dict(record)

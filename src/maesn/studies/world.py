@@ -8,10 +8,9 @@ from typing import Any
 from maesn.envs import AnyEnv, Variant
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.record import Identity, adaptation_record
-from maesn.runs.config import RunSettings, make_env
+from maesn.runs.config import RunSettings, check_policy, check_sizes, make_env
 from maesn.runs.run import Run
-from maesn.runs.starting import check_policy, check_sizes
-from maesn.runs.task_sources import find_tasks, resolve_family
+from maesn.runs.sources import find_tasks, resolve_family
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, make_world
 from maesn.worlds.collector import Collector

@@ -1,5 +1,6 @@
 """Play episodes in any world: makes the function `collect` that learners are given."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -43,11 +44,24 @@ _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
 
 
 class Collector:
-    """`maesn.experience.episodes.Collect` on a world."""
+    """`maesn.experience.episodes.Collect` on a world.
 
-    def __init__(self, world: AbstractWorld, episodes_per_task: int) -> None:
+    Args:
+        world: to play in.
+        episodes_per_task: number of episodes of each task that one call plays.
+        watch: is shown what each call has played, its states as `play` returns them, and its
+            `stage`.
+    """
+
+    def __init__(
+        self,
+        world: AbstractWorld,
+        episodes_per_task: int,
+        watch: Callable[[Episodes, Readings | HostReadings, int], None] | None = None,
+    ) -> None:
         self.world = world
         self.episodes_per_task = episodes_per_task
+        self._watch = watch
         # Compiled once per collector; the environment is a constant of the programs.
         self._begin = jax.jit(self._begin_batch)
         self._act = jax.jit(self._decide)
@@ -67,7 +81,10 @@ class Collector:
             EpisodeError: physics or reward of an episode became non-finite.
             ValueError: the policy's actions are of another kind than the environment's.
         """
-        return self.play(keys, agents, task_index)[0]
+        episodes, readings = self.play(keys, agents, task_index)
+        if self._watch is not None:
+            self._watch(episodes, readings, stage)
+        return episodes
 
     def play(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"]

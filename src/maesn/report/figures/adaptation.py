@@ -1,21 +1,77 @@
-"""Adaptation curves on new tasks: over updates, and of a comparison over environment steps."""
+"""Adaptation curves: over updates, beside the published ones, and of a comparison over steps."""
 
+import csv
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from maesn.report.adaptation_table import Line
+from maesn.report.adaptation_table import AdaptationTable, Line
 from maesn.report.comparison import Comparison
 from maesn.report.figures.curves import draw_line, explain, note_on_lines, percent_axis
-from maesn.report.published import PublishedCurve
+from maesn.report.runs import RecordedRun
 from maesn.report.style import DARK_GREY, ONE_COLUMN, TWO_COLUMNS, new_figure, publication_style
 
 _WIDTHS = (1.35, 1.0, 1.0)  # the panel that targets are stated for is the widest
 _HEIGHTS = (1.5, 1.0)  # return above, success below
 _LINE_CHARACTERS = 58  # of a note in one column
 _DOTTED = (0, (1.0, 1.5))
+_DASHED = (0, (3.0, 2.0))
+
+# Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
+# published; the table's header says what it is.
+_PUBLISHED_NAME = {
+    "maesn": "MAESN",
+    "latent_space": "LatentSpace",
+    "maml": "MAML",
+    "maml_bias": "MAML",
+    "maml_bias_only": "MAML",
+    "rl2": "RL2",
+    "vime": "VIME",
+    "trpo": "TRPO",
+    "reinforce": "VPG",
+}
+
+# What the published returns depend on, beside the rewards of the reference code: the sparse radius
+# in metres (also the family's own, that of a run without one) and the episodes per update.
+_PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
+
+
+class PublishedCurve(NamedTuple):
+    """One published curve; updates that could not be read are absent."""
+
+    name: str
+    """The method's name in the paper."""
+    update: Float[np.ndarray, " point"]
+    mean_return: Float[np.ndarray, " point"]
+
+
+def comparable_curve(run: RecordedRun, table: AdaptationTable) -> PublishedCurve | None:
+    """Return the published curve of a run's method; None if its table means another thing."""
+    radius, episodes = _PROTOCOLS.get(run.family, (None, None))
+    is_comparable = (
+        run.settings["variant"] == "reference"
+        and run.settings.get("sparse_radius") in (None, radius)
+        and table.reward == "sparse"
+        and table.episodes_per_update == episodes
+    )
+    return published_curve(run.family, run.method) if is_comparable else None
+
+
+def published_curve(family: str, method: str) -> PublishedCurve | None:
+    """Return what the paper shows for a preset; None if it shows nothing."""
+    name = _PUBLISHED_NAME.get(method, "")
+    text = files("maesn.report").joinpath("published_curves.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    found = [row for row in rows if row["family"] == family and row.get(name)]
+    if not found:
+        return None
+    update, mean_return = np.array([(row["update"], row[name]) for row in found], float).T
+    return PublishedCurve(name, update, mean_return)
 
 
 @publication_style()
@@ -29,16 +85,22 @@ def plot_adaptation_curves(
     """
     figure = new_figure(TWO_COLUMNS, 2.35)
     panels = figure.subplots(1, 3, width_ratios=_WIDTHS)
+    lengths = {line.label: line.table.episodes_per_update for line in lines}
     measures = ("mean_return", "success_rate", "time_in_region")
     for axes, measure in zip(panels, measures, strict=True):
         labels = {line.label: draw_line(axes, line.table.updates, line, measure) for line in lines}
         axes.set_xlabel("update")
-        _episodes_axis(axes, lines)
+        _episodes_axis(axes, set(lengths.values()))
     panels[0].set_ylabel(f"mean {lines[0].table.reward} return")
     percent_axis(panels[1], "success rate")
     percent_axis(panels[2], "time in goal region")
     _draw_published(panels[0], lines, published)
-    explain(figure, panels[0], [*note_on_lines(lines, labels), *_note_on_updates(lines)])
+    notes = note_on_lines(lines, labels)
+    known = {label: length for label, length in lengths.items() if length is not None}
+    if len(set(known.values())) > 1:
+        updates = ", ".join(f"{label} {length}" for label, length in known.items())
+        notes.append(f"episodes per update: {updates}")
+    explain(figure, panels[0], notes)
     return figure
 
 
@@ -54,10 +116,11 @@ def plot_comparison(comparison: Comparison) -> Figure:
     most_tasks = max(line.num_tasks for line in lines)
     figure = new_figure(ONE_COLUMN, 3.4)
     panels = figure.subplots(2, 1, sharex=True, height_ratios=_HEIGHTS)
+    labels = {}
     for axes, measure in zip(panels, ("mean_return", "success_rate"), strict=True):
-        labels = {}
         for line in lines:
-            fewer = "" if line.num_tasks == most_tasks else f" ({_first_tasks(line.num_tasks)})"
+            first = "first task" if line.num_tasks == 1 else f"first {line.num_tasks} tasks"
+            fewer = "" if line.num_tasks == most_tasks else f" ({first})"
             labels[line.label] = draw_line(axes, comparison.steps(line), line, measure, fewer)
     bounds = comparison.bounds(most_tasks)
     for height, name, style in zip(bounds, ("baseline", "oracle"), (_DOTTED, "-"), strict=True):
@@ -80,45 +143,21 @@ def _draw_published(
             continue
         drawn.add(curve.name)
         shown = curve.update <= max(table.updates[-1] for table in line.tables)
-        axes.plot(
-            curve.update[shown],
-            curve.mean_return[shown],
-            color=line.style.colour,
-            linestyle=(0, (3, 2)),
-            linewidth=0.7,
-            label=f"{curve.name}, published",
-        )
+        (drawn_line,) = axes.plot(curve.update[shown], curve.mean_return[shown])
+        drawn_line.set(color=line.style.colour, linestyle=_DASHED, linewidth=0.7)
+        drawn_line.set_label(f"{curve.name}, published")
 
 
-def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
+def _episodes_axis(axes: Axes, lengths: set[int | None]) -> None:
     """Count episodes along the top, where every update of every line has the same number."""
-    counts = {line.table.episodes_per_update for line in lines}
-    per_update = counts.pop()
-    if counts or per_update is None:
+    length, *others = lengths
+    if others or length is None:
         return
-    scale = float(per_update)
-    top = axes.secondary_xaxis(
-        "top",
-        functions=(
-            lambda update: np.multiply(update, scale),
-            lambda count: np.divide(count, scale),
-        ),
-    )
+    scale = float(length)
+    functions = (lambda update: np.multiply(update, scale), lambda count: np.divide(count, scale))
+    top = axes.secondary_xaxis("top", functions=functions)
     top.set_xlabel("episodes learned from")
     top.spines["top"].set_visible(True)
-
-
-def _note_on_updates(lines: Sequence[Line]) -> list[str]:
-    """Say how long an update is, where lines differ in it."""
-    counts = {line.label: line.table.episodes_per_update for line in lines}
-    known = {label: count for label, count in counts.items() if count is not None}
-    if len(set(known.values())) < 2:
-        return []
-    return [f"episodes per update: {', '.join(f'{one} {count}' for one, count in known.items())}"]
-
-
-def _first_tasks(number: int) -> str:
-    return "first task" if number == 1 else f"first {number} tasks"
 
 
 def _steps_axis(axes: Axes, comparison: Comparison) -> None:

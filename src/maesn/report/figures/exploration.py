@@ -1,52 +1,31 @@
-"""What is explored before adaptation: the tasks, the prior's episodes, the share of the latent.
-
-The paper's Fig. 4 (right), 6 and 8.
-"""
+"""What is explored before adaptation, and how latents adapt: the paper's Fig. 4 (right), 6 to 8."""
 
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
+from maesn.report import style
 from maesn.report.adaptation_table import PriorReach
-from maesn.report.figures.plane import (
-    Limits,
-    direction_bar,
-    direction_scale,
-    directions,
-    draw_goals,
-    draw_paths,
-    draw_prior,
-    equal_axes,
-    final_positions,
-    plane_axes,
-    shared_limits,
-)
-from maesn.report.runs import RecordedExploration
-from maesn.report.style import (
-    BLACK,
-    BLUE,
-    BLUISH_GREEN,
-    ONE_COLUMN,
-    TWO_COLUMNS,
-    VERMILLION,
-    MethodStyle,
-    new_figure,
-    publication_style,
-)
+from maesn.report.figures import plane
+from maesn.report.runs import Latents, RecordedExploration
+from maesn.report.statistics import count
+from maesn.report.style import MethodStyle
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
+_PANEL_WIDTH = 2.5  # inches of the plane of latents alone
+_SURROUNDINGS = 0.95  # inches of its title, labels and legend
 
 
-@dataclass(frozen=True)
-class ExplorationPanel:
+class ExplorationPanel(NamedTuple):
     """What one method explores before adaptation."""
 
     style: MethodStyle
@@ -55,94 +34,88 @@ class ExplorationPanel:
     """How many of the goals it reaches; None if that was not counted."""
 
 
-@publication_style()
+@style.publication_style()
 def plot_task_distribution(exploration: RecordedExploration) -> Figure:
     """Draw the goals of training, those adapted to, and the size of one goal region.
 
     What a task lays out beside its goal, such as blocks, is drawn as well.
     """
     training, goals = exploration.training_goals, exploration.goals
-    radius = exploration.sparse_radius
+    radius, starts = exploration.sparse_radius, exploration.prior_paths[:, 0]
     middle = goals[np.argmin(np.linalg.norm(goals - goals.mean(0), axis=-1))]
-    landmarks = {
-        "training tasks": (exploration.training_landmarks, VERMILLION),
-        "tasks adapted to": (exploration.landmarks, BLUE),
-    }
-    positions = [array for array, _ in landmarks.values() if array is not None]
-    starts = exploration.prior_paths[:, 0]
-    limits = shared_limits([middle[None], goals, training, starts, *positions], radius)
+    landmarks = (
+        ("training tasks", exploration.training_landmarks, style.VERMILLION),
+        ("tasks adapted to", exploration.landmarks, style.BLUE),
+    )
+    # Once each: several tasks may share a layout.
+    objects = [
+        (np.unique(array.reshape(-1, 2), axis=0), "s", colour, f"objects of {tasks}")
+        for tasks, array, colour in landmarks
+        if array is not None
+    ]
+    positions = [middle[None], goals, training, starts, *(points for points, *_ in objects)]
+    limits = plane.shared_limits(positions, radius)
     # Beside the plane labels take 0.6 inches, above and below it labels and legend take 0.85.
-    figure = new_figure(ONE_COLUMN, (ONE_COLUMN - 0.6) * limits.aspect + 0.85)
+    figure = style.new_figure(style.ONE_COLUMN, (style.ONE_COLUMN - 0.6) * limits.aspect + 0.85)
     axes = figure.subplots()
-    _mark(axes, training, "o", VERMILLION, f"{len(training)} training goals", alpha=0.7)
-    _mark(axes, goals, "x", BLUE, f"{len(goals)} goals adapted to", markeredgewidth=0.9)
-    region = Circle((float(middle[0]), float(middle[1])), radius, facecolor=BLUISH_GREEN)
+    _mark(axes, training, "o", style.VERMILLION, f"{len(training)} training goals", alpha=0.7)
+    crosses = f"{len(goals)} goals adapted to"
+    _mark(axes, goals, "x", style.BLUE, crosses, markeredgewidth=0.9)
+    region = Circle((float(middle[0]), float(middle[1])), radius, facecolor=style.BLUISH_GREEN)
     region.set(alpha=0.2, linewidth=0, zorder=0.5, label=f"goal region ({radius:g} m)")
     axes.add_patch(region)
-    for tasks, (array, colour) in landmarks.items():
-        if array is not None:
-            # Once each: several tasks may share a layout.
-            objects, label = np.unique(array.reshape(-1, 2), axis=0), f"objects of {tasks}"
-            _mark(axes, objects, "s", colour, label, markeredgewidth=0.7, fillstyle="none")
+    for one in objects:
+        _mark(axes, *one, markeredgewidth=0.7, fillstyle="none")
     start = starts.mean(0, keepdims=True)
-    _mark(axes, start, "+", BLACK, "start", markersize=6, markeredgewidth=1.0, zorder=3)
-    plane_axes(axes, limits)
+    _mark(axes, start, "+", style.BLACK, "start", markersize=6, markeredgewidth=1.0, zorder=3)
+    plane.plane_axes(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
     return figure
 
 
 def _mark(
-    axes: Axes,
-    points: Float[np.ndarray, "point 2"],
-    marker: str,
-    colour: str,
-    label: str,
-    **style: Any,
+    axes: Axes, points: plane.Points, marker: str, colour: str, label: str, **changed: Any
 ) -> None:
     usual: dict[str, Any] = {"markersize": 3.5, "markeredgewidth": 0}
-    axes.plot(*points.T, marker, color=colour, label=label, **{**usual, **style})
+    axes.plot(*points.T, marker, color=colour, label=label, **{**usual, **changed})
 
 
-@publication_style()
+@style.publication_style()
 def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
     The untrained policy is that of the first run. All are in one world.
     """
     first = explorers[0].exploration
-    paths = [one.exploration.prior_paths for one in explorers]
-    limits = shared_limits([first.goals, *paths, first.untrained_paths], first.sparse_radius)
-    number = len(explorers) + 1
-    columns = 2 if number in (2, 4) else 3
-    rows = math.ceil(number / columns)
+    untrained = replace(explorers[0].style, label="untrained policy", colour=style.BLACK)
+    drawn = [(one, one.exploration.prior_paths) for one in explorers]
+    last = ExplorationPanel(untrained, first, first.untrained_reach)
+    drawn.append((last, first.untrained_paths))
+    limits = plane.shared_limits([first.goals, *(paths for _, paths in drawn)], first.sparse_radius)
+    columns = 2 if len(drawn) in (2, 4) else 3
+    rows = math.ceil(len(drawn) / columns)
     # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
-    height = (TWO_COLUMNS - 0.5) / columns * limits.aspect + 0.42
-    figure = new_figure(TWO_COLUMNS, rows * height + 0.4)
+    height = (style.TWO_COLUMNS - 0.5) / columns * limits.aspect + 0.42
+    figure = style.new_figure(style.TWO_COLUMNS, rows * height + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in panels[number:]:
+    for unused in panels[len(drawn) :]:
         unused.remove()
-    for axes, one in zip(panels, explorers, strict=False):
-        _draw_explored(axes, limits, one.exploration, one.exploration.prior_paths, one.style.colour)
-        axes.set_title(_title(textwrap.fill(one.style.label, _TITLE_CHARACTERS), one.reach))
-    untrained = panels[number - 1]
-    _draw_explored(untrained, limits, first, first.untrained_paths, BLACK)
-    untrained.set_title(_title("untrained policy", first.untrained_reach))
-    for position, axes in enumerate(panels[:number]):
+    for position, (one, paths) in enumerate(drawn):
+        axes = panels[position]
+        plane.draw_explored(axes, limits, one.exploration, paths, one.style.colour)
+        title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
+        if one.reach is not None:
+            title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
+        axes.set_title(title)
         if position % columns:
             _drop_y_label(axes)
-        if position + columns < number:
+        if position + columns < len(drawn):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
     return figure
 
 
-def _title(name: str, reach: PriorReach | None) -> str:
-    if reach is None:
-        return name
-    return f"{name}\n{reach.share:.0%} of the goals in {reach.episodes} episodes"
-
-
-@publication_style()
+@style.publication_style()
 def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     """Draw trajectories with the latent drawn from the prior beside those with it fixed.
 
@@ -151,55 +124,74 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     """
     sampled, fixed = exploration.prior_paths, exploration.fixed_paths
     assert fixed is not None  # methods without latents have no such figure
-    limits = shared_limits([exploration.goals, sampled, fixed], exploration.sparse_radius)
-    scale = direction_scale(exploration.goals)
-    ends = {"z sampled from the prior": sampled, "z fixed": fixed}
+    limits = plane.shared_limits([exploration.goals, sampled, fixed], exploration.sparse_radius)
+    scale = plane.direction_scale(exploration.goals)
     latents = exploration.prior_latents
-    has_latents = latents is not None and latents.shape[1] >= 2
+    if latents is not None and latents.shape[1] < 2:
+        latents = None
     # The panel of latents is as high as the planes beside it.
-    widths = [*([limits.aspect] if has_latents else []), 1.0, 1.0]
+    widths = [1.0, 1.0] if latents is None else [limits.aspect, 1.0, 1.0]
     # Beside the panels labels and colour bar take 1.7 inches, above and below them text takes 0.8.
-    height = (TWO_COLUMNS - 1.7) / sum(widths) * limits.aspect + 0.8
-    figure = new_figure(TWO_COLUMNS, height)
+    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.aspect + 0.8
+    figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, len(widths), width_ratios=widths).tolist()
-    for axes, (title, paths) in zip(panels[-2:], ends.items(), strict=True):
-        final = final_positions(paths)
-        colours = np.asarray(scale.to_rgba(directions(final)))
-        _draw_explored(axes, limits, exploration, paths, colours)
+    drawn = {"z sampled from the prior": sampled, "z fixed": fixed}
+    for axes, (title, paths) in zip(panels[-2:], drawn.items(), strict=True):
+        final = plane.final_positions(paths)
+        colours = plane.direction_colours(scale, final)
+        plane.draw_explored(axes, limits, exploration, paths, colours)
         # Root mean square distance from their mean.
         spread = float(np.sqrt(final.var(0).sum()))
         axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
-    if latents is not None and has_latents:
-        colours = np.asarray(scale.to_rgba(directions(final_positions(sampled))))
-        _draw_latents(panels[0], latents[:, :2], colours)
+    if latents is not None:
+        colours = plane.direction_colours(scale, plane.final_positions(sampled))
+        plane.draw_dots(panels[0], latents[:, :2], colours, size=7.0)
+        plane.draw_prior(panels[0])
+        reach = np.full(2, 1.15 * float(np.abs(latents[:, :2]).max()))
+        labels = {"xlabel": "latent component 1", "ylabel": "latent component 2"}
+        box = plane.Limits(-reach, reach)
+        plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
     _drop_y_label(panels[-1])
-    direction_bar(figure, panels, scale, "final direction (°)")
+    plane.direction_bar(figure, panels, scale, "final direction (°)")
     return figure
 
 
-def _draw_latents(
-    axes: Axes,
-    latents: Float[np.ndarray, "episode 2"],
-    colours: Float[np.ndarray, "episode 4"],
-) -> None:
-    axes.scatter(latents[:, 0], latents[:, 1], c=colours, s=7, linewidths=0, zorder=2.5)
-    draw_prior(axes)
-    reach = np.full(2, 1.15 * float(np.abs(latents).max()))
-    equal_axes(axes, Limits(-reach, reach))
-    axes.set(xlabel="latent component 1", ylabel="latent component 2", title="the sampled z\n")
+@style.publication_style()
+def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
+    """Draw every task's latent distribution as its 1-sigma ellipse, before and after adaptation.
 
-
-def _draw_explored(
-    axes: Axes,
-    limits: Limits,
-    exploration: RecordedExploration,
-    paths: Float[np.ndarray, "episode time_plus_1 2"],
-    colours: str | Float[np.ndarray, "episode 4"],
-) -> None:
-    """Draw paths over the goals of a world."""
-    plane_axes(axes, limits)
-    draw_goals(axes, exploration.goals, exploration.sparse_radius)
-    draw_paths(axes, paths, colours)
+    The prior N(0, I) is a dashed circle of radius 1. Of more than two components, those whose means
+    spread most after adaptation are drawn. The direction of a task's goal, where it is known, is
+    the colour of its ellipse.
+    """
+    chosen = np.sort(np.argsort(-latents.mean[:, -1].var(0), kind="stable")[:2])
+    mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
+    std = np.exp(log_std)
+    limits = plane.shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
+    figure = style.new_figure(style.TWO_COLUMNS, _PANEL_WIDTH * limits.aspect + _SURROUNDINGS)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
+    colours = np.tile(to_rgba(style.BLUE), (len(mean), 1))
+    if goals is not None:
+        scale = plane.direction_scale(goals)
+        colours = plane.direction_colours(scale, goals)
+        plane.direction_bar(figure, panels, scale, "direction of the goal (°)")
+    for column, later in enumerate((0, latents.mean.shape[1] - 1)):
+        axes, centres = panels[column], mean[:, column]
+        outline = {"facecolors": "none", "edgecolors": colours, "linewidths": 0.7, "alpha": 0.8}
+        plane.draw_ellipses(axes, centres, std[:, column], **outline)
+        plane.draw_dots(axes, centres, colours)
+        plane.draw_prior(axes)
+        update = latents.first_update + later
+        title = f"after {count(update, 'update')}" if update else "before adaptation"
+        plane.equal_axes(axes, limits, title=title)
+        axes.set_xlabel(f"latent component {chosen[0] + 1}")
+    panels[0].set_ylabel(f"latent component {chosen[1] + 1}")
+    legend = {
+        "prior N(0, I), 1σ": Line2D([], [], **plane.PRIOR_LINE),
+        "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
+    }
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
+    return figure
 
 
 def _drop_y_label(axes: Axes) -> None:

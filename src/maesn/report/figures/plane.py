@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
 
-from maesn.report.runs import Positions
+from maesn.report.runs import Positions, RecordedExploration
 from maesn.report.style import BLACK, DARK_GREY, GREY
 
 # Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
@@ -22,6 +22,7 @@ _DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 
 _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 Points = Float[np.ndarray, "point 2"]
+Colours = Float[np.ndarray, "point 4"]
 PRIOR_LINE: dict[str, Any] = {"color": BLACK, "linestyle": "--", "linewidth": 1.0}
 
 _MARGIN = 0.05  # of the larger side
@@ -46,9 +47,7 @@ class Limits(NamedTuple):
 def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Limits:
     """Return limits that hold all points, with discs of `radius` around those of the first array.
 
-    Args:
-        points: positions; NaN where an episode is over.
-        radius: in the same unit.
+    Positions may be NaN, where an episode is over.
     """
     flat = [array.reshape(-1, 2) for array in points]
     corners = np.concatenate([flat[0] - radius, flat[0] + radius, *flat[1:]])
@@ -57,18 +56,15 @@ def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 
     return Limits(low - margin, high + margin)
 
 
-def equal_axes(axes: Axes, limits: Limits) -> None:
-    """Give a panel limits, and the same scale in both directions."""
-    axes.set_aspect("equal")
-    axes.set_xlim(limits.low[0], limits.high[0])
-    axes.set_ylim(limits.low[1], limits.high[1])
+def equal_axes(axes: Axes, limits: Limits, **labels: str) -> None:
+    """Give a panel limits, the same scale in both directions, and labels as of `axes.set`."""
+    xlim, ylim = np.transpose(limits).tolist()
+    axes.set(aspect="equal", xlim=xlim, ylim=ylim, **labels)
 
 
 def plane_axes(axes: Axes, limits: Limits) -> None:
     """Make a panel a piece of the world."""
-    equal_axes(axes, limits)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
+    equal_axes(axes, limits, xlabel="x (m)", ylabel="y (m)")
     axes.grid(visible=False)
 
 
@@ -84,24 +80,32 @@ def draw_prior(axes: Axes) -> None:
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **PRIOR_LINE))
 
 
-def draw_goals(axes: Axes, goals: Points, radius: float) -> None:
-    """Draw goal regions as translucent discs, and the goals in their middle."""
+def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4.0) -> None:
+    """Draw a dot at each point."""
+    x, y = points.T
+    axes.scatter(x, y, c=colours, s=size, linewidths=0, zorder=2.5)
+
+
+def draw_explored(
+    axes: Axes,
+    limits: Limits,
+    exploration: RecordedExploration,
+    paths: Positions,
+    colours: str | Colours,
+) -> None:
+    """Draw goals in translucent regions, and one line per episode with a dot where it ends."""
+    plane_axes(axes, limits)
+    goals = exploration.goals
     opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
-    discs = np.full_like(goals, radius)
+    discs = np.full_like(goals, exploration.sparse_radius)
     draw_ellipses(axes, goals, discs, facecolor=GREY, edgecolor="none", alpha=opacity, zorder=0.5)
     axes.plot(*goals.T, ".", color=DARK_GREY, markersize=2.5, markeredgewidth=0, zorder=0.6)
+    lines = LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6, zorder=2)
+    axes.add_collection(lines)
+    draw_dots(axes, final_positions(paths), colours)
 
 
-def draw_paths(axes: Axes, paths: Positions, colours: str | Float[np.ndarray, "episode 4"]) -> None:
-    """Draw one line per episode and a dot where it ends."""
-    axes.add_collection(
-        LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6, zorder=2)
-    )
-    x, y = final_positions(paths).T
-    axes.scatter(x, y, c=colours, s=4, linewidths=0, zorder=2.5)
-
-
-def final_positions(paths: Positions) -> Float[np.ndarray, "episode 2"]:
+def final_positions(paths: Positions) -> Points:
     """Return the last position of every episode that is not NaN."""
     played = np.isfinite(paths).all(-1)
     last = paths.shape[1] - 1 - np.argmax(played[:, ::-1], axis=1)
@@ -119,6 +123,11 @@ def direction_scale(goals: Points) -> ScalarMappable:
     low = _ANGLE_STEP * float(np.floor(angles.min() / _ANGLE_STEP))
     high = _ANGLE_STEP * float(np.ceil(angles.max() / _ANGLE_STEP))
     return ScalarMappable(Normalize(low, max(high, low + _ANGLE_STEP)), _DIRECTION_COLOURS)
+
+
+def direction_colours(scale: ScalarMappable, points: Points) -> Colours:
+    """Return the colour of each point's direction."""
+    return np.asarray(scale.to_rgba(directions(points)))
 
 
 def direction_bar(figure: Figure, axes: Sequence[Axes], scale: ScalarMappable, label: str) -> None:

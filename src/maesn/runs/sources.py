@@ -1,9 +1,11 @@
-"""Where tasks come from: families by name, a user's own families, and `.npz` files.
+"""Where families, tasks and runs come from: names, a user's own module or file, and the library.
 
-What cannot be found or used is a `RunError`.
+A policy that comes with the library is a run directory of its last checkpoint alone.
 """
 
 import importlib
+import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,14 @@ import jax
 import numpy as np
 
 from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
-from maesn.storage import RunError, read_arrays, refusals, write_arrays
+from maesn.storage import RunError, explained, new_directory, read_arrays, refusals, write_arrays
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
+TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
 
 def resolve_family(name: str) -> TaskFamily:
-    """Return a family by its name, or import a user's own, `module:name`.
-
-    Never call this with what a file says.
-    """
+    """Return a family by its name, or as `imported`."""
     if ":" not in name:
         try:
             return find_family(name)
@@ -45,10 +45,7 @@ def imported(name: str, option: str) -> Any:
 
 
 def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
-    """Return the family of a run: the library's of the recorded name, or the user's that is given.
-
-    What a file says is looked up, never imported.
-    """
+    """Return the family of a run: the library's of that name, or the user's that is given."""
     if given is None:
         try:
             return find_family(recorded)
@@ -90,11 +87,9 @@ def find_tasks(name: str | Path, family: TaskFamily) -> TaskSet:
 
 
 def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
-    """Read tasks of a family from an `.npz` file; nothing in it is executed.
+    """Read tasks of a family from an `.npz` file with the arrays `family.task_names`.
 
-    The file holds the arrays that `family.task_names` lists, each with one row per task: for
-    `wheeled` and `point` the array `goal`, `[row, 2]` in metres; for `blockpush` beside it the
-    integers `block`, `[row]`, and the places of the blocks `layout`, `[row, 5, 2]` in metres.
+    Each has one row per task, such as the `goal` of `wheeled` and `point`, `[row, 2]` in metres.
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
@@ -106,11 +101,11 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
         _fitted(held[name], np.asarray(like), f"array `{name}` of `{path}`")
         for name, like in zip(names, drawn, strict=True)
     ]
-    rows = {len(array) for array in tasks}
+    rows = sorted({len(array) for array in tasks})
     if len(rows) != 1 or 0 in rows:
         raise RunError(
             f"the arrays of `{path}` must all have one row for each task, and at least one; "
-            f"they have {', '.join(map(str, sorted(rows)))} rows."
+            f"they have {', '.join(map(str, rows))} rows."
         )
     found = TaskSet(jax.tree.unflatten(structure, tasks))
     with refusals(f"the tasks of `{path}` cannot be used: "):
@@ -141,3 +136,60 @@ def _fitted(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
             f"{row}."
         )
     return fitted
+
+
+def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:
+    """Say so if the test tasks are those of training, as where `draw_tasks` ignores its stream."""
+    if family.task_set("test").digest() == tasks.digest():
+        warnings.warn(
+            f"the test tasks of `{family.name}` are those that are trained on: `draw_tasks` draws "
+            "the same whatever its stream, so a result on them says nothing of new tasks.",
+            stacklevel=3,
+        )
+
+
+def policy_names() -> list[str]:
+    """Return the names of the policies that come with the library."""
+    return sorted(path.name for path in TRAINED.iterdir() if path.is_dir())
+
+
+def find_run(run: str | Path) -> Path:
+    """Return the directory of a run, or of the policy of this name if there is no such path."""
+    if Path(run).exists():
+        return Path(run)
+    if str(run) in policy_names():
+        return TRAINED / run
+    raise RunError(
+        f"there is no run in `{run}`: name a directory that `maesn train` has made, or a policy "
+        f"that comes with the library: {', '.join(policy_names())}."
+    )
+
+
+def working_copy(run: str | Path) -> Path:
+    """Return the directory of a run that may be written to.
+
+    Of the policy `NAME` that comes with the library it is a copy, `maesn-NAME` in the current
+    folder, made when it is first asked for.
+    """
+    source = find_run(run)
+    if source.parent != TRAINED:
+        return source
+    copy = Path(f"maesn-{source.name}")
+    found = _content(copy)
+    if found == _content(source):
+        return copy
+    if found:
+        raise RunError(
+            f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
+            f"of the library: name `{copy}` itself if it is meant, or move it away."
+        )
+    with new_directory(copy):
+        shutil.copytree(source, copy, dirs_exist_ok=True)
+    return copy
+
+
+def _content(directory: Path) -> dict[str, bytes]:
+    """Return what makes a run the one that it is, not what commands have left beside it."""
+    files = [directory / "config.json", *sorted(directory.glob("checkpoints/*.safetensors"))]
+    with explained("read", directory):
+        return {file.name: file.read_bytes() for file in files if file.exists()}

@@ -1,0 +1,99 @@
+"""Commands that work on runs: go on with one, adapt it, draw it, film it, export it; the demo."""
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from maesn import api
+from maesn.commands.options import command
+from maesn.evaluation.film import render as render_run
+from maesn.evaluation.running import AnyFamily
+from maesn.evaluation.tables import Adapted
+from maesn.learners import recommended
+from maesn.report import print_adaptation_summary
+from maesn.runs.config import CONFIG, RunSettings
+from maesn.runs.run import Run
+from maesn.runs.serialization import values_of_words
+from maesn.storage import RunError, refusals
+
+
+@command
+def resume(
+    run: Positional[Path],
+    iterations: int | None = None,
+    family: AnyFamily = None,
+    change: tuple[str, ...] = (),
+) -> None:
+    """Go on with a run from its latest checkpoint, as if it had never stopped.
+
+    Args:
+        run: Directory of the run.
+        iterations: Total number of meta-iterations; None: what the run was started with.
+        family: The run's family as `module:name`, if it is your own.
+        change: Settings that are to differ from here on, as NAME=VALUE: `num_threads=2
+            reward=sparse trust_region.damping=0.1`. `config.json` keeps a record of it.
+    """
+    with refusals("`--change`: "):
+        changes = values_of_words(change)
+    trained = api.resume(run, iterations, family=family, change=changes)
+    # Of a run that was begun in Python, the command alone knows where the family is.
+    say_what_is_next(trained, f" --family {family}" if family else trained.settings.family_option)
+
+
+def say_what_is_next(run: Run, family_option: str) -> None:
+    """Print where a trained run is, and the command that adapts it."""
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{family_option}")
+
+
+def _say_adapted(done: Adapted) -> None:
+    print_adaptation_summary(done.table)
+    print(f"table:   {done.table}")
+    if done.latents is not None:
+        print(f"latents: {done.latents}")
+
+
+def _print_all(paths: list[Path]) -> None:
+    print(*paths, sep="\n")
+
+
+adapt = command(api.adapt, _say_adapted)
+plot = command(api.plot, _print_all)
+export = command(api.export, print)
+render = command(render_run, _print_all)
+
+
+@command
+def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> None:
+    """Train MAESN on the wheeled robot, adapt it to unseen sparse tasks, draw the figures.
+
+    Args:
+        run: Directory of the run; a demo that was interrupted goes on where it stopped.
+        iterations: Meta-iterations. 300 explore better, in three times as long.
+        seed: Every random draw of the run follows from this number.
+    """
+    print(f"1. MAESN learns to explore: {iterations} meta-iterations on dense reward")
+    with refusals():
+        settings = RunSettings(iterations=iterations, seed=seed)
+    if (run / CONFIG).exists():
+        _check_same(Run.open(run), settings)
+        api.resume(run, iterations)
+    else:
+        api.train(recommended("maesn", settings.family), settings, run)
+    print("2. it adapts to 100 unseen goals, which it does not see, on sparse reward")
+    done = api.adapt(run)
+    print_adaptation_summary(done.table)
+    reached = (done.curves.success_rate[:, 0] > 0).mean()
+    print(f"goals reached by some of 50 episodes before any adaptation: {reached:.0%}")
+    print("3. figures")
+    _print_all(api.plot([run]))
+
+
+def _check_same(run: Run, settings: RunSettings) -> None:
+    """Refuse to go on with a run that is not this demo's."""
+    found = (run.settings.method, run.settings.family, run.settings.seed)
+    wanted = ("maesn", settings.family, settings.seed)
+    if found != wanted:
+        raise RunError(
+            f"`{run.directory}` holds a run of {found[0]} on {found[1]} with seed {found[2]}, not "
+            f"of {wanted[0]} on {wanted[1]} with seed {wanted[2]}: give another `--run`."
+        )
