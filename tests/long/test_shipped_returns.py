@@ -13,7 +13,7 @@ import pytest
 import maesn
 from maesn import cli
 from maesn.runs.run import Run
-from maesn.runs.shipped import find_run, policy_names
+from maesn.runs.sources import find_run, policy_names
 
 RETURNS = json.loads(Path(__file__).with_name("returns.json").read_text())
 
