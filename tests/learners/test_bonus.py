@@ -93,6 +93,10 @@ def test_every_task_has_a_model_of_its_own() -> None:
 
 @pytest.fixture(scope="module")
 def collect() -> Collector:
+    return make_collect()
+
+
+def make_collect() -> Collector:
     env = point.make_env(reward_kind="sparse", horizon=8)
     return Collector(make_world(env, point.task_set("training", size=5)), 4)
 
@@ -123,20 +127,20 @@ def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
     assert any(accepted)
 
 
-@pytest.mark.parametrize(
-    "alone",
-    [
-        tiny(inner_updates=2, outer_batches=2),
-        # Without inner updates all batches are of the same agents: before and after are one.
-        latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
-        # A trial is played by the same agents, episode after episode.
-        rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
-    ],
-    ids=["maesn", "latent_space", "rl2"],
-)
-def test_with_a_weight_of_0_it_is_the_learner_itself(
-    alone: AbstractMetaLearner, collect: Collector
-) -> None:
+ALONE = {
+    "maesn": tiny(),
+    # Without inner updates all batches are of the same agents: before and after are one.
+    "latent_space": latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
+    "more batches": tiny(inner_updates=2, outer_batches=2),
+    # A trial is played by the same agents, episode after episode.
+    "rl2": rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
+}
+LONG = ["more batches", "rl2"]  # in `tests/long`
+
+
+@pytest.mark.parametrize("name", [name for name in ALONE if name not in LONG])
+def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collector) -> None:
+    alone: AbstractMetaLearner = ALONE[name]
     wrapped = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
     key = jax.random.key(7)
     state = wrapped.init(jax.random.key(0), 2, 2, 5)
@@ -145,9 +149,9 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(
     together, said = wrapped.step(key, state, collect)
     for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
         np.testing.assert_array_equal(one, other)
-    for name in ("return_before", "return_after"):
-        wanted = float(getattr(info, name))
-        assert float(getattr(said.learner, name)) == pytest.approx(wanted, rel=1e-5)
+    for measure in ("return_before", "return_after"):
+        wanted = float(getattr(info, measure))
+        assert float(getattr(said.learner, measure)) == pytest.approx(wanted, rel=1e-5)
 
 
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:

@@ -87,11 +87,11 @@ def test_one_can_be_drawn_and_filmed_by_its_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-blockpush")
-    api.adapt("blockpush", few)
-    for path in api.plot(["blockpush"]):
+    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-wheeled")
+    api.adapt("wheeled", few)
+    for path in api.plot(["wheeled"]):
         assert path.parent == copy / "figures"
-    pictures = drawn(lambda: film.render("blockpush", few, after=[0], shown=1))
+    pictures = drawn(lambda: film.render("wheeled", few, after=[0], shown=1))
     parents = {path.parent for path in pictures or []}
     assert parents == ({copy / "render"} if can_draw() else set())
 
