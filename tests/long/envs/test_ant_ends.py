@@ -5,38 +5,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from envs.test_ant_ends import EPISODES, HORIZON, TASKS, Bursting
 from playing import assert_same
 
-from maesn.axes import Key
-from maesn.envs import Ant, ant
 from maesn.experience.episodes import Episodes
 from maesn.learners.presets import maesn
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
-
-TASKS = ant.task_set("training", size=4)
-
-
-SPEED = 1e3  # rad/s, up in one joint and down in the next
-
-
-LARGEST_SEEN = 10.0  # more than what the other ants do
-
-
-SWING = SPEED * jnp.concatenate([jnp.zeros(6), jnp.resize(jnp.array([1.0, -1.0]), 8)])
-
-
-class Bursting(Ant):
-    """Starts about half of its episodes with legs that whirl far beyond what the engine can do."""
-
-    def initial(self, key: Key, task: Any) -> tuple[jax.Array, jax.Array]:
-        qpos, qvel = super().initial(key, task)
-        return qpos, qvel + jnp.where(jax.random.bernoulli(jax.random.fold_in(key, 1)), SWING, 0.0)
-
-    def observe(self, readings: Any) -> jax.Array:
-        """Clipped (NaN stays NaN), so that a policy is not moved most by what it sees there."""
-        return jnp.clip(super().observe(readings), -LARGEST_SEEN, LARGEST_SEEN)
 
 
 class Replacing:
