@@ -6,13 +6,14 @@ import logging
 import os
 import resource
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 import pytest
+from dying import Crash, Death
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
 from maesn.runs import config, log
@@ -42,30 +43,6 @@ def test_leaving_the_loop_saves(
     assert outcome(finish(reopened(run))) == whole
 
 
-class Crash(BaseException):
-    """The process is gone."""
-
-
-class Death:
-    """Lets a process die at its n-th write: that one is half done, and nothing follows."""
-
-    def __init__(self, moment: int) -> None:
-        self._left = moment
-        self.dead = False
-
-    def before(self, call: Callable[..., Any], half: Callable[..., Any] | None = None) -> Any:
-        def wrapped(*arguments: Any, **options: Any) -> Any:
-            if not self.dead and self._left > 0:
-                self._left -= 1
-                return call(*arguments, **options)
-            if half is not None and not self.dead:
-                half(*arguments)
-            self.dead = True
-            raise Crash
-
-        return wrapped
-
-
 def half_a_line(file: log.JsonLines, record: Any) -> None:
     file._file.write(json.dumps(dict(record)).encode()[:20])  # unbuffered
 
@@ -76,10 +53,7 @@ def test_death_at_any_write_loses_nothing(
     for moment in range(1000):
         run, death = create(tmp_path / str(moment)), Death(moment)
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", death.before(os.fsync))
-            patch.setattr(Path, "replace", death.before(Path.replace))
-            # The clean-up after an exception, which a dead process does not do.
-            patch.setattr(Path, "unlink", death.before(Path.unlink))
+            death.at_files(patch)
             patch.setattr(log.JsonLines, "append", death.before(log.JsonLines.append, half_a_line))
             patch.setattr(log.JsonLines, "cut", death.before(log.JsonLines.cut))
             try:
@@ -172,7 +146,7 @@ def test_two_processes_cannot_train_one_run(tmp_path: Path) -> None:
     run = create(tmp_path / "run")
     steps = train(run)
     next(steps)
-    with pytest.raises(RunError, match="another process is at work in"):
+    with pytest.raises(RunError, match=f"process {os.getpid()} on .* is at work in"):
         next(train(reopened(run)))
     steps.close()
     assert next(train(reopened(run))).iteration == 2

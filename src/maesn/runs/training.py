@@ -20,10 +20,10 @@ from rich.table import Column
 from maesn.experience.episodes import Episodes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
 from maesn.runs.compilation import compile_seconds
-from maesn.runs.config import CONFIG, installed_versions
+from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
-from maesn.storage import RunError, locked
+from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     if total < 0:
         raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
     with contextlib.ExitStack() as stack:
-        stack.enter_context(locked(run.directory / CONFIG))
+        stack.enter_context(run.alone())
         start = run.latest()
         log = stack.enter_context(open_log(run.directory, start.iteration, start.environment_steps))
         if start.iteration:
