@@ -130,15 +130,49 @@ def test_a_damaged_checkpoint_sends_the_run_back(
     assert outcome(finish(reopened(run))) == whole
 
 
-def test_lines_that_are_lost_are_missed(
-    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], caplog: pytest.LogCaptureFixture
+def damaged(lines: list[bytes], how: str) -> list[bytes]:
+    """What may have become of the lines of four iterations."""
+    broken = lines[1].replace(b"{", b"\x00", 1)
+    return {
+        "end": lines[:3],
+        "all": [],
+        "byte": [lines[0], broken, *lines[2:]],
+        "number": [lines[0], lines[1].replace(b": 2,", b": 4,", 1), *lines[2:]],
+        "break": [lines[0], lines[1][:-1], *lines[2:]],
+        "half": [*lines[:3], lines[3][:-9]],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    ("how", "lost"),
+    [
+        ("end", {4}),
+        ("all", {1, 2, 3, 4}),
+        ("byte", {2}),
+        ("number", {2}),
+        ("break", {2, 3}),
+        ("half", {4}),
+    ],
+)
+def test_lines_that_are_lost_are_missed_and_sound_ones_kept(
+    tmp_path: Path,
+    whole: tuple[bytes, dict[str, bytes]],
+    caplog: pytest.LogCaptureFixture,
+    how: str,
+    lost: set[int],
 ) -> None:
     run = finish(create(tmp_path / "run"), iterations=4)
     path = run.directory / "metrics.jsonl"
-    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:3]))
-    with caplog.at_level(logging.WARNING):
-        finish(reopened(run))
-    assert "holds only 3 of the 4 iterations" in caplog.text
+    path.write_bytes(b"".join(damaged(path.read_bytes().splitlines(keepends=True), how)))
+    for iterations in (5, 6):  # a later session loses no more
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            finish(reopened(run), iterations)
+        said = f"lacks {len(lost)} of the {iterations - 1} iterations before this one, the first "
+        assert f"{said}of them {min(lost)}." in caplog.text
+        assert len(caplog.records) == 1
+    kept = whole[0].splitlines(keepends=True)
+    assert path.read_bytes() == b"".join(x for n, x in enumerate(kept, 1) if n not in lost)
     assert tensors(run.checkpoints()[-1]) == whole[1]
 
 
