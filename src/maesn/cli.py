@@ -1,6 +1,7 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
 import difflib
+import signal
 import sys
 from importlib import import_module
 
@@ -29,7 +30,15 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     sys.exit(run(sys.argv[1:]))
+
+
+def _interrupt(*_: object) -> None:
+    """Stop as Ctrl-C does; a second one ends the process at once."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    raise KeyboardInterrupt
 
 
 def run(arguments: list[str]) -> int:

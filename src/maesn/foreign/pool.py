@@ -22,6 +22,7 @@ import cloudpickle
 import numpy as np
 from jaxtyping import Float
 
+from maesn.foreign.guard import Guard
 from maesn.foreign.hosted import Reading
 from maesn.foreign.interface import Interface
 from maesn.foreign.worker import MARK, Failure
@@ -75,6 +76,7 @@ class WorkerPool:
         self._time_limit = time_limit
         self._content = _content(recipe)
         self._workers: list[_Worker] = []
+        self._guard: Guard | None = None
 
     @property
     def process_ids(self) -> list[int]:
@@ -121,6 +123,9 @@ class WorkerPool:
         deadline = time.monotonic() + _GRACE
         for worker in workers:
             worker.stop(deadline)
+        if self._guard is not None:
+            self._guard.close()
+            self._guard = None
 
     def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
         readings: Readings = {}
@@ -155,8 +160,10 @@ class WorkerPool:
     def _staff(self, num_simulations: int) -> "list[_Worker]":
         """Return the workers of so many simulations, and start those that are missing."""
         number = min(self._num_workers, num_simulations)
+        self._guard = self._guard or Guard()
         while len(self._workers) < number:
             self._workers.append(_Worker(self._content))
+            self._guard.watch(self._workers[-1].process.pid)
         return self._workers[:number]
 
 
@@ -171,7 +178,7 @@ class _Worker:
             shared.truncate(MARK.size)
             self._mark = mmap.mmap(shared.fileno(), MARK.size)
             descriptors = (theirs.fileno(), shared.fileno())
-            numbers = map(str, (*descriptors, os.getpid()))
+            numbers = map(str, descriptors)
             self.process = subprocess.Popen(
                 [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *numbers],
                 pass_fds=descriptors,

@@ -23,6 +23,7 @@ from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
+from maesn.runs.signals import ending_by_signals
 from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
@@ -66,6 +67,8 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
         training = _Training(run, log, start, saved=start.iteration)
+        # Again if the first time is interrupted: there is nothing left to do otherwise.
+        stack.callback(training.end)
         stack.callback(training.end)
         collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
         while training.checkpoint.iteration < total:
@@ -173,16 +176,21 @@ def train_live(
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
     try:
-        with contextlib.closing(train(run, iterations)) as steps, _display(console, total) as show:
+        with (
+            ending_by_signals(),
+            contextlib.closing(train(run, iterations)) as steps,
+            _display(console, total) as show,
+        ):
             recent: deque[float] = deque(maxlen=_WINDOW)
             for last in steps:
                 recent.append(last.seconds - last.compile_seconds)
                 left = sum(recent) / len(recent) * (total - last.iteration)
                 show(last, f"{datetime.timedelta(seconds=round(left))} left")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.settings.family_option
-        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        with contextlib.suppress(OSError):
+            _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
         done = run.latest().iteration
@@ -221,11 +229,16 @@ def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str],
     ]
     if console.width >= _WIDE:
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
-    with Bar(*columns, console=console) as bar:
-        shown = bar.add_task("compiling", total=total)
+    bar = Bar(*columns, console=console)
+    shown = bar.add_task("compiling", total=total)
+    bar.start()
+    try:
         yield lambda progress, left: bar.update(
             shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
         )
+    finally:
+        with contextlib.suppress(OSError):  # the terminal may be what is gone
+            bar.stop()
 
 
 def _say(console: Console, text: str) -> None:
