@@ -1,7 +1,9 @@
-"""A process that dies at any of its file operations, played in this process."""
+"""Processes that die at any of their file operations, and disks that are full."""
 
 import os
-from collections.abc import Callable
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,21 @@ class Death:
 
         return wrapped
 
-    def at_files(self, patch: pytest.MonkeyPatch) -> None:
-        """Count what `maesn.storage` does to files."""
+    def at_files(self, patch: pytest.MonkeyPatch, *others: str) -> None:
+        """Count what is done to files, by these methods of paths as well."""
         patch.setattr(os, "fsync", self.before(os.fsync))
         patch.setattr(Path, "replace", self.before(Path.replace))
-        # Also the clean-up after an exception, which a dead process does not do.
-        for name in ("unlink", "mkdir", "rmdir"):
+        # Removing is also the clean-up after an exception, which a dead process does not do.
+        for name in ("unlink", *others):
             patch.setattr(Path, name, self.before(getattr(Path, name)))
+
+
+@contextmanager
+def files_no_larger_than(size: int) -> Iterator[None]:
+    """Let writes fail as they do on a full disk, some of them half done."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

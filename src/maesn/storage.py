@@ -6,10 +6,13 @@ Whatever goes wrong here, such as a full disk or damaged content, is a `RunError
 import contextlib
 import errno
 import fcntl
+import glob
 import json
 import logging
 import os
 import platform
+import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,12 @@ logger = logging.getLogger(__name__)
 # Stands in a directory while a process works in it, which it names. It stays if that is killed.
 LOCK = ".maesn-lock"
 
+# Seconds that no writer needs for one file.
+_ABANDONED = 3600.0
+
+# Bytes that must fit on a disk before work begins.
+_PROBE = 65536
+
 _ADVICE = {
     errno.ENOSPC: "free some space there, or choose another directory",
     errno.EDQUOT: "free some space there, or choose another directory",
@@ -31,6 +40,7 @@ _ADVICE = {
     errno.EPERM: "ask for the permission, or choose another directory",
     errno.EROFS: "choose a directory that can be written to",
     errno.ENOTDIR: "a part of this path is a file: choose another directory",
+    errno.EISDIR: "name a file in it",
     errno.EEXIST: "a file has that name: choose another directory",
     errno.ENOENT: "check the spelling",
 }
@@ -90,6 +100,24 @@ def new_directory(directory: Path, files: Sequence[str]) -> Iterator[None]:
                 directory.rmdir()
 
 
+def discard_partial(directory: Path, name: str = "*", seconds: float = 0.0) -> None:
+    """Remove what killed processes were writing, of this name and not touched for so long."""
+    for path in directory.glob(f"{name}.[0-9]*{archive.PARTIAL}"):
+        with contextlib.suppress(OSError):  # a file too many does no harm
+            if time.time() - path.stat().st_mtime >= seconds:
+                path.unlink()
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a path to which no file can be written, before the work that the file is for."""
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "Is a directory")
+        with tempfile.TemporaryFile(dir=path.parent) as probe:
+            probe.write(bytes(_PROBE))
+
+
 def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
     """Refuse a directory that holds more than a process can have left that died over filling it."""
     own = {directory / name for name in expected}
@@ -117,10 +145,21 @@ def _undoing(directory: Path, files: Sequence[str]) -> Iterator[None]:
         raise
 
 
+def refuse_links(directory: Path) -> None:
+    """Refuse a directory that holds links, pipes and the like: writing would go somewhere else."""
+    for path in (*directory.glob("*"), *directory.glob("*/*")):
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise RunError(
+                f"`{path}` must be a file or a folder itself, but is a link or the like: remove "
+                "it, or put what it points to in its place."
+            )
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file and the directories above; at any moment it is the old one or the new one."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        discard_partial(path.parent, glob.escape(path.name), _ABANDONED)
         archive.write_whole(path, content)
 
 
@@ -166,9 +205,10 @@ def locked(directory: Path) -> Iterator[None]:
     """Let no other process work in a directory, until the block or this process ends in any way.
 
     Raises:
-        RunError: another process has the lock; the message names it.
+        RunError: another process has the lock; the message names it. Or there are links in it.
     """
     path = directory / LOCK
+    refuse_links(directory)
     with contextlib.ExitStack() as stack:
         with explained("open", path):
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)

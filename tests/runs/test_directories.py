@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from dying import Crash, Death
+from dying import Crash, Death, files_no_larger_than
 from small_runs import create, finish, reopened
 
+from maesn import cli
+from maesn.evaluation import running
 from maesn.runs.changes import change_run
 from maesn.runs.run import Run
 from maesn.runs.training import train
@@ -38,7 +40,7 @@ def test_death_at_any_moment_of_the_making_leaves_what_is_whole_or_can_be_made(
     for moment in range(1000):
         directory, death = tmp_path / str(moment), Death(moment)
         with monkeypatch.context() as patch:
-            death.at_files(patch)
+            death.at_files(patch, "mkdir", "rmdir")
             with contextlib.suppress(Crash):
                 fill(directory)
         left = content(directory)
@@ -154,3 +156,76 @@ def test_a_run_that_was_changed_since_it_was_opened_is_not_trained(tmp_path: Pat
     with pytest.raises(RunError, match="has changed since the run was opened: open it again"):
         next(train(run))
     assert next(train(reopened(run))).iteration == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["metrics.jsonl", "timing.jsonl", "adaptation", "checkpoints/more"]
+)
+@pytest.mark.parametrize("command", ["resume", "adapt", "plot"])
+def test_nothing_is_written_through_a_link(
+    finished_drift: Run, capsys: pytest.CaptureFixture[str], name: str, command: str
+) -> None:
+    directory = finished_drift.directory
+    victim, link = directory.parent / "victim", directory / name
+    victim.write_text("precious")
+    (directory.parent / "folder").mkdir(exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to("../folder" if name == "adaptation" else directory.parent / "victim")
+    assert cli.run([command, str(directory)]) == cli.USAGE_ERROR
+    assert f"`{link}` must be a file or a folder itself, but is a link" in capsys.readouterr().err
+    assert victim.read_text() == "precious"
+    assert not list((directory.parent / "folder").iterdir())
+
+
+@pytest.fixture
+def finished_drift(tmp_path: Path) -> Run:
+    return finish(create(tmp_path / "run", iterations=1))
+
+
+def test_a_pipe_hangs_nobody(finished_drift: Run) -> None:
+    path = finished_drift.directory / "metrics.jsonl"
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(RunError, match="must be a file or a folder itself"):
+        next(train(finished_drift))
+
+
+def test_what_killed_writers_left_is_cleaned_by_who_comes_next(finished_drift: Run) -> None:
+    directory = finished_drift.directory
+    left = [
+        directory / "config.json.123.partial",
+        directory / "checkpoints" / "iteration-000003.safetensors.9.partial",
+    ]
+    kept = [directory / "film.partial", directory / "adaptation" / "a.csv.77.partial"]
+    kept[1].parent.mkdir()
+    for path in (*left, *kept):
+        path.touch()
+    finish(finished_drift, 2)
+    assert [path.exists() for path in (*left, *kept)] == [False, False, True, True]
+    write_whole(directory / "adaptation" / "a.csv", b"")  # somebody may be writing the other one
+    assert kept[1].exists()
+    os.utime(kept[1], (0, 0))
+    write_whole(directory / "adaptation" / "a.csv", b"")
+    assert not kept[1].exists()
+
+
+def test_that_a_table_can_be_written_is_known_before_anything_is_played(
+    directory: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def playing(*_: object) -> None:
+        raise AssertionError("it has played")
+
+    monkeypatch.setattr(running, "evaluate", playing)
+    (directory / "file").touch()
+    for out, said in [
+        (directory, "Is a directory): name a file in it."),
+        (directory / "file" / "x.csv", "choose another directory."),
+    ]:
+        assert cli.run(["adapt", str(directory), "--out", str(out)]) == cli.USAGE_ERROR
+        error = capsys.readouterr().err
+        assert error.startswith("maesn adapt: cannot write `")
+        assert said in error
+    with files_no_larger_than(100):
+        assert cli.run(["adapt", str(directory)]) == cli.USAGE_ERROR
+    assert "(File too large): free some space there" in capsys.readouterr().err
+    assert list((directory / "adaptation").iterdir()) == []

@@ -4,16 +4,13 @@ import itertools
 import json
 import logging
 import os
-import resource
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 import pytest
-from dying import Crash, Death
+from dying import Crash, Death, files_no_larger_than
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
 from maesn.runs import config, log
@@ -198,17 +195,6 @@ def test_other_versions_are_mentioned(
         finish(reopened(run))
     assert f"was begun with jax 0.1 and goes on with {jax.__version__}" in caplog.text
     assert len(caplog.records) == 1
-
-
-@contextmanager
-def files_no_larger_than(size: int) -> Iterator[None]:
-    """Let writes fail as they do on a full disk, some of them half done."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(

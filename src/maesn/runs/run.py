@@ -29,7 +29,14 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.storage import RunError, locked, new_directory, read_json_lines, refusals
+from maesn.storage import (
+    RunError,
+    discard_partial,
+    locked,
+    new_directory,
+    read_json_lines,
+    refusals,
+)
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
 CHECKPOINTS = "checkpoints"
@@ -71,6 +78,8 @@ class Run:
                     f"`{self.directory / CONFIG}` has changed since the run was opened: open it "
                     "again."
                 )
+            for folder in (self.directory, self.directory / CHECKPOINTS):
+                discard_partial(folder)
             yield
 
     @classmethod

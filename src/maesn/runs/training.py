@@ -18,7 +18,7 @@ from rich.progress import Progress as Bar
 from rich.table import Column
 
 from maesn.experience.episodes import Episodes
-from maesn.runs.checkpoint import Checkpoint, named_leaves
+from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
 from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
@@ -32,6 +32,9 @@ logger = logging.getLogger(__name__)
 # Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
 MAX_NONFINITE = 5
 
+# The latest checkpoints that stay: others than the last one in case that it is damaged.
+KEEP = 3
+
 # Iterations whose mean duration, without compilation, predicts the time that is left.
 _WINDOW = 20
 # Columns of a terminal that has room for a bar beside the numbers.
@@ -42,7 +45,7 @@ class TrainingError(RunError):
     """Training cannot go on; the last good state is on disk."""
 
 
-def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
+def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
 
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
@@ -50,6 +53,8 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     written every `checkpoint_every` iterations and at any end but that of the process.
 
     `iterations` is the number of meta-iterations in total; None for that of the run's settings.
+    `keep` is how many of the latest checkpoints stay, beside the first of each power of ten; 0 for
+    all of them.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -59,6 +64,8 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     total = run.settings.iterations if iterations is None else iterations
     if total < 0:
         raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
+    if keep < 0:
+        raise RunError(f"`keep` must be at least 0, got {keep}.")
     with contextlib.ExitStack() as stack:
         stack.enter_context(run.alone())
         start = run.latest()
@@ -66,7 +73,7 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        training = _Training(run, log, start, saved=start.iteration)
+        training = _Training(run, log, start, keep, saved=start.iteration)
         # Again if the first time is interrupted: there is nothing left to do otherwise.
         stack.callback(training.end)
         stack.callback(training.end)
@@ -82,6 +89,7 @@ class _Training:
     run: Run
     log: RunLog
     checkpoint: Checkpoint
+    keep: int
     saved: int
     """Iteration of the latest checkpoint on disk."""
     steps: int = 0
@@ -120,13 +128,15 @@ class _Training:
         return progress
 
     def save(self) -> None:
-        """Write a checkpoint unless it is there already."""
+        """Write a checkpoint unless it is there already, and delete those that are not kept."""
         if self.saved == self.checkpoint.iteration:
             return
         # The log first: whoever finds a checkpoint can rely on the log up to it.
         self.log.sync()
-        self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
+        path = self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
         self.saved = self.checkpoint.iteration
+        if self.keep:
+            prune(path, self.keep)
 
     def end(self) -> None:
         """Leave log and checkpoint in agreement, whatever was interrupted."""
@@ -166,7 +176,10 @@ def _compare_versions(run: Run) -> None:
 
 
 def train_live(
-    run: Run, iterations: int | None = None, console: Console | None = None
+    run: Run,
+    iterations: int | None = None,
+    keep: int = KEEP,
+    console: Console | None = None,
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
@@ -178,7 +191,7 @@ def train_live(
     try:
         with (
             ending_by_signals(),
-            contextlib.closing(train(run, iterations)) as steps,
+            contextlib.closing(train(run, iterations, keep)) as steps,
             _display(console, total) as show,
         ):
             recent: deque[float] = deque(maxlen=_WINDOW)
