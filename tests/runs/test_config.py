@@ -285,11 +285,7 @@ ATTACKS: list[dict[str, Any]] = [
     {"settings": {"reward": "sparse"}},
     {"settings": {"episodes_per_task": 4}},
     {"settings": {"engine": "mjx"}},
-    {"settings": {"iterations": 7}},
-    {"settings": {"num_threads": 1}},
-    {"engine": "mujoco.batch"},
     {"versions": {}},
-    {"world": {"sparse_radius": 9.0}},
     {"provenance": {"commit": "0" * 40}},
     {"changes": [{"iteration": 0, "changed": {}, "digest": "0" * 16}]},
     {"more": 1},
@@ -306,13 +302,11 @@ def test_whatever_is_changed_by_hand_is_noticed(directory: Path, attack: dict[st
         document[name] = held | value if merged else value
     assert document != json.loads(path.read_text())
     path.write_text(json.dumps(document))
-    with pytest.raises(RunError, match="was changed since maesn wrote it.*--change NAME=VALUE"):
+    with pytest.raises(RunError, match=r"was changed since maesn wrote it.*--change NAME=VALUE"):
         Run.open(directory)
-    # With a digest that fits, it is no longer the file that the checkpoints were written with.
+    # With a digest that fits, it is not the file that the checkpoints were written with.
     edit(directory, **document)
-    with pytest.raises(
-        RunError, match="with another `config.json` than this|cannot be understood|is now"
-    ):
+    with pytest.raises(RunError, match=r"with another `config.json`|cannot be understood"):
         Run.open(directory).latest()
 
 
