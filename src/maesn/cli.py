@@ -68,9 +68,18 @@ def _run_command(name: str, options: list[str]) -> int:
         print(f"maesn {name}: interrupted", file=sys.stderr)
         return INTERRUPTED
     except _user_errors() as error:
-        print(f"maesn {name}: {error}", file=sys.stderr)
+        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
+
+
+def _notes(error: BaseException | None) -> list[str]:
+    """Return what an error and its causes say beside their messages."""
+    notes: list[str] = []
+    while error is not None:
+        notes += getattr(error, "__notes__", [])
+        error = error.__cause__
+    return notes
 
 
 def _user_errors() -> tuple[type[Exception], ...]:

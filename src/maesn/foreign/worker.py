@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading, raised
+from maesn.foreign.errors import calls_of, described, raised, shortened
+from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
 
 # What a worker writes before each call of an environment: how many calls so far, and whose.
 MARK = struct.Struct("=Qq")
@@ -27,6 +28,8 @@ class Failure(NamedTuple):
     environment: int
     """Which one, among those of the worker."""
     reason: str
+    calls: str
+    """Those of its code in which it has raised an exception; empty if it has not."""
 
 
 def main(connection_descriptor: int, mark_descriptor: int) -> None:
@@ -63,8 +66,8 @@ def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":
     try:
         return _Share(pickle.loads(recipe), mark)
     except Exception as error:  # noqa: BLE001  # the import of a user's module can raise anything
-        reason = f"`make_env` cannot be loaded: {type(error).__name__}: {error}"
-        connection.send(Failure(0, reason))
+        reason = f"`make_env` cannot be loaded: {described(error)}"
+        connection.send(Failure(0, reason, calls_of(error)))
         return None
 
 
@@ -97,10 +100,10 @@ class _Share:
             try:
                 answers.append(getattr(self._environments[index], request)(*arguments))
             except HostedError as error:
-                return Failure(index, str(error))
+                return Failure(index, shortened(str(error)), calls_of(error.__cause__))
             except Exception as error:  # noqa: BLE001  # of a user's code, wherever it is called
-                return Failure(index, f"the environment {raised(error)}")
-        return answers if request == "describe" else _by_field(answers)
+                return Failure(index, f"the environment {raised(error)}", calls_of(error))
+        return _by_field(answers) if request in ("begin", "step") else answers
 
     def close(self) -> None:
         """Close all environments, whatever each of them does about it."""
