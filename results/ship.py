@@ -16,7 +16,7 @@ from typing import Any
 import tyro
 
 from maesn.learners import METHODS
-from maesn.runs.config import RunConfig, RunSettings, write_config
+from maesn.runs.config import CONFIG, RunConfig, RunSettings, write_config
 from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
@@ -91,8 +91,7 @@ def ship(run: Run, commit: str, target: Path) -> None:
     checkpoint = run.latest()
     if target.exists():
         shutil.rmtree(target)
-    with new_directory(target):
-        (target / CHECKPOINTS).mkdir()
+    with new_directory(target, [f"{CHECKPOINTS}/{last.name}", TASKS_FILE, CONFIG]):
         # Written anew, because a checkpoint states the digest of the configuration beside it.
         shipped.save_state(checkpoint.state, checkpoint.environment_steps)
         if (run.directory / TASKS_FILE).exists():

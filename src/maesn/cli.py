@@ -1,6 +1,7 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
 import difflib
+import signal
 import sys
 from importlib import import_module
 
@@ -30,7 +31,15 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     sys.exit(run(sys.argv[1:]))
+
+
+def _interrupt(*_: object) -> None:
+    """Stop as Ctrl-C does; a second one ends the process at once."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    raise KeyboardInterrupt
 
 
 def run(arguments: list[str]) -> int:
@@ -60,9 +69,18 @@ def _run_command(name: str, options: list[str]) -> int:
         print(f"maesn {name}: interrupted", file=sys.stderr)
         return INTERRUPTED
     except _user_errors() as error:
-        print(f"maesn {name}: {error}", file=sys.stderr)
+        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
+
+
+def _notes(error: BaseException | None) -> list[str]:
+    """Return what an error and its causes say beside their messages."""
+    notes: list[str] = []
+    while error is not None:
+        notes += getattr(error, "__notes__", [])
+        error = error.__cause__
+    return notes
 
 
 def _user_errors() -> tuple[type[Exception], ...]:

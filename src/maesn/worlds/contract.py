@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 import jax
@@ -25,8 +26,8 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it declares.
 
     Readings and model fields that MuJoCo does not have are refused as well. JAX works out the
-    shapes; no episode is played. Environments of others are checked in `maesn.foreign`, where they
-    are hosted. What a function raises is passed on.
+    shapes; no episode is played. What a function raises is passed on. Environments of others are
+    begun and stepped once; what Gymnasium's own check finds beyond that is a warning.
 
     Args:
         env: of any family.
@@ -35,6 +36,8 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     Raises:
         EnvContractError: a function returns another shape, or there is no field of a name.
     """
+    if env.engine == "gymnasium":  # an extra of the installation
+        import_module("maesn.worlds.foreign").check_hosted(env, task)
     if not isinstance(env, AbstractSimulatedEnv):
         return
     for function, found, wanted in _declared(env, task):
