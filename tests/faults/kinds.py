@@ -1,0 +1,14 @@
+"""The kinds of faults, and how many of each are a full campaign."""
+
+from faults import disks, kills, signals, writers
+from faults.table import Kind
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("kills", kills.attempt, 400, 120),
+        Kind("signals", signals.attempt, 120, 120),
+        Kind("two writers", writers.attempt, 60, 120),
+        Kind("disks", disks.attempt, 300, 120),
+    )
+}
