@@ -29,8 +29,8 @@ class Evaluation:
     """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
 
     tasks: str = "test"
-    """test (report on these), validation (choose on these), training, ood (unlike all of these), or
-    the path of an `.npz` file."""
+    """test (report on these), validation (choose on these), training, ood (unlike all of these),
+    final (for a last look, when all is chosen), or the path of an `.npz` file."""
     num_tasks: int | None = None
     """The first so many of them; None: all."""
     reward: RewardKind = "sparse"

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContext, Latent
+from maesn.envs import NAMED_SETS
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.report.reading import LATENTS, RECORD, TableName
@@ -22,9 +23,6 @@ from maesn.storage import (
     write_whole,
 )
 
-# Names of task sets; anything else is a file.
-_TASK_SETS = ("test", "validation", "training", "ood")
-
 
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
@@ -35,7 +33,7 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     not the usual one: tables of different kinds never share a file, and so never a figure.
     """
     tasks = evaluation.tasks
-    name = tasks if tasks in _TASK_SETS else f"file-{Path(tasks).stem}"
+    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
     start = f"from-{first_update}-" if first_update else ""
     parts = {
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
