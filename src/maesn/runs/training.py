@@ -242,12 +242,16 @@ def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str],
     ]
     if console.width >= _WIDE:
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
-    bar = Bar(*columns, console=console)
+    # A thread that refreshes it would outlive the terminal.
+    bar = Bar(*columns, console=console, auto_refresh=False)
     shown = bar.add_task("compiling", total=total)
     bar.start()
     try:
         yield lambda progress, left: bar.update(
-            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+            shown,
+            completed=progress.iteration,
+            description=f"{left}: {describe(progress)}",
+            refresh=True,
         )
     finally:
         with contextlib.suppress(OSError):  # the terminal may be what is gone
