@@ -173,7 +173,7 @@ def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
         ValueError: it is missing or of another type.
     """
     value = metadata.get(name)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and type(value) is int and abs(value) < 2**53:
         return kind(value)  # type: ignore[call-arg]
     if not isinstance(value, kind):
         raise ValueError(f"entry `{name}` must be of type {kind.__name__}, got {value!r}.")
