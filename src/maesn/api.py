@@ -109,6 +109,8 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
+    if out is not None and not Path(out).name:
+        raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)

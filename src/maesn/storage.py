@@ -102,6 +102,7 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
     """Read a JSON object. Messages of errors end with the remedy."""
     with _expecting("a JSON object", path, remedy):
+        archive.refuse_special(path)
         return _parsed(path.read_bytes())
 
 
@@ -111,6 +112,7 @@ def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, An
     A last line without its line break is left out: it may be being written at this moment.
     """
     with _expecting("lines of JSON objects", path, remedy):
+        archive.refuse_special(path)
         complete, _, _ = path.read_bytes().rpartition(b"\n")
         lines = enumerate(complete.splitlines(), start=1)
         return [_parsed(line, f"line {number}") for number, line in lines]
@@ -160,7 +162,7 @@ def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
 
 def _parsed(text: bytes, what: str = "it") -> dict[str, Any]:
     with contextlib.suppress(ValueError):
-        document = json.loads(text)
+        document = archive.parse_json(text)
         if isinstance(document, dict):
             return document
     raise ValueError(f"{what} is no JSON object")

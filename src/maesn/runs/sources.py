@@ -37,7 +37,7 @@ def imported(name: str, option: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise RunError(
             f"`{option}` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
             "where it is) and have that name in it."

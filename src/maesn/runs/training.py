@@ -23,6 +23,7 @@ from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import CONFIG, installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
+from maesn.settings import LARGEST_COUNT
 from maesn.storage import RunError, locked
 from maesn.worlds.collector import Collector
 
@@ -56,8 +57,10 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
-    if total < 0:
-        raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
+    if not 0 <= total <= LARGEST_COUNT:
+        raise RunError(
+            f"`iterations` is a total and must be from 0 to {LARGEST_COUNT}, got {total}."
+        )
     with contextlib.ExitStack() as stack:
         stack.enter_context(locked(run.directory / CONFIG))
         start = run.latest()
