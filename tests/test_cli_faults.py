@@ -16,6 +16,7 @@ from maesn.commands import runs as commands
 from maesn.physics import PhysicsError
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
+from maesn.worlds import budget
 
 HUGE = str(10**22)
 
@@ -162,3 +163,45 @@ def test_settings_are_refused_where_they_are_made() -> None:
 
 def test_numbers_of_any_kind_are_read_from_json(tmp_path: Path) -> None:
     assert json.loads(json.dumps(np.float64(0.5))) == 0.5
+
+
+def test_more_episodes_than_memory_are_refused_with_the_numbers(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = ["train", "maesn", "--family", "point", "--run", str(tmp_path / "new")]
+    printed = said(capsys, *few, "--episodes-per-task", "1000000000")
+    # Of 4 bytes each: 2 of the observation, 4 times 2 of the action, 6 more.
+    assert "1,000,000,000 episodes of 40 steps of `point`" in printed
+    assert "take at least 2,560.0 GB, but this machine has" in printed
+    assert not (tmp_path / "new").exists()
+    # The same of a batch that only adaptation plays.
+    monkeypatch.setattr(budget, "memory", lambda: 64 * 40 * 2 * 50 - 1)
+    adapt = ["adapt", str(run.directory), "--num-tasks", "2", "--episodes", "50"]
+    assert "100 episodes of 40 steps of `point` at once" in said(capsys, *adapt)
+
+
+def test_the_machines_memory_is_that_of_the_kernel() -> None:
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    total = next(int(line.split()[1]) for line in lines if line.startswith("MemTotal"))
+    assert 2**28 < budget.memory() <= 1024 * total
+
+
+def test_what_takes_days_says_so_first(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    create_tiny(tmp_path / "few", iterations=10**5)
+    assert not caplog.messages
+    create_tiny(tmp_path / "many", iterations=24 * 10**6)
+    # 24 million iterations of 3 episodes of one task at least, 40 steps each.
+    assert caplog.messages == [
+        "72,000,000 episodes of 40 steps are to be played. At 200,000 steps per second this "
+        "takes 4 hours."
+    ]
+
+
+def test_tasks_that_a_small_file_states_are_limited(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tasks.npz"
+    np.savez_compressed(path, goal=np.zeros((3 * 10**6, 2), np.float32))
+    assert path.stat().st_size < 10**5
+    printed = said(capsys, "adapt", str(run.directory), "--tasks", str(path))
+    assert "it states 24 MB of arrays, at most 17" in printed

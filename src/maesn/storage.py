@@ -125,10 +125,12 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
         archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
 
 
-def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
-    """Read the arrays of an `.npz` file by name. Pickled objects are refused."""
+def read_arrays(
+    path: Path, remedy: str, largest: int = archive.LARGEST_FILE
+) -> dict[str, np.ndarray]:
+    """Read the arrays of an `.npz` file by name, of `largest` bytes at most; no pickled objects."""
     with _expecting("arrays", path, remedy):
-        return archive.read_arrays(path)
+        return archive.read_arrays(path, largest=largest)
 
 
 @contextlib.contextmanager

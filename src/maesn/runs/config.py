@@ -19,6 +19,7 @@ from maesn.runs.serialization import digest_of_document, fields_from_json, field
 from maesn.settings import check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
+from maesn.worlds.budget import check_memory, warn_of_duration
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
 SCHEMA = 2
@@ -130,6 +131,8 @@ def new_config(
 ) -> RunConfig:
     """Return what a new run will write down."""
     env = make_env(family, settings)
+    check_memory(env, settings.episodes_per_task)  # of one task; a batch of them is checked later
+    warn_of_duration(env, settings.episodes_per_task * settings.iterations)
     with refusals():
         engine = engine_of(env, settings.engine)
         made = RunConfig(

@@ -16,6 +16,8 @@ from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
 from maesn.storage import RunError, explained, new_directory, read_arrays, refusals, write_arrays
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
+# Bytes of a user's tasks: two million goals. Training takes about a hundred times as much memory.
+LARGEST_TASKS = 2**24
 TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
 
@@ -93,7 +95,8 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
-    held = read_arrays(Path(path), f"give an .npz file with {wanted}, as numpy.savez writes it")
+    remedy = f"give an .npz file with {wanted}, as numpy.savez writes it"
+    held = read_arrays(Path(path), remedy, LARGEST_TASKS)
     if not set(names) <= set(held):
         raise RunError(f"`{path}` must hold {wanted}; it holds {', '.join(held) or 'none'}.")
     drawn, structure = jax.tree.flatten(family.draw_tasks(np.random.default_rng(0), 1))

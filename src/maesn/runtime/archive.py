@@ -29,7 +29,7 @@ PARTIAL = ".partial"
 _METADATA = "metadata"
 
 # Bytes that the arrays of a file may have in memory. A file of a few kilobytes can state terabytes.
-LARGEST = 2**30
+LARGEST_FILE = 2**30
 
 _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 
@@ -99,23 +99,28 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.g
     write_whole(path, content.getvalue())
 
 
-def read_arrays(path: str | os.PathLike[str], names: Collection[str] | None = None) -> Arrays:
+def read_arrays(
+    path: str | os.PathLike[str],
+    names: Collection[str] | None = None,
+    largest: int = LARGEST_FILE,
+) -> Arrays:
     """Return the arrays of an `.npz` file by name. Nothing in it is executed.
 
     Args:
         path: of the file.
         names: arrays that are needed; others are left unread. None for all.
+        largest: bytes that all arrays of the file may have in memory.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: it is damaged or something else, or an array is missing. The message does not
-            name the file.
+        ValueError: it is damaged, something else or too large, or an array is missing. The message
+            does not name the file.
     """
     refuse_special(path)
     with Path(path).open("rb") as file:
         try:
             with zipfile.ZipFile(file) as members:
-                found = _members(members)
+                found = _members(members, largest)
                 wanted = found if names is None else [name for name in names if name in found]
                 arrays = {name: _array(members, found[name]) for name in wanted}
         except _UNREADABLE as error:
@@ -213,14 +218,14 @@ def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
     return value
 
 
-def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+def _members(archive: zipfile.ZipFile, largest: int) -> dict[str, zipfile.ZipInfo]:
     """Return what is in a file by the names of the arrays, if it states no more than is read."""
     members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
     if {member.compress_type for member in members.values()} - _COMPRESSIONS:
         raise ValueError("it is compressed in another way than `numpy.savez_compressed` does")
     size = sum(member.file_size for member in members.values())
-    if size > LARGEST:
-        raise ValueError(f"it states {size / 1e9:.1f} GB of arrays, at most {LARGEST / 1e9:.1f}")
+    if size > largest:
+        raise ValueError(f"it states {size / 1e6:,.0f} MB of arrays, at most {largest / 1e6:,.0f}")
     return members
 
 
