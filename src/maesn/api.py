@@ -6,9 +6,10 @@ as `module:name`.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 from tyro.conf import Positional
+from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
 from maesn.envs import TaskFamily
@@ -26,6 +27,18 @@ from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runs.training import train_live
 from maesn.storage import RunError, read_json
+
+Flag: TypeAlias = Annotated[
+    bool,
+    PrimitiveConstructorSpec(
+        nargs=0,
+        metavar="",
+        instance_from_str=lambda _: True,
+        is_instance=lambda value: isinstance(value, bool),
+        str_from_instance=lambda _: [],
+    ),
+]
+"""False, unless the command line names it; it takes no value there."""
 
 
 def train(
@@ -124,6 +137,7 @@ def export(
     *,
     latents: running.OptionalPath = None,
     task: int | None = None,
+    overwrite: Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -138,10 +152,17 @@ def export(
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
+        overwrite: Replace a file that is there.
 
     Raises:
-        RunError: the run cannot be exported, or its latents are others, or lack the task.
+        RunError: the run cannot be exported, the file is there, or the latents are others or lack
+            the task.
     """
+    if not overwrite and Path(path).exists():
+        raise RunError(
+            f"`{path}` exists and would be replaced: give another path, or say so (--overwrite, in "
+            "Python `overwrite=True`)."
+        )
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
