@@ -111,7 +111,7 @@ def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     path.write_text("a policy of yesterday")
     command = ["export", str(trained), str(path)]
-    with pytest.raises(RunError, match="`.*policy.npz` exists and would be replaced"):
+    with pytest.raises(RunError, match=r"`.*policy\.npz` exists and would be replaced"):
         api.export(trained, path)
     assert cli.run(command) == cli.USAGE_ERROR
     assert path.read_text() == "a policy of yesterday"

@@ -16,7 +16,7 @@ from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Varia
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL
 from maesn.runs.serialization import digest_of_document, fields_from_json, fields_to_json
-from maesn.settings import check_numbers
+from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
 from maesn.worlds.budget import check_memory, warn_of_duration
@@ -64,6 +64,9 @@ class RunSettings:
     for families on a MuJoCo model."""
 
     def __post_init__(self) -> None:
+        check_choice("variant", self.variant, Variant)
+        check_choice("reward", self.reward, RewardKind)
+        check_choice("engine", self.engine, EngineName)
         check_numbers(self, iterations=0, num_threads=0, episodes_per_task=1, checkpoint_every=1)
 
     @property
