@@ -25,7 +25,7 @@ check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under
 test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
-test-long: $(TEST_READY) ## Run the tests that take minutes: shipped policies return what they did
+test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies
 	@$(BIN)/python -m pytest --quiet --tb=short tests/long
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.

@@ -14,6 +14,8 @@ from pathlib import Path
 # asked for by name (`JAX_PLATFORMS=cuda make test`); figures never open a window.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ["MPLBACKEND"] = "Agg"
+# Threads of NumPy's linear algebra would wait for each other longer than they compute.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Tests compile far more than they compute. Compiling takes half as long without optimisations, and
 # half of that without XLA's fusion emitters. What is compiled runs slower: production keeps both.
 # One module for the code generator instead of 32, and no stack of calls with every operation, save
@@ -32,6 +34,7 @@ os.environ["MAESN_CACHE"] = "off"
 
 import jax
 import pytest
+from matplotlib.figure import Figure
 
 # Tests interrupt themselves, which what a shell runs in the background would ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -66,9 +69,28 @@ def forget_compiled_programs() -> Iterator[None]:
     """
     yield
     maps = Path("/proc/self/maps")
-    if not maps.exists() or maps.read_bytes().count(b"\n") > 20_000:
+    if not maps.exists() or maps.read_bytes().count(b"\n") > 45_000:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write an empty file for each figure instead of laying it out, which takes a second.
+
+    For tests of what is drawn when; `tests/report` looks at the pictures.
+    """
+
+    def touch(figure: Figure, directory: Path, name: str) -> list[Path]:
+        assert figure.axes
+        directory.mkdir(parents=True, exist_ok=True)
+        files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
+        for file in files:
+            file.touch()
+        return files
+
+    for module in ("maesn.report.plot", "maesn.studies.comparison"):
+        monkeypatch.setattr(f"{module}.save_figure", touch)
 
 
 @pytest.fixture

@@ -22,8 +22,9 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=4)
-TINY = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
+SETTINGS = RunSettings(family="point", iterations=2, episodes_per_task=3)
+# As in `small_runs`, so that they share compiled programs.
+TINY = {"meta_batch_size": 4, "policy": GaussianMLP(hidden_sizes=(8,))}
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +92,7 @@ def test_latents_of_other_tasks_or_methods_are_refused(trained: Path, tmp_path: 
         api.adapt(trained, episodes=-50)
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,7 +101,7 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     written = api.plot([trained], tmp_path)
     names = {path.name for path in written}
     assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names
-    assert all(path.stat().st_size > 1000 for path in written)
+    assert all(path.exists() for path in written)
     table = trained / "adaptation" / "test-sparse.csv"
     before = table.read_bytes()
     Run.open(trained).checkpoints()[-1].touch()

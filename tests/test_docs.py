@@ -58,6 +58,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert not [link for link in local if not leads_somewhere(page, link)]
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

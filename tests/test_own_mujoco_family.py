@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from guides import Guide
-from pictures import can_draw
 
 from maesn.envs import NAMED_SETS, TaskSet
 from maesn.worlds import NativeWorld, make_world
@@ -43,17 +42,6 @@ def test_the_family_has_less_than_sixty_lines() -> None:
 
 def test_the_guide_shows_every_command_that_takes_a_run() -> None:
     assert GUIDE.verbs == set(VERBS)
-
-
-def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    GUIDE.follow(*(VERBS if can_draw() else set(VERBS) - {"render"}))
-    for name in ("puck", "unknown"):
-        assert (folder / "runs" / name / "adaptation" / "test-sparse.csv").exists()
-    assert (folder / "runs" / "puck" / "figures" / "exploration.png").exists()
-    film = folder / "runs" / "puck" / "render" / "test-sparse-task-0.gif"
-    assert film.exists() == can_draw()
-    assert (folder / "puck.npz").exists()
 
 
 @pytest.mark.parametrize("name", ["family", "unknown"])

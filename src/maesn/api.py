@@ -5,18 +5,22 @@ as `module:name`.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
+import tyro
 from tyro.conf import Positional
 from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
-from maesn.envs import TaskFamily
+from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.record import identity_of_run
+from maesn.evaluation.rules import AbstractRule, GradientRule
+from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
@@ -26,6 +30,11 @@ from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runs.training import train_live
+from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.search import SearchSettings
+from maesn.search.prior import USUAL as USUAL_PRIOR
+from maesn.search.prior import PriorSettings
+from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, read_json
 
 Flag: TypeAlias = Annotated[
@@ -130,6 +139,42 @@ def adapt(
     return write_outcome(table if out is None else Path(out), outcome, record)
 
 
+def prior(
+    run: Positional[running.AnyRun],
+    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
+    *,
+    reward: RewardKind = "sparse",
+    sparse_radius: float | None = None,
+    family: running.AnyFamily = None,
+) -> Path:
+    """Play an archive of latents in the training tasks: the prior of the rule `search`.
+
+    It takes seconds to minutes, once after training; `adapt --rule search` does the same where it
+    is missing. An earlier one for the same reward is replaced.
+
+    Args:
+        run: Directory of the run, or the name of a policy that comes with the library, of which a
+            copy is made, `maesn-NAME` in the current folder.
+        settings: of the archive.
+        reward: Reward of the new tasks.
+        sparse_radius: Metres around the goal in which sparse reward tells the distance in the new
+            tasks; None: the run's own.
+        family: The run's family as `module:name`, if it is your own.
+
+    Returns:
+        The file, `DIR/priors/REWARD-RADIUS.safetensors`.
+
+    Raises:
+        RunError: the run has no latent, or a setting cannot be used.
+        EpisodeError: an episode went wrong.
+    """
+    opened = running.open_run(run, family)
+    with played_live() as progress:
+        return run_prior(
+            opened, settings, reward=reward, sparse_radius=sparse_radius, progress=progress
+        )[0]
+
+
 def export(
     run: Positional[running.AnyRun],
     path: Positional[running.AnyPath],
@@ -137,6 +182,7 @@ def export(
     *,
     latents: running.OptionalPath = None,
     task: int | None = None,
+    rule: running.AnyRule = None,
     overwrite: Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
@@ -152,6 +198,8 @@ def export(
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
+        rule: How the robot adapts: gradient, or search with its settings behind it. Left out:
+            gradient.
         overwrite: Replace a file that is there.
 
     Raises:
@@ -172,8 +220,9 @@ def export(
     if latents is not None or task is not None:
         start = _adapted_start(opened, latents, task)
         description["task"] = task
+    search = _search(opened, rule, start)
     try:
-        write_policy(path, exported_policy(learner, opened.env(), description, start))
+        write_policy(path, exported_policy(learner, opened.env(), description, start, search))
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
@@ -230,3 +279,18 @@ def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tu
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."
         )
     return adapted_latent(Path(latents), task)
+
+
+def _search(
+    run: Run, rule: AbstractRule | None, start: tuple[Latent, int] | None
+) -> tuple[ReturnPrior, SearchSettings] | None:
+    """Return the prior and the settings of a rule, if it is a search."""
+    if rule is None or isinstance(rule, GradientRule):
+        return None
+    if not isinstance(rule, SearchRule):
+        raise RunError("`rule` must be `gradient` or `search`: the runtime has no other.")
+    if start is not None:
+        raise RunError("a search starts with no latent: leave out `latents` and `task`.")
+    with closing(run.world(reward_kind="sparse")) as world:
+        found = find_prior(run, run.latest_state(), world, rule.prior, rule.any_reward)
+    return found, rule.settings

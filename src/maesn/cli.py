@@ -16,6 +16,7 @@ COMMANDS = {
     "train": "meta-train a method on a family of tasks",
     "resume": "go on with a run from its latest checkpoint",
     "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
+    "prior": "play an archive of latents in the training tasks, for the rule `search`",
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
     "ablation": "train MAESN and MAML with parts left out, and compare them",
     "plot": "draw the paper's figures from one or several runs",

@@ -216,7 +216,7 @@ def test_every_block_has_a_band_to_itself_and_its_goal_lies_in_it(which: Any) ->
 
 def test_no_layout_is_in_two_sets() -> None:
     found = [layouts(blockpush.task_set(which).tasks) for which in SETS]
-    assert len(np.unique(np.concatenate(found), axis=0)) == 60
+    assert len(np.unique(np.concatenate(found), axis=0)) == 80
 
 
 def test_places_are_uniform_and_bands_equally_likely() -> None:

@@ -189,9 +189,10 @@ def modules_after(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium() -> None:
+def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium_and_no_mjx() -> None:
     assert "mujoco.batch" not in modules_after("import maesn.envs.foreign, maesn.worlds.foreign")
-    assert "gymnasium" not in modules_after("import maesn.envs, maesn.worlds, maesn.api")
+    loaded = modules_after("import maesn.envs, maesn.worlds, maesn.api")
+    assert not {"gymnasium", "mujoco.mjx"} & loaded
 
 
 def imported_packages(file: Path) -> set[str]:

@@ -203,7 +203,7 @@ def test_without_a_library_to_draw_with_nothing_is_played(
 def test_the_command_draws_or_says_what_to_install(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["render", str(run.directory), "--task", "3", "--after", "0", "3", "--shown", "2"]
+    command = ["render", str(run.directory), "--task", "3", "--after", "3", "--shown", "1"]
     options = ["--episodes", "3", "--episodes-per-update", "3", "--out", str(tmp_path)]
     code, printed = cli.run([*command, *options]), capsys.readouterr()
     if not can_draw():

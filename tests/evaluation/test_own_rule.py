@@ -39,18 +39,6 @@ def test_the_rule_has_at_most_forty_lines() -> None:
     assert len(GUIDE.files[0].splitlines()) <= 40
 
 
-def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    GUIDE.follow("adapt", "compare", more=["--num-tasks", "2"])
-    tables = folder / "maesn-wheeled" / "adaptation"
-    written = sorted(tables.glob("test-sparse-*.csv"))
-    # With other settings of the rule the table is another one.
-    assert len(written) == 2
-    assert all(path.name.startswith("test-sparse-crossentropy-") for path in written)
-    assert (folder / "cross-entropy" / "comparison.png").exists()
-    assert "MAESN (CrossEntropy)" in (folder / "cross-entropy" / "summary.md").read_text()
-
-
 def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path: Path) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings())
     trained = maesn.Trained(run.learner, run.latest_state())

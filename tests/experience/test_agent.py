@@ -46,6 +46,9 @@ def test_one_after_the_other_is_all_at_once(shares_policy: bool) -> None:
     def loss(agents: Agents, mapping: How) -> jax.Array:
         return (agents.map(mean_action, observation, scale, how=mapping) ** 2).sum()
 
-    at_once, serial = (jax.value_and_grad(loss)(agents, how) for how in ("vmap", "serial"))
+    at_once, serial = (
+        jax.jit(jax.value_and_grad(loss), static_argnums=1)(agents, how)
+        for how in ("vmap", "serial")
+    )
     for expected, actual in zip(*map(jax.tree.leaves, (at_once, serial)), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-12)

@@ -10,7 +10,7 @@ import pytest
 from learning_problems.transitions import linear_episodes
 from playing import keys
 
-from maesn.envs import chain, point
+from maesn.envs import point
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
@@ -93,6 +93,10 @@ def test_every_task_has_a_model_of_its_own() -> None:
 
 @pytest.fixture(scope="module")
 def collect() -> Collector:
+    return make_collect()
+
+
+def make_collect() -> Collector:
     env = point.make_env(reward_kind="sparse", horizon=8)
     return Collector(make_world(env, point.task_set("training", size=5)), 4)
 
@@ -123,21 +127,20 @@ def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
     assert any(accepted)
 
 
-@pytest.mark.parametrize(
-    "alone",
-    [
-        tiny(),
-        tiny(inner_updates=2, outer_batches=2),
-        # Without inner updates all batches are of the same agents: before and after are one.
-        latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
-        # A trial is played by the same agents, episode after episode.
-        rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
-    ],
-    ids=["maesn", "more batches", "latent_space", "rl2"],
-)
-def test_with_a_weight_of_0_it_is_the_learner_itself(
-    alone: AbstractMetaLearner, collect: Collector
-) -> None:
+ALONE = {
+    "maesn": tiny(),
+    # Without inner updates all batches are of the same agents: before and after are one.
+    "latent_space": latent_space(policy=GaussianMLP((4,)), meta_batch_size=2),
+    "more batches": tiny(inner_updates=2, outer_batches=2),
+    # A trial is played by the same agents, episode after episode.
+    "rl2": rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
+}
+LONG = ["more batches", "rl2"]  # in `tests/long`
+
+
+@pytest.mark.parametrize("name", [name for name in ALONE if name not in LONG])
+def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collector) -> None:
+    alone: AbstractMetaLearner = ALONE[name]
     wrapped = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
     key = jax.random.key(7)
     state = wrapped.init(jax.random.key(0), 2, 2, 5)
@@ -146,9 +149,9 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(
     together, said = wrapped.step(key, state, collect)
     for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
         np.testing.assert_array_equal(one, other)
-    for name in ("return_before", "return_after"):
-        wanted = float(getattr(info, name))
-        assert float(getattr(said.learner, name)) == pytest.approx(wanted, rel=1e-5)
+    for measure in ("return_before", "return_after"):
+        wanted = float(getattr(info, measure))
+        assert float(getattr(said.learner, measure)) == pytest.approx(wanted, rel=1e-5)
 
 
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
@@ -218,24 +221,3 @@ def test_methods_with_a_bonus_have_names() -> None:
     for name, preset in METHODS.items():
         assert method_name(preset()) == name
     assert METHODS["maesn+curiosity"](meta_batch_size=3).learner.meta_batch_size == 3
-
-
-def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None:
-    # `benchmarks/vime_chain.py` is the long form, with more seeds.
-    env, tasks = chain.make_env(reward_kind="sparse"), chain.task_set("test", size=TASKS)
-    playing = Collector(make_world(env, tasks), 6)
-    options = {"policy": GaussianMLP((16,))}
-    eager = CuriosityBonus(updates=60, pool_additions=100, samples=4)
-    found, stays = {}, {}
-    for name, wrapped in (("trpo", {}), ("vime", {"curiosity": eager})):
-        learner = SCRATCH[name](1, 1, **options, **wrapped)
-        state = learner.init(keys(TASKS))
-        for update in range(16):
-            episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
-            state = learner.update(state, episodes)
-        found[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
-        policies = (learner.agents(s).policy for s in (learner.init(keys(TASKS)), state))
-        leaves = zip(*map(jax.tree.leaves, policies), strict=True)
-        stays[name] = all(np.array_equal(one, other) for one, other in leaves)
-    assert stays == {"trpo": True, "vime": False}
-    assert found == {"trpo": [False] * TASKS, "vime": [True] * TASKS}

@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -110,44 +112,43 @@ def test_at_the_policy_that_played_it_is_the_policy_gradient() -> None:
     np.testing.assert_allclose(jax.grad(loss)(played.logits), expected, rtol=1e-4, atol=1e-6)
 
 
-def small_policy() -> RecurrentPolicy:
-    return Recurrent("discrete", (), 3, ()).init(jax.random.key(0), 1, CHOICES, 0)
+distributions = eqx.filter_jit(Trials.distributions)
 
 
-def own_trials(policy: RecurrentPolicy) -> tuple[Trials, jax.Array]:
-    """Trials whose recorded distributions are the policy's own."""
+@cache
+def own_trials() -> tuple[RecurrentPolicy, Trials, jax.Array]:
+    """A policy, and trials whose recorded distributions are its own."""
+    policy = Recurrent("discrete", (), 3, ()).init(jax.random.key(0), 1, CHOICES, 0)
     trials, advantages = random_trials()
-    played = trials.distributions(policy)
-    return replace(trials, behaviour=played), jnp.asarray(advantages, float)
+    played = distributions(trials, policy)
+    return policy, replace(trials, behaviour=played), jnp.asarray(advantages, float)
 
 
-@pytest.mark.parametrize(
+every_step = pytest.mark.parametrize(
     "step",
     [
         ProximalStep(descent=MinibatchDescent(3e-3, minibatches=2)),
         TrustRegionStep(TrustRegion(cg_steps=5), curvature_stride=1),
     ],
 )
+
+
+@every_step
 def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionStep) -> None:
-    policy = small_policy()
-    trials, advantages = own_trials(policy)
+    policy, trials, advantages = own_trials()
     state = step.init(policy)
     improved, _, info = step(jax.random.key(0), policy, state, trials, advantages)
     before, after = (p.log_prob(trials.action) for p in
-                     (trials.behaviour, trials.distributions(improved)))  # fmt: skip
+                     (trials.behaviour, distributions(trials, improved)))  # fmt: skip
     gain = np.where(trials.valid, (after - before) * advantages, 0.0).sum()
     assert gain > 0.01
     assert bool(info.accepted)
     assert 0 < float(info.kl) < 0.05
 
 
-@pytest.mark.parametrize(
-    "step",
-    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
-)
+@every_step
 def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) -> None:
-    policy = small_policy()
-    trials, advantages = own_trials(policy)
+    policy, trials, advantages = own_trials()
     broken = advantages.at[2, 0].set(jnp.nan)
     state = step.init(policy)
     kept, after, info = step(jax.random.key(0), policy, state, trials, broken)
@@ -155,13 +156,9 @@ def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) ->
     jax.tree.map(np.testing.assert_array_equal, (kept, after), (policy, state))
 
 
-@pytest.mark.parametrize(
-    "step",
-    [ProximalStep(descent=MinibatchDescent(minibatches=2)), TrustRegionStep(curvature_stride=1)],
-)
+@every_step
 def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
-    policy = small_policy()
-    trials, advantages = own_trials(policy)
+    policy, trials, advantages = own_trials()
     state = step.init(policy)
     clean = step(jax.random.key(0), policy, state, trials, advantages)[0]
     invalid = ~trials.valid

@@ -1,15 +1,17 @@
 """RL2 as a learner: trials, their memory, and what it is refused."""
 
+from functools import cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.memory import assert_a_probe_of_memory_is_solved
 
 from maesn.axes import TaskKeys
 from maesn.context import Latent
-from maesn.envs import HiddenEnd, HiddenSide, TaskSet
+from maesn.envs import HiddenEnd, TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
@@ -47,6 +49,8 @@ def small(**settings: Any) -> RecurrentMetaLearner:
             "value": RecurrentValue((), 4, (3,), DESCENT),
             "meta_batch_size": 2,
             "trial_episodes": TRIAL,
+            "discount": 0.9,
+            "gae_lambda": 0.8,
             **settings,
         }
     )
@@ -115,7 +119,7 @@ def test_a_meta_iteration_plays_trials_and_improves(policy_step: Any) -> None:
 
 def test_advantages_span_the_trial() -> None:
     """Against loops over the steps that were played, episode after episode."""
-    learner, collect = small(discount=0.9, gae_lambda=0.8), Watching(mortal())
+    learner, collect = small(), Watching(mortal())
     learner.step(jax.random.key(1), start(learner), collect)
     trials = join_episodes(collect.played)
     expected = np.random.default_rng(0).normal(size=trials.valid.shape).astype(np.float32)
@@ -131,6 +135,7 @@ def test_advantages_span_the_trial() -> None:
     assert not actual[~np.asarray(trials.valid)].any()
 
 
+@cache
 def trials_of_unequal_length() -> Trials:
     collect = Watching(
         Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([20, 30, 20, 30]))), EPISODES)
@@ -169,34 +174,9 @@ def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was(
     assert any(jax.tree.leaves(moved))
 
 
-@pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])
-def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> None:
-    """The reward of a hidden side is 1 or 0 at an episode's last step; the agent sees nothing else.
-
-    Without a state across episodes the second returns 1/2 at best, as the first does. With it, the
-    reward of the first says where to go.
-    """
-    env = HiddenSide(horizon=1, reward_kind="sparse")
-    tasks = TaskSet(np.float32([-1.0, 1.0] * 20))
-    collect = Collector(make_world(env, tasks), 10)
-    descent = MinibatchDescent(1e-2, epochs=4, minibatches=2)
-    usual = {"rl2": {"policy_step": ProximalStep(descent=descent)}}
-    learner = PRESETS[method](
-        **usual.get(method, {}),
-        policy=Recurrent(hidden_size=8, readout_sizes=(8,)),
-        value=RecurrentValue((), 8, (8,), descent),
-        meta_batch_size=40,
-    )
-    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
-    for iteration in range(80):
-        state, _ = learner.step(jax.random.key(iteration), state, collect)
-    outcome = adapt(learner.fast_learner(state), collect, episodes=10)
-    first, second = outcome.curves.mean_return.mean(0)
-    # 400 trials: the standard error of the first, a coin, is 0.025.
-    assert abs(first - 0.5) < 0.1
-    assert second > 0.9
-    assert outcome.episodes_per_update == 1
-    assert outcome.trial_episodes == 2
+def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
+    """`tests/long` has RL2 by TRPO."""
+    assert_a_probe_of_memory_is_solved("rl2")
 
 
 def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:

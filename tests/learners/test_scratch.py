@@ -143,7 +143,7 @@ def small(name: str, **settings: object) -> PolicyGradient:
 def collect() -> Collector:
     family = find_family("point")
     env = family.make_env(reward_kind="dense", horizon=10)
-    return Collector(make_world(env, family.task_set("test", size=5)), 8)
+    return Collector(make_world(env, family.task_set("test", size=4)), 8)
 
 
 @pytest.mark.parametrize("name", ["reinforce", "trpo"])
@@ -151,8 +151,8 @@ def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     learner = small(name)
     outcome = adapt(learner, collect, episodes=64)
     returns = outcome.curves.mean_return
-    assert returns.shape == (5, 9)
-    assert np.mean(returns[:, -1] > returns[:, 0]) >= 0.8
+    assert returns.shape == (4, 9)
+    assert np.all(returns[:, -1] > returns[:, 0])
     parts = adapt(learner, collect, episodes=16, chunk_size=2)
     np.testing.assert_allclose(parts.curves.mean_return, returns[:, :3], rtol=2e-3, atol=2e-3)
 
@@ -175,8 +175,8 @@ def flat(policy: GaussianMLPPolicy) -> jax.Array:
 @pytest.mark.parametrize(("name", "drifts"), [("trpo", True), ("reinforce", False)])
 def test_equal_pay_moves_who_drifts(name: str, drifts: bool, collect: Collector) -> None:
     learner = small(name)
-    state = learner.init(keys(5))
-    played = collect(keys(5), learner.agents(state), jnp.arange(5))
+    state = learner.init(keys(4))
+    played = collect(keys(4), learner.agents(state), jnp.arange(4))
     for rewarded, moves in ((0.0, False), (-1.0, drifts)):
         equal = replace(played, reward=jnp.full_like(played.reward, rewarded))
         after = learner.update(state, equal)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,6 +47,9 @@ def play_trial(collect: Collector, policy: RecurrentPolicy, length: int = 3) -> 
     return played
 
 
+distributions = eqx.filter_jit(Trials.distributions)
+
+
 def means_played(episodes: Sequence[Episodes]) -> np.ndarray:
     """`[trial, time, action]`, 0 where invalid."""
     parts = []
@@ -75,13 +79,13 @@ def test_replaying_a_trial_gives_what_was_played(
     """Across episodes, across gaps, and from the start of the trial."""
     policy, episodes = played
     trials = join_episodes(episodes)
-    again = trials.distributions(policy)
+    again = distributions(trials, policy)
     assert isinstance(again, DiagonalGaussian)
     assert trials.valid.shape == (SLOTS * EPISODES, 3 * HORIZON)
     mean = np.where(np.asarray(trials.valid)[..., None], again.mean, 0.0)
     np.testing.assert_allclose(mean, means_played(episodes), rtol=1e-3, atol=1e-5)
     # The later episodes are played from memory: forgetting it would give something else.
-    alone = join_episodes(episodes[1:]).distributions(policy)
+    alone = distributions(join_episodes(episodes[1:]), policy)
     assert isinstance(alone, DiagonalGaussian)
     forgetful = np.where(np.asarray(trials.valid[:, HORIZON:])[..., None], alone.mean, 0.0)
     assert np.abs(forgetful - means_played(episodes)[:, HORIZON:]).max() > 0.01
@@ -120,7 +124,7 @@ def test_gradients_ignore_what_follows_the_end() -> None:
         return jnp.where(trials.valid, log_prob, 0.0).sum()
 
     trials = join_episodes(episodes)
-    gradient = jax.grad(loss)(policy, trials)
+    gradient = jax.jit(jax.grad(loss))(policy, trials)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     assert not np.isnan(np.asarray(trials.reward)).any()
 

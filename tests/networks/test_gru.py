@@ -101,8 +101,8 @@ def test_derivatives_are_those_of_a_plain_loop() -> None:
         return jnp.sin(gru.unroll(x, valid, hidden)[0]).sum()
 
     given = (gru, x, hidden)
-    mine, plain = (jax.grad(f, argnums=(0, 1, 2))(*given) for f in (unrolled, looped))
+    mine, plain = (jax.jit(jax.grad(f, argnums=(0, 1, 2)))(*given) for f in (unrolled, looped))
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-10, atol=1e-12), mine, plain)
     # Forward mode, which the curvature of a trust region takes.
-    mine, plain = (jax.jvp(f, given, plain)[1] for f in (unrolled, looped))
+    mine, plain = (jax.jit(partial(jax.jvp, f))(given, plain)[1] for f in (unrolled, looped))
     np.testing.assert_allclose(mine, plain, rtol=1e-10)

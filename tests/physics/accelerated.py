@@ -16,6 +16,24 @@ from maesn.physics.mjx import MjxEngine
 QUICKLY: dict[str, Any] = {"xla_backend_optimization_level": 0}
 
 
+# Pushed along x, it meets a block.
+ROD = """
+<mujoco>
+  <option timestep="0.005" gravity="0 0 0"/>
+  <default><geom margin="0.01" condim="1"/></default>
+  <worldbody>
+    <geom name="block" type="box" size="0.03 0.03 0.05" pos="0.15 0 0.05"/>
+    <body pos="0 0 0.06">
+      <joint type="slide" axis="1 0 0"/>
+      <joint type="slide" axis="0 1 0"/>
+      <joint type="hinge" axis="0 0 1"/>
+      <geom name="rod" {rod}/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
 def quickly(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of one simulation, as a compiled one of a batch."""
     return jax.jit(jax.vmap(function), compiler_options=QUICKLY)

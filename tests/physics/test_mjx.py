@@ -1,110 +1,14 @@
-"""`MjxEngine` against plain MuJoCo: in double precision where the mathematics is judged.
-
-Tolerances state what was measured, with a margin of about ten.
-"""
+"""What `MjxEngine` moves and refuses. `tests/long/physics` has the shipped robots."""
 
 import importlib.util
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
-from physics.accelerated import one_step_errors, quickly
-from physics.plain import controls, plain_episodes, start
-from physics.test_native import masses
+from physics.accelerated import ROD
 
 from maesn.physics import EngineError, PhysicsError, load_model
 from maesn.physics.mjx import MjxEngine, MjxLimits
-
-READINGS = ("qpos", "qvel", "subtree_com")
-WHEELED = (start()[0][:4], start()[1][:4], controls()[:20, :4])
-
-
-def ant_start() -> tuple[np.ndarray, np.ndarray]:
-    """Ants on their feet, with shins so level that both engines lay the friction cone alike."""
-    model, generator = load_model("ant"), np.random.default_rng(2)
-    qpos = np.tile(model.key_qpos[0], (3, 1))
-    qpos[:, 8::2] *= 0.7
-    qpos[:, 2] = [0.42, 0.44, 0.8]  # the last one is in the air
-    return qpos, 0.1 * generator.normal(size=(3, 14))
-
-
-def test_the_wheeled_robot_takes_the_same_steps(x64: None) -> None:
-    engine = MjxEngine("wheeled", READINGS, frame_skip=2)
-    errors = one_step_errors(engine, "wheeled", *WHEELED, frame_skip=2)
-    # The solver of either engine may stop anywhere within its tolerance of 1e-8.
-    assert errors["qpos"].max() < 1e-6
-    assert errors["qvel"].max() < 1e-4
-    assert np.median(errors["qvel"]) < 1e-12
-    assert errors["subtree_com"].max() < 1e-6  # of the returned state: it moves 1e-3 m in a substep
-
-
-def test_single_precision_keeps_five_digits() -> None:
-    errors = one_step_errors(MjxEngine("wheeled"), "wheeled", *WHEELED)
-    assert errors["qpos"].max() < 3e-5
-    assert errors["qvel"].max() < 3e-3
-
-
-def test_the_ant_takes_the_same_steps(x64: None) -> None:
-    control = np.random.default_rng(3).uniform(-1, 1, size=(3, 3, 8))
-    errors = one_step_errors(MjxEngine("ant"), "ant", *ant_start(), control)
-    assert errors["qpos"].max() < 1e-5
-    assert errors["qvel"].max() < 1e-4
-    assert errors["qvel"][:, 2].max() < 1e-8  # in the air, where no solver takes part
-
-
-def test_block_pushing_takes_the_same_steps_where_faces_meet(x64: None) -> None:
-    # The end of the right arm before the middle of a block's face, the other blocks out of reach.
-    # The two margins of 2 mm begin to count at 4 mm: no, yes, yes.
-    gaps = np.array([0.05, 0.003, -0.001])
-    places = np.tile([[5.0, 0.0], [5.0, 1.0], [0.0, 0.0], [5.0, 3.0], [5.0, 4.0]], (3, 1, 1))
-    places[:, 2] = np.stack([0.12 + gaps + 0.03, np.full(3, -0.1)], axis=1)
-    homes = np.array([[0.2, 0.0], [0.4, 0.0], [0.6, 0.0], [0.8, 0.0], [1.0, 0.0]])
-    qpos = np.concatenate([np.zeros((3, 3)), (places - homes).reshape(3, 10)], axis=1)
-    qvel = np.zeros((3, 13))
-    qvel[:, 0] = 0.2
-    control = np.random.default_rng(4).uniform(-2, 2, size=(2, 3, 3))
-    control[..., 0] = np.abs(control[..., 0])  # forwards
-    errors = one_step_errors(MjxEngine("blockpush"), "blockpush", qpos, qvel, control)
-    assert errors["qpos"].max() < 1e-9
-    assert errors["qvel"].max() < 1e-9
-    after = plain_episodes([load_model("blockpush")] * 3, qpos, qvel, control[:1], ("qvel",))[-1]
-    assert list(after["qvel"][:, 7] > 1e-3) == [False, True, True]
-
-
-def push(model: Path | str, distances: np.ndarray) -> dict[str, np.ndarray]:
-    """Push a rod into a block's face from these distances, for three steps."""
-    qpos = np.stack([distances, np.full(len(distances), 0.01), np.zeros(len(distances))], axis=1)
-    qvel = np.tile([0.2, 0.0, 0.0], (len(distances), 1))
-    return one_step_errors(MjxEngine(model), model, qpos, qvel, np.zeros((3, len(distances), 0)))
-
-
-ROD = """
-<mujoco>
-  <option timestep="0.005" gravity="0 0 0"/>
-  <default><geom margin="0.01" condim="1"/></default>
-  <worldbody>
-    <geom name="block" type="box" size="0.03 0.03 0.05" pos="0.15 0 0.05"/>
-    <body pos="0 0 0.06">
-      <joint type="slide" axis="1 0 0"/>
-      <joint type="slide" axis="0 1 0"/>
-      <joint type="hinge" axis="0 0 1"/>
-      <geom name="rod" {rod}/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-
-def test_margins_count_at_boxes(tmp_path: Path, x64: None) -> None:
-    path = tmp_path / "rod.xml"
-    rod = 'type="capsule" size="0.02" fromto="0 0 0 0.08 0 0" mass="1"'
-    path.write_text(ROD.format(rod=rod), encoding="utf-8")
-    # From a gap of 22 mm to an overlap of 1 mm; the two margins of 10 mm begin to count at 20 mm.
-    distances = np.array([-0.002, 0.001, 0.01, 0.019, 0.021])
-    assert push(path, distances)["qvel"].max() < 1e-9
 
 
 def test_a_margin_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
@@ -113,30 +17,6 @@ def test_a_margin_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot be moved by the engine `mjx`") as refusal:
         MjxEngine(path)
     assert "engine `native`" in str(refusal.value)
-
-
-def test_fields_change_the_dynamics_and_what_follows_from_them(x64: None) -> None:
-    fields, models = masses(load_model("wheeled"))
-    chosen = [0, 3, 7, 11]
-    fields = {name: values[chosen] for name, values in fields.items()}
-    models = [models[index] for index in chosen]
-    for model in models:
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    engine, (qpos, qvel, control) = MjxEngine("wheeled"), WHEELED
-    state, readings = quickly(engine.initial)(
-        jnp.asarray(qpos), jnp.asarray(qvel), engine.dynamics(fields)
-    )
-    step, got = quickly(engine.step), [readings]
-    for row in control[:10]:
-        state, readings = step(state, jnp.asarray(row))
-        got.append(readings)
-    expected = plain_episodes(models, qpos, qvel, control[:10], ("qpos", "qvel"))
-    for one, other in zip(got, expected, strict=True):
-        np.testing.assert_allclose(one["qpos"], other["qpos"], atol=1e-6)
-    # So that the comparison means something: the same start without the fields ends elsewhere.
-    own = plain_episodes([load_model("wheeled")] * 4, qpos, qvel, control[:10], ("qpos", "qvel"))
-    assert np.abs(own[-1]["qvel"] - expected[-1]["qvel"]).max() > 0.01
-    assert {name for name in engine.dynamics(fields) if "invweight0" in name}
 
 
 def test_fields_that_cannot_differ_are_refused_by_name() -> None:
@@ -172,20 +52,3 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(EngineError, match=r"pip install -e '\.\[gpu\]'"):
         MjxEngine("wheeled")
-
-
-def test_importing_the_library_does_not_import_mjx() -> None:
-    import subprocess
-    import sys
-
-    code = "import sys, maesn.api, maesn.worlds; sys.exit('mujoco.mjx' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_limits_leave_contacts_out_that_nothing_needs(x64: None) -> None:
-    # The car never reaches the floor: its wheels hold it up. Newton's method needs few steps.
-    engine = MjxEngine("wheeled", limits=MjxLimits(20, 20, untouched=("car",)))
-    errors = one_step_errors(engine, "wheeled", *WHEELED)
-    assert errors["qvel"].max() < 1e-4
-    state, _ = jax.eval_shape(engine.initial, *(jnp.zeros(6),) * 2, {})
-    assert len(state.data._impl.contact.dist) == 6

@@ -67,33 +67,31 @@ def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
     assert sum(map(len, files(TRAINED / name).values())) < LARGEST
 
 
-@pytest.mark.parametrize("name", POLICIES)
-def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, folder: Path) -> None:
+def test_one_adapts_to_tasks_that_it_has_not_seen(folder: Path) -> None:
+    """`tests/long` has all of them."""
     installed = files(TRAINED)
-    family = Run.open(find_run(name)).family
-    tasks = family.task_set("test", 20).tasks
-    leaves = tasks if isinstance(tasks, tuple) else (tasks,)
-    np.savez("twenty.npz", **dict(zip(family.task_names, leaves, strict=True)))
+    np.savez("twenty.npz", goal=find_family("wheeled").task_set("test", 20).tasks)
     options = ["--tasks", "twenty.npz", "--episodes", "60", "--episodes-per-update", "20"]
-    assert cli.run(["adapt", name, *options]) == 0
-    (table,) = (folder / f"maesn-{name}" / "adaptation").glob("file-twenty-*-sparse.csv")
+    assert cli.run(["adapt", "wheeled", *options]) == 0
+    (table,) = (folder / "maesn-wheeled" / "adaptation").glob("file-twenty-*-sparse.csv")
     rows = np.genfromtxt(table, delimiter=",", names=True)
-    before, after = (rows["mean_return"][rows["update"] == update].reshape(20) for update in (0, 3))
+    before, after = (rows["mean_return"][rows["update"] == update] for update in (0, 3))
     gain = after - before
     # Better by more than four standard errors of the mean over tasks.
     assert gain.mean() > 4 * gain.std(ddof=1) / np.sqrt(len(gain))
     assert files(TRAINED) == installed
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_one_can_be_drawn_and_filmed_by_its_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-blockpush")
-    api.adapt("blockpush", few)
-    for path in api.plot(["blockpush"]):
+    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-wheeled")
+    api.adapt("wheeled", few)
+    for path in api.plot(["wheeled"]):
         assert path.parent == copy / "figures"
-    pictures = drawn(lambda: film.render("blockpush", few, after=[0], shown=1))
+    pictures = drawn(lambda: film.render("wheeled", few, after=[0], shown=1))
     parents = {path.parent for path in pictures or []}
     assert parents == ({copy / "render"} if can_draw() else set())
 

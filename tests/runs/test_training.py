@@ -72,7 +72,8 @@ def events(run: Run) -> dict[str, list[tuple[int, float]]]:
 
 
 def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
-    run = create(tmp_path / "run", tiny_maesn(), iterations=2)
+    # Of a size that no other test has, so that it is compiled here.
+    run = create(tmp_path / "run", tiny_maesn(policy=GaussianMLP((7,))), iterations=2)
     first, second = train(run)
     steps = 2 * 4 * 3 * 40  # two collections of four tasks, three episodes, forty steps
     assert (first.environment_steps, second.environment_steps) == (steps, 2 * steps)

@@ -14,8 +14,9 @@ from maesn.runs.config import RunSettings
 from maesn.runtime import Explorer
 from maesn.storage import RunError
 
-TINY: dict[str, Any] = {"meta_batch_size": 3, "policy": GaussianMLP(hidden_sizes=(8,))}
-SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=4)
+# As in `small_runs`, so that they share compiled programs.
+TINY: dict[str, Any] = {"meta_batch_size": 4, "policy": GaussianMLP(hidden_sizes=(8,))}
+SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=3)
 
 
 @pytest.fixture(scope="module")

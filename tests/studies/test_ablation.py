@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from small_runs import create, tensors
+from small_runs import create
 
 from maesn import api, cli
 from maesn.learners import AbstractMetaLearner, maesn, maesn_theta, maml, method_name, oracle
@@ -17,11 +17,16 @@ from maesn.runs.serialization import digest, from_json, to_json
 from maesn.studies.ablation import Ablation
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 
+pytestmark = pytest.mark.usefixtures("figures_unsaved")
+
 OPTIONS = [
     *("ablation", "--family", "point", "--iterations", "2", "--meta-batch-size", "3"),
     *("--episodes-per-task", "3", "--episodes-per-update", "3", "--num-tasks", "3"),
     *("--episodes", "3", "--radii", "0.8", "1.0", "--only", "maml_bias_only", "maesn_fixed_steps"),
 ]
+
+# One line that is not trained, at one radius.
+NOTHING = ["--iterations", "0", "--only", "maml_bias_only", "--radii", "1"]
 
 
 def seeds_in(table: Path) -> list[str]:
@@ -80,37 +85,11 @@ def test_lines_can_be_told_apart() -> None:
     assert len({(style.colour, style.line, style.marker) for style in styles}) == len(ABLATION)
 
 
-def test_the_whole_chain_and_how_it_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = [*OPTIONS, "--out", str(tmp_path)]
-    assert cli.run(command) == 0
-    for radius in ("0.8", "1"):
-        assert (tmp_path / f"radius-{radius}" / "comparison.png").stat().st_size > 5000
-        table = (tmp_path / f"radius-{radius}" / "table.csv").read_text()
-        assert len(table.splitlines()) == 1 + 2 * 3 * 2 + 2 * 3
-    assert "MAESN, fixed steps" in capsys.readouterr().out
-    run = tmp_path / "runs" / "maml_bias_only-seed-0"
-    checkpoints = [path.read_bytes() for path in Run.open(run).checkpoints()]
-    # A run that was stopped goes on, one that is finished does not; a new seed joins.
-    other = Run.open(tmp_path / "runs" / "maesn_fixed_steps-seed-0")
-    last = other.checkpoints()[-1]
-    finished = tensors(last)
-    last.unlink()
-    assert cli.run([*command, "--radii", "1.0"]) == 0
-    assert tensors(last) == finished
-    assert [path.read_bytes() for path in Run.open(run).checkpoints()] == checkpoints
-    assert "done before" in capsys.readouterr().out
-    assert cli.run([*command, "--radii", "1.0", "--training-seed", "1"]) == 0
-    table = (tmp_path / "radius-1" / "table.csv").read_text()
-    assert len(table.splitlines()) == 1 + 2 * 2 * 3 * 2 + 2 * 3
-
-
 def test_families_without_a_published_figure_keep_their_own_radius(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     begin = OPTIONS.index("--radii")
-    usual = [*OPTIONS[:begin], "--only", "maml_bias_only", "--out", str(tmp_path)]
+    usual = [*OPTIONS[:begin], *NOTHING[:-2], "--out", str(tmp_path)]
     assert cli.run(usual) == 0
     assert "Sparse reward, the family's own radius" in capsys.readouterr().out
     assert [path.name for path in tmp_path.glob("*radius*")] == ["own-radius"]
@@ -134,7 +113,7 @@ def test_wrong_options_get_a_sentence(
 def test_a_run_of_other_settings_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maesn"]
+    short = [*OPTIONS, "--out", str(tmp_path), *NOTHING]
     assert cli.run(short) == 0
     capsys.readouterr()
     assert cli.run([*short, "--episodes-per-task", "4"]) == cli.USAGE_ERROR
@@ -146,14 +125,14 @@ def test_a_run_of_other_settings_is_refused(
 def test_seeds_that_would_join_must_have_been_trained_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maesn"]
+    short = [*OPTIONS, "--out", str(tmp_path), *NOTHING]
     assert cli.run([*short, "--training-seed", "1", "--meta-batch-size", "4"]) == 0
     capsys.readouterr()
     assert cli.run(short) == cli.USAGE_ERROR
     error = capsys.readouterr().err
-    assert "maesn-seed-1` was begun with other settings of its learner" in error
+    assert "maml_bias_only-seed-1` was begun with other settings of its learner" in error
     # It is said before anything is trained.
-    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["maesn-seed-1"]
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["maml_bias_only-seed-1"]
 
 
 @pytest.mark.parametrize(
@@ -177,7 +156,7 @@ def test_what_could_not_be_compared_is_refused_before_anything_is_trained(
 def test_copies_of_a_run_do_not_join_and_other_names_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maml_bias_only"]
+    short = [*OPTIONS, "--out", str(tmp_path), *NOTHING]
     assert cli.run(short) == 0
     run = tmp_path / "runs" / "maml_bias_only-seed-0"
     for copy in (f"{run.name}-old", f"{run.name}-old-seed-0"):
@@ -206,7 +185,7 @@ def test_unfinished_runs_of_other_seeds_are_left_out_and_named(
 def test_a_run_that_was_trained_for_longer_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    short = [*OPTIONS, "--out", str(tmp_path), "--iterations", "0", "--only", "maml_bias_only"]
+    short = [*OPTIONS, "--out", str(tmp_path), *NOTHING]
     assert cli.run(short) == 0
     api.resume(tmp_path / "runs" / "maml_bias_only-seed-0", 1)
     capsys.readouterr()

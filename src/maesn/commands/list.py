@@ -5,7 +5,7 @@ from typing import Any
 
 from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
-from maesn.evaluation.rules import BONUSES, RULES, THEN
+from maesn.evaluation.naming import BONUSES, RULES, THEN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.serialization import TAG, fields_to_json, leaves

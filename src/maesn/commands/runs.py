@@ -8,9 +8,11 @@ from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation.film import render as render_run
 from maesn.evaluation.running import AnyFamily
+from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
 from maesn.report import print_adaptation_summary
+from maesn.report.tables import print_side_by_side
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
@@ -59,6 +61,7 @@ def _print_all(paths: list[Path]) -> None:
 adapt = command(api.adapt, _say_adapted)
 plot = command(api.plot, _print_all)
 export = command(api.export, print)
+prior = command(api.prior, print)
 render = command(render_run, _print_all)
 
 
@@ -80,10 +83,11 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     else:
         api.train(recommended("maesn", settings.family), settings, run)
     print("2. it adapts to 100 unseen goals, which it does not see, on sparse reward")
-    done = api.adapt(run)
-    print_adaptation_summary(done.table)
-    reached = (done.curves.success_rate[:, 0] > 0).mean()
-    print(f"goals reached by some of 50 episodes before any adaptation: {reached:.0%}")
+    gradient = api.adapt(run)
+    api.prior(run)
+    search = api.adapt(run, rule=SearchRule())
+    tables = {"policy gradient": gradient.table, "search": search.table}
+    print_side_by_side(tables, "Return in 100 new tasks, by episodes in each of them")
     print("3. figures")
     _print_all(api.plot([run]))
 

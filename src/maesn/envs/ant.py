@@ -131,12 +131,21 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
     def _goal_reward(self, readings: Readings, goal: Goal) -> Float[Array, ""]:
         way = _centre(readings) - goal
         if self.variant == "paper":
-            distance, far, dense_bonus = jnp.linalg.norm(way), jnp.asarray(C_MAX), 0.0
+            distance, dense_bonus = jnp.linalg.norm(way), 0.0
         else:
-            distance, far, dense_bonus = jnp.abs(way).sum(), jnp.abs(goal).sum(), BONUS
+            distance, dense_bonus = jnp.abs(way).sum(), BONUS
         if self.reward_kind == "dense":
             return dense_bonus - distance
-        return BONUS - jnp.where(self.solved(readings, goal), distance, far)
+        near = self.solved(readings, goal)
+        return jnp.where(near, BONUS - distance, self.far_reward(goal))
+
+    def situation(self, task: Goal) -> tuple[()]:
+        """Return nothing: the goal decides the reward alone."""
+        return ()
+
+    def far_reward(self, task: Goal) -> Float[Array, ""]:
+        far = C_MAX if self.variant == "paper" else jnp.abs(task).sum()
+        return jnp.asarray(BONUS - far)
 
     @property
     def uninformative_reward(self) -> float:

@@ -126,6 +126,18 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Goal part of the sparse reward that a policy with rewards as inputs sees far away."""
         return 0.0
 
+    def far_reward(self, task: Task) -> Float[Array, ""]:
+        """Return the goal part of the sparse reward outside of the radius; NaN if not known."""
+        return jnp.full((), jnp.nan)
+
+    def situation(self, task: Task) -> Any:
+        """Return what of a task an episode depends on; the rest decides rewards alone.
+
+        All of it, unless the environment overrides it. A policy that sees neither task nor reward
+        plays the same episodes in tasks of one situation, so that each can be judged in all.
+        """
+        return task
+
     def observed_reward(
         self,
         kind: ObservedReward,

@@ -38,7 +38,7 @@ The goal lies in the same band of y as its block. So the variant `paper`, which 
 gives away which block is meant.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -134,10 +134,20 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         Dense, every distance is near; sparse, d > sparse_radius is far. The paper's form is that
         of its appendix "Reward Functions".
         """
-        far = C_MAX if self.variant == "paper" else jnp.linalg.norm(task.goal)
         distance = _distance(next_readings, task)
-        goal = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
+        goal = goal_reward(distance, self._far(task), self.reward_kind, self.sparse_radius)
         return Reward(self._scale * goal, jnp.zeros(()))
+
+    def _far(self, task: BlockPushTask) -> Float[Array, ""]:
+        paper = self.variant == "paper"
+        return jnp.asarray(-C_MAX) if paper else -jnp.linalg.norm(task.goal)
+
+    def far_reward(self, task: BlockPushTask) -> Float[Array, ""]:
+        return self._scale * self._far(task)
+
+    def situation(self, task: BlockPushTask) -> Any:
+        """Return the layout; in the variant `paper`, which shows the goal, the whole task."""
+        return task if self.variant == "paper" else task.layout
 
     @property
     def _scale(self) -> float:

@@ -53,13 +53,21 @@ class AbstractDriving(AbstractReaching):
         of its appendix "Reward Functions". The reference adds a control cost, and its constant far
         from the goal is the dense reward at the start, which differs from task to task.
         """
-        paper = self.variant == "paper"
-        far = self.c_max if paper else jnp.linalg.norm(task)
         distance = self.distance(next_readings, task)
-        goal = goal_reward(distance, -far, self.reward_kind, self.sparse_radius)
-        if paper:
+        far = self.far_reward(task)
+        goal = goal_reward(distance, far, self.reward_kind, self.sparse_radius)
+        if self.variant == "paper":
             return Reward(goal, jnp.zeros(()))
         return Reward(goal, -self.control_cost * jnp.sum(self.control(action) ** 2))
+
+    def situation(self, task: Goal) -> tuple[()]:
+        """Return nothing: the goal decides the reward alone."""
+        return ()
+
+    def far_reward(self, task: Goal) -> Float[Array, ""]:
+        if self.variant == "paper":
+            return jnp.asarray(-self.c_max)
+        return -jnp.linalg.norm(task)
 
     @property
     def uninformative_reward(self) -> float:

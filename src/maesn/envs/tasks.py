@@ -11,13 +11,14 @@ from jaxtyping import Array, Int
 
 from maesn.envs.base import AnyEnv
 
-SetName: TypeAlias = Literal["training", "validation", "test", "ood"]
+SetName: TypeAlias = Literal["training", "validation", "test", "ood", "final"]
 
-SETS: tuple[SetName, ...] = ("training", "validation", "test")
+SETS: tuple[SetName, ...] = ("training", "validation", "test", "final")
 """The disjoint sets that every family has, all of one distribution."""
 OUT_OF_DISTRIBUTION: SetName = "ood"
 """Tasks of a kind that training never shows; not every family has them."""
-NAMED_SETS: tuple[SetName, ...] = (*SETS, OUT_OF_DISTRIBUTION)
+NAMED_SETS: tuple[SetName, ...] = ("training", "validation", "test", OUT_OF_DISTRIBUTION, "final")
+"""The place of a name decides the set's random stream."""
 SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
 
 

@@ -1,6 +1,6 @@
 """Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -56,9 +56,10 @@ class AdaptationOutcome(NamedTuple):
     explored: AdaptationCurves
     """Of the episodes that were played after k updates and then learned from."""
     deployed: AdaptationCurves | None
-    """Of fresh episodes of the deployed agent after k updates; None if none were asked for."""
+    """Of fresh episodes of the deployed agent after k updates, NaN where it was not judged; None if
+    none were asked for."""
     contexts: Any
-    """Contexts of the exploring agents, `[task, update, ...]`; as `Agents.context`."""
+    """What was adapted, `[task, update, ...]`: `AbstractFastLearner.adapted`."""
     first_update: int
     """Number of updates that lie before the first column."""
     episodes_per_update: int
@@ -78,6 +79,7 @@ def adapt(
     *,
     episodes: int = 500,
     deploy: Collect | None = None,
+    deploy_after: Collection[int] = (),
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
     saved: SavedContexts | None = None,
@@ -90,6 +92,7 @@ def adapt(
         collect: plays the episodes of each task that an update learns from.
         episodes: of each task, in all: a multiple of `collect.episodes_per_task`.
         deploy: plays the fresh episodes that judge the deployed agents; None for none.
+        deploy_after: numbers of episodes after which it does; none for after every update.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
         chunk_size: number of tasks that advance together; bounds the memory.
         saved: contexts of all tasks of the set to go on from, with the same episodes as if there
@@ -103,8 +106,9 @@ def adapt(
     chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
     first = 0 if saved is None else saved.updates
     updates = range(first, first + episodes // collect.episodes_per_task + 1)
+    judged = {count // collect.episodes_per_task for count in deploy_after} or set(updates)
     parts = [
-        _adapt_chunk(learner, collect, deploy, slots, updates, seed, saved)
+        _adapt_chunk(learner, collect, deploy, judged, slots, updates, seed, saved)
         for slots in _chunks(chosen, chunk_size)
     ]
     explored, deployed, contexts = jax.tree.map(
@@ -120,6 +124,7 @@ def _adapt_chunk(
     learner: AbstractFastLearner[Any],
     collect: Collect,
     deploy: Collect | None,
+    judged: Collection[int],
     slots: np.ndarray,
     updates: range,
     seed: int,
@@ -139,13 +144,17 @@ def _adapt_chunk(
     columns = []
     for update in updates:
         keys = _task_keys(seed, update, slots)
-        judged = None
-        if deploy is not None:
-            fresh = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, np.uint32(_DEPLOYED))
-            judged = measure(play(deploy, "deploy", fresh, update))
+        fresh = None
+        if deploy is not None and update in judged:
+            deploy_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(
+                keys, np.uint32(_DEPLOYED)
+            )
+            fresh = measure(play(deploy, "deploy", deploy_keys, update))
         explored = play(collect, "explore", keys, update)
-        column = measure(explored), judged, learner.agents(state).context
-        columns.append(jax.tree.map(np.asarray, column))
+        column = measure(explored)
+        if deploy is not None and fresh is None:
+            fresh = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), column)
+        columns.append(jax.tree.map(np.asarray, (column, fresh, learner.adapted(state))))
         if update < updates[-1]:
             state = learner.update(state, explored)
     stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
@@ -196,6 +205,8 @@ def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
         measures = {name: np.asarray(values, np.float32) for name, values in vars(curves).items()}
         for task, column in np.ndindex(curves.mean_return.shape):
             update = outcome.first_update + column
+            if np.isnan(measures["mean_return"][task, column]):
+                continue  # not judged
             yield {
                 "task": task,
                 "update": update,

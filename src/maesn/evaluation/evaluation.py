@@ -7,7 +7,14 @@ from typing import Annotated, Any
 import tyro
 
 from maesn.envs import AnyEnv, RewardKind
-from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained, default_rule
+from maesn.evaluation.rules import (
+    GRADIENT_BUDGET,
+    AbstractRule,
+    AbstractWrapper,
+    Budget,
+    Trained,
+    default_rule,
+)
 from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
@@ -22,8 +29,8 @@ class Evaluation:
     """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
 
     tasks: str = "test"
-    """test (report on these), validation (choose on these), training, ood (unlike all of these), or
-    the path of an `.npz` file."""
+    """test (report on these), validation (choose on these), training, ood (unlike all of these),
+    final (for a last look, when all is chosen), or the path of an `.npz` file."""
     num_tasks: int | None = None
     """The first so many of them; None: all."""
     reward: RewardKind = "sparse"
@@ -32,14 +39,19 @@ class Evaluation:
     """What happens in a new task; None: what the method prescribes."""
     wrappers: Annotated[tuple[AbstractWrapper, ...], tyro.conf.Suppress] = ()
     """What is added to the rule, such as fine-tuning or a bonus."""
-    episodes: int = 500
-    """Episodes of each task that are learned from."""
-    episodes_per_update: int = 50
-    """Episodes of each task that an update learns from. A policy that remembers earlier episodes,
-    as that of `rl2`, plays as many trials side by side, one episode of each between two updates."""
-    deploy_episodes: int = 0
-    """Fresh episodes of each task that judge the deployed agent after every update. They are not
-    learned from. 0: the paper's procedure, which judges by the episodes that are learned from."""
+    episodes: int | None = None
+    """Episodes of each task that are learned from; None: as many as the rule usually has, 500, or
+    20 of a search."""
+    episodes_per_update: int | None = None
+    """Episodes of each task that an update learns from; None: 50, or 1 of a search. A policy that
+    remembers earlier episodes, as that of `rl2`, plays as many trials side by side, one episode of
+    each between two updates."""
+    deploy_episodes: int | None = None
+    """Fresh episodes of each task that judge the deployed agent and are not learned from; None: 0,
+    or 5 of a search. 0: the paper's procedure, which judges by the episodes that are learned
+    from."""
+    deploy_after: tuple[int, ...] = ()
+    """Numbers of episodes after which the deployed agent is judged; none: after every update."""
     seed: int = 0
     """Of the episodes."""
     sparse_radius: float | None = None
@@ -62,13 +74,23 @@ class Evaluation:
             num_threads=0,
             tasks_at_once=1,
         )
-        if self.episodes % self.episodes_per_update:
+        budget = self.budget
+        if budget.episodes % budget.per_update:
             raise ValueError(
-                f"`episodes` must be a multiple of `episodes_per_update`, got {self.episodes} and "
-                f"{self.episodes_per_update}."
+                f"`episodes` must be a multiple of `episodes_per_update`, got {budget.episodes} "
+                f"and {budget.per_update}."
             )
+        reached = range(0, budget.episodes + 1, budget.per_update)
+        if not set(self.deploy_after) <= set(reached):
+            raise ValueError(
+                "`deploy_after` must be numbers of episodes, multiples of `episodes_per_update`, "
+                f"{budget.per_update}, up to `episodes`, {budget.episodes}, got "
+                f"{list(self.deploy_after)}."
+            )
+        if self.rule is not None:
+            self.rule.check_budget(budget.episodes, budget.per_update)
         for wrapper in self.wrappers:
-            wrapper.check_budget(self.episodes, self.episodes_per_update)
+            wrapper.check_budget(budget.episodes, budget.per_update)
 
     def changed(self, **settings: Any) -> "Evaluation":
         """Return the evaluation with some settings changed; `RunError` if they cannot be."""
@@ -80,9 +102,11 @@ class Evaluation:
             return dataclasses.replace(self, **settings)
 
     @property
-    def updates(self) -> int:
-        """Number of updates."""
-        return self.episodes // self.episodes_per_update
+    def budget(self) -> Budget:
+        """The numbers of episodes, with those that the rule usually has where none are given."""
+        usual = GRADIENT_BUDGET if self.rule is None else self.rule.budget
+        given = (self.episodes, self.episodes_per_update, self.deploy_episodes)
+        return Budget(*(u if g is None else g for u, g in zip(usual, given, strict=True)))
 
     def count(self, tasks: Sized) -> int:
         """Return how many tasks of a set are adapted to: the first ones."""
@@ -124,14 +148,15 @@ class Evaluation:
     def _check_fit(self, learner: AbstractFastLearner[Any]) -> None:
         """Refuse budgets that the learner can do nothing with."""
         capabilities = learner.capabilities
-        if self.updates:
-            capabilities.check_episodes(self.episodes_per_update)
+        budget = self.budget
+        if budget.episodes:
+            capabilities.check_episodes(budget.per_update)
         trials = capabilities.trial_episodes is not None
-        if trials and self.deploy_episodes not in (0, self.episodes_per_update):
+        if trials and budget.deploy not in (0, budget.per_update):
             raise ValueError(
                 "`deploy_episodes` must be 0 or equal `episodes_per_update` for a policy that "
-                f"remembers earlier episodes, got {self.deploy_episodes} and "
-                f"{self.episodes_per_update}: each trial goes on with an episode of its own."
+                f"remembers earlier episodes, got {budget.deploy} and {budget.per_update}: each "
+                "trial goes on with an episode of its own."
             )
 
 

@@ -66,11 +66,9 @@ def render(
     """
     run, asked = running.open_run(run, family), evaluation
     updates = _updates(sorted(set(after)), asked)
-    if not 1 <= shown <= asked.episodes_per_update:
-        raise RunError(
-            f"`shown` must be from 1 to `episodes_per_update`, {asked.episodes_per_update}, got "
-            f"{shown}."
-        )
+    each = asked.budget.per_update
+    if not 1 <= shown <= each:
+        raise RunError(f"`shown` must be from 1 to `episodes_per_update`, {each}, got {shown}.")
     with running.new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
@@ -81,7 +79,7 @@ def render(
         goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
     with closing(_Stage(env, goal, played, stride)) as stage:
-        rows = [stage.row(playback, asked.episodes_per_update) for playback in played]
+        rows = [stage.row(playback, each) for playback in played]
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
@@ -96,7 +94,7 @@ def render(
 
 def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
     """Return the numbers of updates that lie behind numbers of episodes, ascending."""
-    each, most = evaluation.episodes_per_update, evaluation.episodes
+    each, most = evaluation.budget.per_update, evaluation.budget.episodes
     if not after or after[0] < 0 or after[-1] > most or any(count % each for count in after):
         raise RunError(
             "`after` must be numbers of episodes, multiples of `episodes_per_update`, "
@@ -142,7 +140,7 @@ def record_adaptation(
             states = jax.tree.map(lambda x: np.asarray(x[:, :shown]), readings)
             kept.append((states, *_of_each(episodes, shown)))
 
-    each = evaluation.episodes_per_update
+    each = evaluation.budget.per_update
     curves = adapt(
         learner,
         Collector(world, each, keep),

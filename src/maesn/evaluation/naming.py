@@ -4,15 +4,34 @@ from collections.abc import Mapping
 from typing import Any
 
 from maesn.evaluation.rules import (
-    BONUSES,
-    RULES,
-    THEN,
     AbstractRule,
+    AbstractThen,
     AbstractWrapper,
+    GradientRule,
+    MemoryRule,
+    NoAdaptation,
+    ThenReinforce,
+    ThenTrpo,
+    VimeBonus,
 )
+from maesn.evaluation.search import SearchRule
 from maesn.runs.serialization import fields_to_json, replaced, values_of_words
 from maesn.runs.sources import imported
 from maesn.storage import RunError, refusals
+
+RULES: dict[str, type[AbstractRule]] = {
+    "gradient": GradientRule,
+    "search": SearchRule,
+    "memory": MemoryRule,
+    "none": NoAdaptation,
+}
+"""The rules that come with the library, by name."""
+
+THEN: dict[str, type[AbstractThen]] = {"trpo": ThenTrpo, "reinforce": ThenReinforce}
+"""Ways to fine-tune a policy, by name."""
+
+BONUSES: dict[str, type[AbstractWrapper]] = {"vime": VimeBonus}
+"""Bonuses, by name."""
 
 
 def rule_from_text(text: str) -> AbstractRule:

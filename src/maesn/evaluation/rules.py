@@ -7,8 +7,9 @@ class of your own takes part like those below, given as an object or as `module:
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 
@@ -31,6 +32,7 @@ from maesn.learners import (
 )
 from maesn.learners.scratch.policy_gradient import TRPO
 from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.runtime.return_model import ReturnPrior
 
 
 class Trained(NamedTuple):
@@ -40,14 +42,34 @@ class Trained(NamedTuple):
     """The method and its settings."""
     state: Any
     """What it has learned."""
+    return_prior: Callable[[str, bool], ReturnPrior] | None = None
+    """Returns the prior of a search: that of a file, or the run's own for an empty name; and
+    whether it may have been made for another reward. None where there is no run."""
 
     def fast_learner(self) -> AbstractFastLearner[Any]:
         """Return the learner of new tasks that the method itself prescribes."""
         return self.learner.fast_learner(self.state)
 
 
+class Budget(NamedTuple):
+    """Numbers of episodes of each task."""
+
+    episodes: int
+    """That are learned from, in all."""
+    per_update: int
+    """That an update learns from."""
+    deploy: int
+    """That judge the deployed agent at a time."""
+
+
+GRADIENT_BUDGET = Budget(500, 50, 0)  # the paper's: ten updates of fifty episodes
+
+
 class AbstractRule(eqx.Module):
     """What happens in a new task."""
+
+    budget: ClassVar[Budget] = GRADIENT_BUDGET
+    """What is usual where an evaluation leaves numbers of episodes out."""
 
     @abstractmethod
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
@@ -60,6 +82,9 @@ class AbstractRule(eqx.Module):
         Raises:
             ValueError: the rule needs something that was not trained.
         """
+
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        """Refuse numbers of episodes with which the rule can do nothing, by a ValueError."""
 
     @property
     def label(self) -> str:
@@ -282,17 +307,3 @@ def default_rule(trained: Trained) -> AbstractRule:
     if capabilities.trial_episodes is not None:
         return MemoryRule()
     return GradientRule() if capabilities.learns_from_reward else NoAdaptation()
-
-
-RULES: dict[str, type[AbstractRule]] = {
-    "gradient": GradientRule,
-    "memory": MemoryRule,
-    "none": NoAdaptation,
-}
-"""The rules that come with the library, by name."""
-
-THEN: dict[str, type[AbstractThen]] = {"trpo": ThenTrpo, "reinforce": ThenReinforce}
-"""Ways to fine-tune a policy, by name."""
-
-BONUSES: dict[str, type[AbstractWrapper]] = {"vime": VimeBonus}
-"""Bonuses, by name."""

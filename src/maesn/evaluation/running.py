@@ -3,8 +3,10 @@
 The types of arguments say as well how the command line reads them.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -17,13 +19,14 @@ from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.evaluation.record import adaptation_record, identity_of_run
-from maesn.evaluation.rules import Trained
+from maesn.evaluation.rules import AbstractRule, Trained
 from maesn.evaluation.tables import read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
-from maesn.storage import RunError
+from maesn.search.stored import find_prior
+from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -47,8 +50,29 @@ AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
 """A user's own family or its `module:name`; None for one that comes with the library."""
 
 
+AnyRule: TypeAlias = Annotated[
+    AbstractRule | None,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="RULE",
+        instance_from_str=lambda words: rule_from_text(" ".join(words)) if words else None,
+        is_instance=lambda _: True,
+        str_from_instance=lambda rule: [] if rule is None else [rule.label],
+    ),
+]
+"""A rule, or on the command line its name and its settings."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Options(Evaluation):
+    """Options of the command line, to be checked when rule and wrappers are known as well."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
 def evaluation_from_text(
-    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")],
+    options: Annotated[_Options, tyro.conf.arg(name="")],
     rule: tuple[str, ...] = (),
     then: tuple[str, ...] = (),
     bonus: tuple[str, ...] = (),
@@ -56,10 +80,10 @@ def evaluation_from_text(
     """Return an evaluation with rule and wrappers that are given as words.
 
     Args:
-        evaluation: all else.
-        rule: What happens in a new task: gradient, memory or none, or `module:name` of your own;
-            behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the method
-            prescribes. `maesn list` has all settings.
+        options: all else.
+        rule: What happens in a new task: gradient, search, memory or none, or `module:name` of your
+            own; behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the
+            method prescribes. `maesn list` has all settings.
         then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
             trpo after=500 max_kl=0.01`. Left out: they stay.
         bonus: A bonus on the rewards that are learned from, as in `--bonus vime
@@ -68,7 +92,8 @@ def evaluation_from_text(
     wrappers = [then_from_text(" ".join(then))] if then else []
     wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []
     chosen = rule_from_text(" ".join(rule)) if rule else None
-    return evaluation.changed(rule=chosen, wrappers=tuple(wrappers))
+    with refusals():
+        return Evaluation(**vars(options) | {"rule": chosen, "wrappers": tuple(wrappers)})
 
 
 AnyEvaluation: TypeAlias = Annotated[
@@ -94,8 +119,9 @@ def new_tasks(
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        trained = Trained(run.learner, run.latest_state())
-        check_policy(run.learner, trained.state, world.env)
+        state = run.latest_state()
+        check_policy(run.learner, state, world.env)
+        trained = Trained(run.learner, state, partial(find_prior, run, state, world))
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
@@ -107,17 +133,18 @@ def evaluate(
     Returns:
         The outcome, and the record of what decides it.
     """
-    judged = evaluation.deploy_episodes
+    budget = evaluation.budget
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(
             learner,
-            Collector(world, evaluation.episodes_per_update),
-            episodes=evaluation.episodes,
-            deploy=Collector(world, judged) if judged else None,
+            Collector(world, budget.per_update),
+            episodes=budget.episodes,
+            deploy=Collector(world, budget.deploy) if budget.deploy else None,
+            deploy_after=evaluation.deploy_after,
             seed=evaluation.seed,
             chunk_size=tasks_at_once(
                 world.max_simulations,
-                max(evaluation.episodes_per_update, judged),
+                max(budget.per_update, budget.deploy),
                 evaluation.tasks_at_once,
             ),
             saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),

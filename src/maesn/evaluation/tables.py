@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import AbstractContext, Latent
+from maesn.envs import NAMED_SETS
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.report.reading import LATENTS, RECORD, TableName
@@ -22,9 +23,6 @@ from maesn.storage import (
     write_json,
     write_whole,
 )
-
-# Names of task sets; anything else is a file.
-_TASK_SETS = ("test", "validation", "training", "ood")
 
 
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
@@ -40,7 +38,7 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
         RunError: the file of tasks cannot be read.
     """
     tasks = evaluation.tasks
-    name = tasks if tasks in _TASK_SETS else _name_of_file(Path(tasks))
+    name = tasks if tasks in NAMED_SETS else _name_of_file(Path(tasks))
     start = f"from-{first_update}-" if first_update else ""
     parts = {
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,

@@ -102,6 +102,10 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
             ValueError: there are fewer than `capabilities.least_episodes` of each task.
         """
 
+    def adapted(self, state: FastState) -> AbstractContext:
+        """Return the contexts so far, one per task, stacked: those of the exploring agents."""
+        return self.agents(state).context
+
     @property
     def capabilities(self) -> Capabilities:
         """What this learner can do."""

@@ -67,8 +67,8 @@ class AdaptationTable:
     final_success_rate: Curves
     time_in_region: Curves
     solved_at_reset: Curves
-    explored_success_rate: Curves
-    """`success_rate` of the episodes that were learned from."""
+    explored_success_rate: Float[np.ndarray, "task explored"]
+    """`success_rate` of the episodes that were learned from, after every update."""
     explored_episodes: int | None = None
     """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None

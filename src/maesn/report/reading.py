@@ -74,7 +74,7 @@ def read_adaptation(path: Path) -> table.AdaptationTable:
     purpose = table.DEPLOY if is_deployed else table.EXPLORE
     explored, judged = (_grids(columns, one, path) for one in (table.EXPLORE, purpose))
     episodes = judged["episodes"]
-    if judged["update"].shape != explored["update"].shape or (episodes != episodes[:1]).any():
+    if len(judged["task"]) != len(explored["task"]) or (episodes != episodes[:1]).any():
         what = f"the same `update` and `episodes` for every task and purpose in `{path}`"
         raise _broken(path, what, "different ones")
     name = table_name(path)
@@ -126,7 +126,9 @@ def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[
     updates, num_tasks = np.unique(rows["update"]), len(np.unique(rows["task"]))
     expected = [np.repeat(np.arange(num_tasks), len(updates)), np.tile(updates, num_tasks)]
     found = [rows["task"][order], rows["update"][order]]
-    if not len(order) or not np.array_equal(found, expected) or (np.diff(updates) != 1).any():
+    # A deployed agent need not be judged after every update.
+    gaps = purpose == table.EXPLORE and (np.diff(updates) != 1).any()
+    if not len(order) or not np.array_equal(found, expected) or gaps:
         what = (
             f"one row of purpose {purpose} for each task and update in `{path}`, tasks 0 to "
             f"{num_tasks - 1} and {len(updates)} updates"

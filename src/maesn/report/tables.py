@@ -18,6 +18,7 @@ from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
+_SHOWN_EPISODES = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)  # about equal steps of their logarithm
 WITHOUT_SOLVED = "without tasks solved at reset"
 
 
@@ -174,6 +175,26 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
             "adaptation had nothing to learn from.",
             highlight=False,
         )
+
+
+def print_side_by_side(
+    paths: Mapping[str, Path], title: str, console: Console | None = None
+) -> None:
+    """Show tables of `maesn adapt` by name, at numbers of episodes from 0 to the last."""
+    rows = []
+    for name, path in paths.items():
+        found = read_adaptation(path)
+        for column, episodes in enumerate(found.episodes):
+            if episodes in _SHOWN_EPISODES or column == len(found.episodes) - 1:
+                cells = [
+                    UNITS[measure].text(
+                        mean_intervals(data.stack_seeds([found], measure))[column], brief=True
+                    )
+                    for measure in ("mean_return", "success_rate")
+                ]
+                rows.append((name, str(episodes), *cells))
+    headings = ("rule", "episodes", *(UNITS[m].heading for m in ("mean_return", "success_rate")))
+    print_tables([TextTable(title, headings, tuple(rows), is_named=True)], console)
 
 
 def _task_table(table: AdaptationTable) -> TextTable:

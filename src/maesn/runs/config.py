@@ -48,7 +48,7 @@ class RunSettings:
     """Metres around the goal in which sparse reward depends on the distance; None: the family's
     own."""
     tasks: str = "training"
-    """Tasks to train on: training, validation, test, ood, or the path of an `.npz` file."""
+    """Tasks to train on: training, validation, test, ood, final, or the path of an `.npz` file."""
     seed: int = 0
     """Every random draw of the run follows from this number."""
     iterations: int = 300

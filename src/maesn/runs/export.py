@@ -17,6 +17,9 @@ from maesn.policies import GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
+from maesn.runtime.exported_search import ExportedSearch
+from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.search import SearchSettings
 from maesn.runtime.storage import Snapshot, write_snapshot
 
 # An action far outside of every range: the control that it leads to is a limit. What grows with
@@ -37,6 +40,7 @@ def exported_policy(
     env: AnyEnv,
     description: Mapping[str, str | int | float] = MappingProxyType({}),
     start: tuple[Latent, int] | None = None,
+    search: tuple[ReturnPrior, SearchSettings] | None = None,
 ) -> ExportedPolicy:
     """Return a fast learner as arrays for the runtime.
 
@@ -47,6 +51,7 @@ def exported_policy(
             iteration. Family, horizon and control period are added.
         start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
             it, which the step sizes go on from; None for the prior.
+        search: with what prior and how a robot searches; None to follow the policy gradient.
 
     Raises:
         ValueError: the runtime cannot learn as this learner does, or a number is not finite.
@@ -86,6 +91,7 @@ def exported_policy(
             "maesn_version": __version__,
             **description,
         },
+        search=None if search is None else ExportedSearch(*search, env.horizon),
     )
     for name, array in exported.arrays().items():
         if not (name.startswith("actuators.") or np.isfinite(array).all()):

@@ -130,8 +130,8 @@ class Run:
     def task_set(self, name: str | Path = "training") -> TaskSet:
         """Return tasks of the run's family.
 
-        `name` is `training` for what this run trains on, `validation`, `test` or `ood` for those
-        sets of the family, or the path of an `.npz` file.
+        `name` is `training` for what this run trains on, `validation`, `test`, `ood` or `final` for
+        those sets of the family, or the path of an `.npz` file.
         """
         return self.training_tasks if name == "training" else sources.find_tasks(name, self.family)
 

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +14,20 @@ from maesn.runtime.learning import AdaptationInfo, learned
 from maesn.runtime.limiter import Limiter
 from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
+from maesn.runtime.search import LatentSearch
 from maesn.runtime.state import ExplorerState
 from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
+
+
+class Beliefs(NamedTuple):
+    """What a search believes of the part of the return that depends on the latent."""
+
+    latents: FloatArray
+    """`[point, latent]`."""
+    mean: FloatArray
+    """Posterior mean, `[point]`."""
+    std: FloatArray
+    """Posterior standard deviation, `[point]`."""
 
 
 class Explorer:
@@ -23,6 +36,9 @@ class Explorer:
     A new task starts from the exported latent, usually the prior. At the start of every episode z
     is drawn from the present latent and kept until the end. `adapt` moves the latent along its
     policy gradient (section "Using the Latent Spaces for Exploration").
+
+    A policy that was exported with the rule `search` chooses z instead, by what `adapt` has learned
+    of the returns (`docs/methods/latent_search.md`): adapt after every episode.
 
     A method that raises has changed nothing: the call can be repeated with better arguments. Not
     to be shared between threads.
@@ -45,8 +61,7 @@ class Explorer:
         self.safeguards = Safeguards() if safeguards is None else safeguards
         self._limiter = Limiter(exported.actuators, self.safeguards)
         self._generator = np.random.default_rng(seed)
-        new_task = ExplorerState(exported.start, exported.start_update)
-        self._state = new_task if state is None else state
+        self._state = ExplorerState.new_task(exported) if state is None else state
         self._policy = self._conditioned()
 
     @staticmethod
@@ -102,6 +117,14 @@ class Explorer:
         return self._state.latent.std
 
     @property
+    def beliefs(self) -> Beliefs:
+        """What a search believes of the returns; raises RuntimeError where there is no search."""
+        search = self._state.search
+        if search is None:
+            raise RuntimeError("`beliefs` are those of a search: export with the rule `search`.")
+        return Beliefs(search.points.latents.copy(), search.posterior.mean, search.posterior.std)
+
+    @property
     def update(self) -> int:
         """Number of updates behind the latent: calls of `adapt`, and those before the export."""
         return self._state.update
@@ -143,7 +166,7 @@ class Explorer:
                 "`explore=False` holds z at the latent's mean, so that `z` cannot be chosen as "
                 "well: leave out one of them."
             )
-        self._state = replace(self._state, running=self._begun(explore, z))
+        self._state = self._begun(explore, z)
         self._policy = self._conditioned()
         return self._running("begin_episode").latent.copy()
 
@@ -251,16 +274,41 @@ class Explorer:
                 learn from, or the update is not finite. The episodes are kept.
         """
         self._refuse_if_running("adapt")
-        self._state, info = learned(self._state, self.exported.rule, self.safeguards)
+        search = self.exported.search
+        horizon = 1 if search is None else search.horizon
+        self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
 
-    def _begun(self, explore: bool, z: ArrayLike | None) -> RunningEpisode:
-        latent, size = self._state.latent, self.exported.latent_size
+    def _begun(self, explore: bool, z: ArrayLike | None) -> ExplorerState:
+        """Return the state with a new episode running."""
+        state, size = self._state, self.exported.latent_size
+        chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
+        if state.search is not None:
+            return self._search_begun(state, state.search, explore, chosen)
         if not explore:
-            return RunningEpisode(latent.mean.copy(), "deploy")
-        if z is not None:
-            return RunningEpisode(finite_vector("z", z, size, "as the policy's latent"))
-        return RunningEpisode(latent.draw(self._generator.standard_normal(size)))
+            return replace(state, running=RunningEpisode(state.latent.mean.copy(), "deploy"))
+        if chosen is None:
+            chosen = state.latent.draw(self._generator.standard_normal(size))
+        return replace(state, running=RunningEpisode(chosen))
+
+    def _search_begun(
+        self,
+        state: ExplorerState,
+        search: LatentSearch,
+        explore: bool,
+        chosen: FloatArray | None,
+    ) -> ExplorerState:
+        bound = self.safeguards.max_latent_norm
+        search = replace(search, max_norm=np.inf if bound is None else bound)
+        if not explore:
+            best = search.latent(search.best).copy()
+            return replace(state, running=RunningEpisode(best, "deploy"))
+        if chosen is None:
+            search, point = search.proposed(self._generator)
+            chosen = search.latent(point).copy()
+        else:
+            search = search.with_latent(chosen)
+        return replace(state, running=RunningEpisode(chosen), search=search)
 
     def _conditioned(self) -> ConditionedPolicy:
         running = self._state.running

@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from maesn.runtime.actuators import Actuators
 from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
+
+_SEARCH = "search"
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,7 @@ class ExportedPolicy:
         rule: how episodes move the latent.
         description: what the policy is for: family, horizon, control period and the like. Nothing
             depends on it.
+        search: how episodes choose the next latent instead, by a search; None for `rule`.
     """
 
     policy: GaussianPolicy
@@ -34,6 +38,7 @@ class ExportedPolicy:
     rule: LearningRule
     description: Mapping[str, str | int | float]
     start_update: int = 0
+    search: ExportedSearch | None = None
 
     @property
     def latent_size(self) -> int:
@@ -62,6 +67,7 @@ class ExportedPolicy:
             "start.log_std": self.start.log_std,
             "rule.mean_step": self.rule.mean_step,
             "rule.log_std_step": self.rule.log_std_step,
+            **({} if self.search is None else self.search.arrays()),
         }
 
     def metadata(self) -> dict[str, Any]:
@@ -77,6 +83,7 @@ class ExportedPolicy:
                 "discount": self.rule.discount,
                 "ridge": self.rule.ridge,
             },
+            **({} if self.search is None else {_SEARCH: self.search.metadata()}),
         }
 
     @staticmethod
@@ -108,6 +115,7 @@ class ExportedPolicy:
             ),
             description=entry(metadata, "description", dict),
             start_update=entry(metadata, "start_update", int),
+            search=_search(arrays, metadata, size),
         )
 
 
@@ -118,3 +126,11 @@ def _actuators(arrays: Mapping[str, NDArray[np.generic]], size: int) -> Actuator
         lower=take(arrays, "actuators.lower", size, allow_infinite=True),
         upper=take(arrays, "actuators.upper", size, allow_infinite=True),
     )
+
+
+def _search(
+    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
+) -> ExportedSearch | None:
+    if _SEARCH not in metadata:
+        return None
+    return ExportedSearch.from_archive(arrays, entry(metadata, _SEARCH, dict), size)

@@ -1,12 +1,15 @@
 """One update of the latent from a batch of episodes, with its safeguards."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from maesn.runtime.baseline import episode_advantages
 from maesn.runtime.latent import Latent, LearningRule
+from maesn.runtime.return_model import Reading
 from maesn.runtime.safeguards import Safeguards
+from maesn.runtime.search import LatentSearch
 from maesn.runtime.state import ExplorerState, Undo
 
 # One episode has no other to be better or worse than: its standardised advantage is 0.
@@ -27,7 +30,7 @@ class AdaptationInfo(NamedTuple):
 
 
 def learned(
-    state: ExplorerState, rule: LearningRule, safeguards: Safeguards
+    state: ExplorerState, rule: LearningRule, safeguards: Safeguards, horizon: int = 1
 ) -> tuple[ExplorerState, AdaptationInfo]:
     """Return the state after an update, without the episodes that led to it.
 
@@ -35,18 +38,23 @@ def learned(
         state: with the episodes to learn from, and none running.
         rule: how they move the latent.
         safeguards: bound on the latent, and when to take the last update back.
+        horizon: steps of an episode of full length, for a search.
 
     Raises:
         RuntimeError: too few episodes, or the update is not finite.
     """
     num_episodes = len(state.episodes)
-    if num_episodes < MINIMUM_EPISODES:
+    needed = MINIMUM_EPISODES if state.search is None else 1
+    if num_episodes < needed:
         raise RuntimeError(
-            f"`adapt` needs at least {MINIMUM_EPISODES} finished episodes to compare with each "
-            f"other, got {num_episodes}; play more with `begin_episode()`. Episodes that began "
-            "with `explore=False` are not learned from."
+            f"`adapt` needs at least {needed} finished episodes to learn from, got "
+            f"{num_episodes}; play more with `begin_episode()`. Episodes that began with "
+            "`explore=False` are not learned from."
         )
     mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
+    if state.search is not None:
+        searched = _searched(state, state.search, horizon)
+        return searched, AdaptationInfo(mean_return, num_episodes, False, False)
     if state.undo is not None and safeguards.is_drop(mean_return, state.undo.mean_return):
         restored = ExplorerState(state.undo.latent, state.update + 1)
         return restored, AdaptationInfo(mean_return, num_episodes, True, False)
@@ -56,6 +64,21 @@ def learned(
     undo = Undo(state.latent, mean_return)
     info = AdaptationInfo(mean_return, num_episodes, False, latent is not moved)
     return ExplorerState(latent, state.update + 1, undo=undo), info
+
+
+def _searched(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
+    """Return the state of a search after its episodes; its latent is what it would deploy."""
+    readings = [
+        Reading(
+            search.index(episode.latent),
+            episode.undiscounted_return,
+            len(episode.rewards) / horizon,
+        )
+        for episode in state.episodes
+    ]
+    found = search.after(readings)
+    latent = replace(state.latent, mean=found.latent(found.best))
+    return ExplorerState(latent, state.update + 1, search=found)
 
 
 def _moved(state: ExplorerState, rule: LearningRule) -> Latent:

@@ -18,6 +18,7 @@ from maesn.runtime.episode import (
 )
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.latent import Latent
+from maesn.runtime.search import LatentSearch
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class ExplorerState:
         episodes: finished since the last update, those to learn from.
         running: the episode that is being played, if any.
         undo: how to take the last update back; None if there is none to take back.
+        search: what a search knows; None where the latent follows its gradient.
     """
 
     latent: Latent
@@ -50,6 +52,15 @@ class ExplorerState:
     episodes: tuple[Episode, ...] = ()
     running: RunningEpisode | None = None
     undo: Undo | None = None
+    search: LatentSearch | None = None
+
+    @staticmethod
+    def new_task(exported: ExportedPolicy) -> "ExplorerState":
+        """Return the state at the start of a new task."""
+        search = None
+        if exported.search is not None:
+            search = LatentSearch.start(exported.search.model, exported.search.settings)
+        return ExplorerState(exported.start, exported.start_update, search=search)
 
     def arrays(self, exported: ExportedPolicy) -> Arrays:
         """Return the arrays that a file keeps of this state."""
@@ -64,7 +75,7 @@ class ExplorerState:
             kept["undo.mean"] = self.undo.latent.mean
             kept["undo.log_std"] = self.undo.latent.log_std
             kept["undo.mean_return"] = np.asarray(self.undo.mean_return)
-        return kept
+        return kept if self.search is None else kept | self.search.arrays()
 
     def metadata(self) -> dict[str, Any]:
         """Return the numbers that a file keeps beside the arrays."""
@@ -85,12 +96,14 @@ class ExplorerState:
             running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
         if "undo.mean" in arrays:
             undo = Undo(_latent(arrays, "undo", size), float(take(arrays, "undo.mean_return")))
+        search = ExplorerState.new_task(exported).search
         return ExplorerState(
             latent=_latent(arrays, "latent", size),
             update=entry(metadata, "update", int),
             episodes=episodes_from_arrays(arrays, *sizes),
             running=running,
             undo=undo,
+            search=None if search is None else search.repeated(arrays),
         )
 
 

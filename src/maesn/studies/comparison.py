@@ -172,7 +172,7 @@ def _lines_of_runs(
         method = members[0].settings.method
         line = partial(line_of_runs, series.name, series.style, members, world)
         rule = changes.rules.get(method)
-        episodes = world.evaluation.episodes if run_episodes is None else run_episodes
+        episodes = world.evaluation.budget.episodes if run_episodes is None else run_episodes
         lines.append(line(world.evaluation.changed(rule=rule, episodes=episodes)))
         if not changes.wrappers or (changes.twice and method not in changes.twice):
             continue
@@ -190,7 +190,7 @@ def _adapted(spec: LineSpec, world: ComparisonWorld, directory: Path, say: Say) 
     """Adapt the learners of a line, and read their curves."""
     evaluation, tables = world.evaluation, []
     for one in spec.learners:
-        updates = one.record["episodes"] // evaluation.episodes_per_update
+        updates = one.record["episodes"] // evaluation.budget.per_update
         table = read_adaptation(curves_of(one, world, directory, say))
         tables.append(
             dataclasses.replace(

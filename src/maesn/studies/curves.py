@@ -79,7 +79,7 @@ def _fits(record: Mapping[str, Any], earlier: Path) -> bool:
 def _cut(one: SeededLearner, world: ComparisonWorld) -> list[np.ndarray]:
     """Cut the tasks into chunks of nearly the same size, as large as may be."""
     asked = world.evaluation
-    played = max(asked.episodes_per_update, asked.deploy_episodes)
+    played = max(asked.budget.per_update, asked.budget.deploy)
     limit = tasks_at_once(world.world.max_simulations, played, asked.tasks_at_once)
     count = math.ceil(one.num_tasks / limit)
     return np.array_split(np.arange(one.num_tasks), count)

@@ -111,8 +111,8 @@ def comparison_world(
     tasks = find_tasks(evaluation.tasks, family)
     with refusals():
         world = make_world(env, tasks, settings.num_threads, settings.engine)
-    collect = Collector(world, evaluation.episodes_per_update)
-    judged = evaluation.deploy_episodes
+    collect = Collector(world, evaluation.budget.per_update)
+    judged = evaluation.budget.deploy
     deploy = Collector(world, judged) if judged else None
     return ComparisonWorld(settings, world, evaluation, collect, deploy)
 

@@ -4,14 +4,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from physics.accelerated import quickly
-from physics.test_mjx import ant_start
+from physics.robots import ants_near_the_ground
 
 from maesn.physics import load_model
 from maesn.physics.mjx import READABLE, MjxEngine
 
 
 def test_readings_are_those_of_mujoco(x64: None) -> None:
-    qpos, qvel = ant_start()
+    qpos, qvel = ants_near_the_ground()
     engine = MjxEngine("ant", READABLE)
     _, got = quickly(engine.initial)(jnp.asarray(qpos), jnp.asarray(qvel), {})
     model = load_model("ant")

@@ -1,0 +1,66 @@
+"""The rule that searches the latent space, and the prior over returns that it needs."""
+
+import dataclasses
+from typing import Any, ClassVar
+
+from maesn.envs import AnyEnv
+from maesn.evaluation.rules import AbstractRule, Budget, Trained
+from maesn.learners import AbstractFastLearner
+from maesn.runtime.search import AcquisitionName, SearchSettings
+from maesn.search import SearchFastLearner, latent_learner
+
+_USUAL = SearchSettings()
+
+
+class SearchRule(AbstractRule):
+    """Search for the best latent, with what training tasks return for latents as the prior.
+
+    One latent per episode; deployed is the one with the highest posterior mean
+    (`docs/methods/latent_search.md`).
+    """
+
+    budget: ClassVar[Budget] = Budget(20, 1, 5)
+
+    acquisition: AcquisitionName = _USUAL.acquisition
+    """Which latent is played next: `ucb`, the upper confidence bound, or `thompson`, the best of a
+    draw from the posterior."""
+    exploration: float = _USUAL.exploration
+    """Weight of the posterior's standard deviation in the upper confidence bound."""
+    draws: int = _USUAL.draws
+    """Latents that are drawn around the best one, once it has been played; 0: the archive alone."""
+    draw_std: float = _USUAL.draw_std
+    """Their standard deviation around it."""
+    residual: float = _USUAL.residual
+    """Variance of what no training task shows, as a share of the variance over training tasks."""
+    length_scale: float = _USUAL.length_scale
+    """Distance in z over which that varies."""
+    prior: str = ""
+    """File of the prior, as `maesn prior` writes it; empty: the run's own, made where missing."""
+    any_reward: bool = False
+    """Whether a prior is used that was made for another reward or radius."""
+
+    def __check_init__(self) -> None:
+        _ = self.settings  # which refuses what cannot be
+
+    @property
+    def settings(self) -> SearchSettings:
+        """How a search chooses."""
+        names = [field.name for field in dataclasses.fields(SearchSettings)]
+        return SearchSettings(**{name: getattr(self, name) for name in names})
+
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        if episodes < 1:
+            raise ValueError(f"a search needs `episodes` of at least 1, got {episodes}.")
+
+    @property
+    def label(self) -> str:
+        return "search"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        learner = latent_learner(trained.fast_learner())
+        if trained.return_prior is None:
+            raise ValueError("a search needs a prior over returns, which is made of a run.")
+        prior = trained.return_prior(self.prior, self.any_reward)
+        settings = self.settings
+        model = settings.model(prior)
+        return SearchFastLearner(learner.policy, learner.statistics, model, settings)

@@ -1,0 +1,71 @@
+"""What a robot needs to search, as arrays and numbers of a file."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.archive import entry
+from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
+from maesn.runtime.search import SearchSettings
+
+
+@dataclass(frozen=True)
+class ExportedSearch:
+    """What a robot needs to search.
+
+    Attributes:
+        prior: what training tasks return for an archive of latents.
+        settings: how the search chooses.
+        horizon: steps of an episode of full length.
+    """
+
+    prior: ReturnPrior
+    settings: SearchSettings
+    horizon: int
+
+    @cached_property
+    def model(self) -> ReturnModel:
+        """The model of returns."""
+        return self.settings.model(self.prior)
+
+    def arrays(self) -> Arrays:
+        """Return the arrays that a file keeps."""
+        prior = self.prior
+        arrays = {"latents": prior.latents, "excess": prior.excess, "noise": prior.noise}
+        return {f"prior.{name}": x.astype(np.float32) for name, x in arrays.items()}
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the numbers and words that a file keeps."""
+        prior = self.prior
+        return {
+            "episodes": prior.episodes,
+            "offset_mean": prior.offset_mean,
+            "offset_std": prior.offset_std,
+            "horizon": self.horizon,
+            "settings": asdict(self.settings),
+        }
+
+    @staticmethod
+    def from_archive(
+        arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], latent_size: int
+    ) -> "ExportedSearch":
+        """Return the search of a file; raises ValueError if the file does not fit together."""
+        latents = take(arrays, "prior.latents", -1, latent_size)
+        prior = ReturnPrior(
+            latents,
+            take(arrays, "prior.excess", -1, len(latents)),
+            take(arrays, "prior.noise", len(latents)),
+            entry(metadata, "episodes", int),
+            entry(metadata, "offset_mean", float),
+            entry(metadata, "offset_std", float),
+        )
+        try:
+            settings = SearchSettings(**entry(metadata, "settings", dict))
+        except TypeError as error:
+            raise ValueError(f"entry `settings` of the search is damaged: {error}") from error
+        return ExportedSearch(prior, settings, entry(metadata, "horizon", int))

@@ -1,0 +1,217 @@
+"""Search in the latent space: which latent to play next in a new task, and which to deploy."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maesn.runtime.arrays import Arrays, FloatArray, take
+from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel, ReturnPrior
+
+# Of the best point, before latents around it are drawn: by then the archive has shown its best.
+PLAYS = 2
+
+AcquisitionName: TypeAlias = Literal["ucb", "thompson"]
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How a search chooses.
+
+    Attributes:
+        acquisition: `ucb`, the upper confidence bound: the largest mean + exploration * std. Or
+            `thompson`: the largest value of a function that is drawn from the posterior.
+        exploration: weight of the standard deviation in the upper confidence bound.
+        draws: latents that are drawn around the best one in every round, once it has been played;
+            0 stays with the archive.
+        draw_std: their standard deviation around it, in units of z.
+        residual: variance of what no training task shows, as a share of the mean variance over
+            training tasks.
+        length_scale: distance in z over which that varies.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+
+    acquisition: AcquisitionName = "ucb"
+    exploration: float = 2.0
+    draws: int = 8
+    draw_std: float = 0.2
+    residual: float = 0.03
+    length_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.acquisition not in get_args(AcquisitionName):
+            names = ", ".join(get_args(AcquisitionName))
+            raise ValueError(f"`acquisition` must be one of {names}, got {self.acquisition!r}.")
+        for name in ("exploration", "draws", "residual"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
+        for name in ("draw_std", "length_scale"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+
+    def model(self, prior: ReturnPrior) -> ReturnModel:
+        """Return the model of returns that a prior makes."""
+        return ReturnModel(prior, self.residual, self.length_scale)
+
+
+@dataclass(frozen=True)
+class LatentSearch:
+    """A search in one task.
+
+    Attributes:
+        model: of the returns; shared by all tasks.
+        settings: how it chooses.
+        points: the archive, and the latents that were drawn around the best ones and played.
+        posterior: of the returns at these points.
+        added_after: number of readings before each point that the archive does not have.
+        max_norm: Euclidean norm of z beyond which no point is chosen.
+    """
+
+    model: ReturnModel
+    settings: SearchSettings
+    points: Points
+    posterior: Posterior
+    added_after: tuple[int, ...] = ()
+    max_norm: float = np.inf
+
+    @staticmethod
+    def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
+        """Return a search that has not played yet."""
+        points = model.archive
+        return LatentSearch(model, settings, points, Posterior.of_prior(model, points))
+
+    @property
+    def best(self) -> int:
+        """Index of the point to deploy: that of the highest posterior mean."""
+        return self.highest(self.posterior.mean)
+
+    def latent(self, point: int) -> FloatArray:
+        """Return z of a point, `[z]`."""
+        return self.points.latents[point]
+
+    def proposed(self, generator: np.random.Generator) -> "tuple[LatentSearch, int]":
+        """Choose the point to play next.
+
+        Args:
+            generator: of the draws around the best point, and of Thompson sampling.
+
+        Returns:
+            The search, which may have one more point, and the index of the chosen point.
+        """
+        chosen = self.highest(self.scores(generator))
+        if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
+            return self, chosen
+        wider = self._with_draws(generator)
+        refined = wider.highest(wider.scores(generator))
+        if refined < len(self.points):
+            return self, chosen
+        return self.with_latent(wider.latent(refined)), len(self.points)
+
+    def with_latent(self, z: FloatArray) -> "LatentSearch":
+        """Return the search with one more point."""
+        return self._with_points(self.model.points(z[None]))
+
+    def index(self, z: FloatArray) -> int:
+        """Return the index of a point; raises `ValueError` if z is no point of this search."""
+        found = np.flatnonzero((self.points.latents == z).all(axis=1))
+        if not len(found):
+            raise ValueError(f"`z` {z} is no point of this search.")
+        return int(found[0])
+
+    def after(self, readings: Iterable[Reading]) -> "LatentSearch":
+        """Return the search after some episodes."""
+        posterior = self.posterior
+        for reading in readings:
+            posterior = posterior.conditioned(self.model, self.points, reading)
+        return replace(self, posterior=posterior)
+
+    def highest(self, scores: FloatArray) -> int:
+        """Return the index of the highest score within `max_norm`, or of the nearest point."""
+        norms = np.linalg.norm(self.points.latents, axis=1)
+        if norms.min() > self.max_norm:
+            return int(np.argmin(norms))
+        return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
+
+    def scores(self, generator: np.random.Generator) -> FloatArray:
+        """Return what the acquisition rule gives each point, `[point]`."""
+        if self.settings.acquisition == "thompson":
+            return self._sample(generator)
+        return self.posterior.mean + self.settings.exploration * self.posterior.std
+
+    def arrays(self) -> Arrays:
+        """Return the arrays that a file keeps of what this search has done."""
+        readings = self.posterior.readings
+        archive = len(self.model.archive)
+        return {
+            "search.added": self.points.latents[archive:],
+            "search.added_after": np.asarray(self.added_after, np.float64),
+            "search.points": np.asarray([one.point for one in readings], np.float64),
+            "search.returns": np.asarray([one.episode_return for one in readings]),
+            "search.lengths": np.asarray([one.length for one in readings]),
+        }
+
+    def repeated(self, arrays: Mapping[str, NDArray[np.generic]]) -> "LatentSearch":
+        """Return this search after all that a file keeps, done again in the same order.
+
+        Raises:
+            ValueError: the arrays do not fit this search.
+        """
+        size = self.points.latents.shape[1]
+        added = take(arrays, "search.added", -1, size)
+        after = take(arrays, "search.added_after", len(added)).tolist()
+        points = take(arrays, "search.points", -1)
+        returns = take(arrays, "search.returns", len(points))
+        lengths = take(arrays, "search.lengths", len(points))
+        search, pending = self, list(zip(after, added, strict=True))
+        for count in range(len(points) + 1):
+            while pending and pending[0][0] <= count:
+                search = search.with_latent(pending.pop(0)[1])
+            if count < len(points):
+                point = int(points[count])
+                if not 0 <= point < len(search.points):
+                    raise ValueError("array `search.points` names points that are not there.")
+                search = search.after([Reading(point, returns[count], lengths[count])])
+        return search
+
+    def _sample(self, generator: np.random.Generator) -> FloatArray:
+        """Draw f from the posterior: a draw from the prior, conditioned on the readings.
+
+        Matheron's rule: what the readings change about a function is linear in what they differ
+        from it, so a draw from the prior that is corrected by the readings, less noise, is a draw
+        from the posterior.
+        """
+        model, posterior = self.model, self.posterior
+        covariance = model.covariance(self.points, self.points)
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        sample = model.mean(self.points) + root @ generator.standard_normal(len(values))
+        prior = model.prior
+        offset = prior.offset_mean + prior.offset_std * generator.standard_normal()
+        noise = np.sqrt(model.noise(self.points))
+        for index, reading in enumerate(posterior.readings):
+            expected = sample[reading.point] + reading.length * offset
+            drawn = expected + noise[reading.point] * generator.standard_normal()
+            correction = (reading.episode_return - drawn) / posterior.scales[index]
+            sample = sample + posterior.rows[index] * correction
+            offset += posterior.offset_rows[index] * correction
+        return sample
+
+    def _with_draws(self, generator: np.random.Generator) -> "LatentSearch":
+        shape = (self.settings.draws, self.points.latents.shape[1])
+        around = self.settings.draw_std * generator.standard_normal(shape)
+        return self._with_points(self.model.points(self.latent(self.best) + around))
+
+    def _plays(self, point: int) -> int:
+        return sum(reading.point == point for reading in self.posterior.readings)
+
+    def _with_points(self, more: Points) -> "LatentSearch":
+        return replace(
+            self,
+            points=self.points.joined(more),
+            posterior=self.posterior.extended(self.model, self.points, more),
+            added_after=(*self.added_after, *[len(self.posterior.readings)] * len(more)),
+        )

@@ -1,0 +1,55 @@
+"""Episodes judged under tasks that they were not played for."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Readings
+from maesn.envs import AnyEnv, TaskSet
+
+
+def situations(env: AnyEnv, tasks: TaskSet) -> list[np.ndarray]:
+    """Return the tasks in groups that share their episodes: indices `[task]` of each group."""
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(jax.vmap(env.situation)(tasks.tasks))]
+    groups: dict[bytes, list[int]] = {}
+    for index in range(len(tasks)):
+        name = b"|".join(leaf[index].tobytes() for leaf in leaves)
+        groups.setdefault(name, []).append(index)
+    return [np.asarray(group) for group in groups.values()]
+
+
+@partial(jax.jit, static_argnums=0)
+def returns_under(
+    env: AnyEnv,
+    readings: Readings,
+    action: Float[Array, "simulation time action"],
+    valid: Bool[Array, "simulation time"],
+    tasks: Any,
+) -> Float[Array, "task simulation"]:
+    """Return what episodes return in other tasks of the same situation.
+
+    Args:
+        env: with the reward to judge by.
+        readings: `[time_plus_1, simulation, ...]` each.
+        action: of the policy.
+        valid: while the episode lasts.
+        tasks: stacked.
+
+    Returns:
+        Undiscounted returns.
+    """
+    before = jax.tree.map(lambda x: jnp.moveaxis(x[:-1], 0, 1), readings)
+    after = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, 1), readings)
+
+    def in_task(task: Any) -> Array:
+        def step(r: Readings, a: Array, n: Readings) -> Array:
+            return env.reward(r, a, n, task).total
+
+        return jnp.where(valid, jax.vmap(jax.vmap(step))(before, action, after), 0.0).sum(-1)
+
+    judged: Array = jax.lax.map(in_task, tasks)
+    return judged

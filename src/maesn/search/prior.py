@@ -1,0 +1,119 @@
+"""What training tasks return for an archive of latents: played once, after training."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from maesn.axes import Key
+from maesn.context import Latent
+from maesn.experience.agent import Agents
+from maesn.learners import GradientFastLearner
+from maesn.runtime.return_model import ReturnPrior
+from maesn.search.judging import returns_under, situations
+from maesn.worlds import AbstractWorld
+from maesn.worlds.collector import Collector
+
+# Of the noise of a latent, as a share of the average: a few episodes may agree by chance.
+LEAST_NOISE = 0.05
+
+Progress = Callable[[int, int], None]
+"""Called with the number of latents played so far, and of all."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PriorSettings:
+    """How the prior over returns is made."""
+
+    draws: int = 400
+    """Latents of the archive that are drawn from the widened prior."""
+    spread: float = 3.0
+    """Its standard deviation."""
+    adapted: bool = True
+    """Whether the archive also has the latents that one dense update reaches in training tasks."""
+    episodes: int = 4
+    """Episodes of each latent, in each situation."""
+    seed: int = 0
+    """Of the draws and the episodes."""
+    simulations: int = 1000
+    """Episodes that are played at once; bounds the memory."""
+
+
+USUAL = PriorSettings()
+
+
+def make_prior(
+    learner: GradientFastLearner,
+    world: AbstractWorld,
+    latents: np.ndarray,
+    settings: PriorSettings,
+    progress: Progress = lambda done, of: None,
+) -> ReturnPrior:
+    """Play an archive in the training tasks.
+
+    Args:
+        learner: of the run, for its policy.
+        world: the training tasks, with the reward of the new tasks.
+        latents: the archive, `[latent, z]`.
+        settings: how.
+        progress: called after each batch.
+    """
+    returns, length = _played(learner, world, latents, settings, progress)
+    offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
+    if np.isnan(offset).any():
+        # Where the environment does not say: most latents of an archive never find the goal.
+        offset = np.median(returns, axis=(1, 2))
+    excess = returns - length * offset[:, None, None]
+    noise = excess.var(axis=2, ddof=1).mean(axis=0)
+    return ReturnPrior(
+        latents=np.asarray(latents, np.float64),
+        excess=excess.mean(axis=2),
+        noise=np.maximum(noise, LEAST_NOISE * noise.mean()),
+        episodes=settings.episodes,
+        offset_mean=float(offset.mean()),
+        offset_std=float(offset.std(ddof=1)),
+    )
+
+
+def _played(
+    learner: GradientFastLearner,
+    world: AbstractWorld,
+    latents: np.ndarray,
+    settings: PriorSettings,
+    progress: Progress,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return returns, and lengths as a share of the horizon, `[task, latent, episode]` each."""
+    groups = situations(world.env, world.tasks)
+    collector = Collector(world, settings.episodes)
+    size = max(1, settings.simulations // settings.episodes)
+    shape = (len(world.tasks), len(latents), settings.episodes)
+    returns, length = np.zeros(shape), np.zeros(shape)
+    key, played = jax.random.key(settings.seed), 0
+    for group in groups:
+        for first in range(0, len(latents), size):
+            chunk = latents[first : first + size]
+            rows = np.ix_(group, np.arange(first, first + len(chunk)))
+            chunk_key = jax.random.fold_in(key, played)
+            returns[rows], length[rows] = _judged(learner, collector, chunk, group, chunk_key)
+            played += len(chunk)
+            progress(played, len(groups) * len(latents))
+    return returns, length
+
+
+def _judged(
+    learner: GradientFastLearner, collector: Collector, latents: np.ndarray, group: Any, key: Key
+) -> tuple[np.ndarray, np.ndarray]:
+    """Play latents in one situation, and judge the episodes in all tasks of it."""
+    world, count = collector.world, len(latents)
+    mean = jnp.asarray(latents, jnp.float32)
+    context = Latent(mean, jnp.zeros_like(mean)).at_mean()
+    agents = Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
+    slots = jnp.full(count, group[0])
+    episodes, readings = collector.play(jax.random.split(key, count), agents, slots)
+    action, valid = (x.reshape(-1, *x.shape[2:]) for x in (episodes.action, episodes.valid))
+    returns = returns_under(world.env, readings, action, valid, world.tasks[group])
+    length = np.asarray(valid.mean(-1)).reshape(1, count, -1)
+    return np.asarray(returns).reshape(len(group), count, -1), length

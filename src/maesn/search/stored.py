@@ -1,0 +1,142 @@
+"""The prior over returns of a run, made once and kept beside its checkpoints."""
+
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress as ProgressBar
+
+from maesn.envs import RewardKind, describe_env
+from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
+from maesn.runs.run import Run
+from maesn.runtime.return_model import ReturnPrior
+from maesn.search.archive import adapted_latents, drawn_latents, latent_learner
+from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
+from maesn.storage import RunError, refusals
+from maesn.worlds import AbstractWorld
+from maesn.worlds.collector import Collector
+
+logger = logging.getLogger(__name__)
+
+PRIORS = "priors"
+_ARRAYS = ("latents", "excess", "noise")
+_EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
+
+
+def prior_file(run: Run, world: AbstractWorld) -> Path:
+    """Return where the prior of a run for a world's reward is kept."""
+    env = world.env
+    return run.directory / PRIORS / f"{env.reward_kind}-{env.sparse_radius:g}.safetensors"
+
+
+def run_prior(
+    run: Run,
+    settings: PriorSettings = USUAL,
+    *,
+    reward: RewardKind = "sparse",
+    sparse_radius: float | None = None,
+    progress: Progress = lambda played, of: None,
+) -> tuple[Path, ReturnPrior]:
+    """Make the prior over returns of a run's latest checkpoint, and keep it.
+
+    Args:
+        run: of a method with a latent.
+        settings: how.
+        reward: of the new tasks.
+        sparse_radius: of the new tasks, in metres; None for the run's own.
+        progress: called as `make_prior` says.
+
+    Returns:
+        The file, and what is in it.
+
+    Raises:
+        RunError: the run has no latent, or something cannot be written.
+        EpisodeError: an episode went wrong.
+    """
+    state = run.latest_state()
+    with refusals(f"`{run.settings.method}` cannot search: "):
+        learner = latent_learner(run.learner.fast_learner(state))
+    size = learner.context_table.size
+    latents = [drawn_latents(size, settings.draws, settings.spread, settings.seed)]
+    if settings.adapted:
+        with closing(run.world(reward_kind="dense")) as dense:
+            collect = Collector(dense, _EPISODES_TO_ADAPT)
+            latents.append(adapted_latents(learner, collect, jax.random.key(settings.seed)))
+    # In the precision that they are kept in, so that what is made is what will be read.
+    archive = np.concatenate(latents).astype(np.float32)
+    with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
+        prior = make_prior(learner, world, archive, settings, progress)
+        path = prior_file(run, world)
+        arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
+        numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
+        metadata = bound_to(run, state, world) | {"numbers": json.dumps(numbers)}
+    save_checkpoint(path, arrays, metadata)
+    return path, read_prior(path)[0]
+
+
+def find_prior(
+    run: Run, state: Any, world: AbstractWorld, name: str, any_reward: bool
+) -> ReturnPrior:
+    """Return the prior of a run for a world, which is made if it is missing.
+
+    Args:
+        run: of the policy.
+        state: its latest.
+        world: of the new tasks; its reward counts, not its tasks.
+        name: path of a prior; empty for the run's own.
+        any_reward: whether one that was made for another reward will do.
+
+    Raises:
+        RunError: it belongs to another checkpoint, other training tasks or another reward.
+    """
+    path = Path(name) if name else prior_file(run, world)
+    if not name and not path.exists():
+        logger.warning("`%s` is missing: making it, which happens once.", path)
+        env = world.env
+        with played_live() as progress:
+            radius = env.sparse_radius or None
+            return run_prior(run, reward=env.reward_kind, sparse_radius=radius, progress=progress)[
+                1
+            ]
+    prior, metadata = read_prior(path)
+    for what, wanted in bound_to(run, state, world).items():
+        if metadata.get(what) != wanted and not (any_reward and what == "reward"):
+            raise RunError(
+                f"`{path}` was made for another {what} than that of `{run.directory}`"
+                f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
+            )
+    return prior
+
+
+@contextmanager
+def played_live() -> Iterator[Progress]:
+    """Show how much of an archive has been played; nothing where there is no terminal."""
+    console = Console(stderr=True)
+    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        line = bar.add_task("latents played", total=None)
+        yield lambda played, of: bar.update(line, completed=played, total=of)
+
+
+def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
+    """Return what a prior belongs to."""
+    return {
+        "checkpoint": digest_of_arrays(state),
+        "training task set": run.config.task_digest,
+        "reward": json.dumps(describe_env(world.env), sort_keys=True),
+    }
+
+
+def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
+    """Read a prior, and what it belongs to; raises `RunError` if it is damaged."""
+    values, metadata = read_checkpoint(path)
+    try:
+        held: dict[str, Any] = {name: values[name].astype(np.float64) for name in _ARRAYS}
+        return ReturnPrior(**held, **json.loads(metadata["numbers"])), metadata
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error

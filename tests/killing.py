@@ -1,0 +1,59 @@
+"""Real training processes, which are really killed."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from maesn.runs.run import Run
+
+# More than pass while this process waits for its turn on a busy machine.
+ITERATIONS = 150
+
+KILLED = """
+import sys
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.run import Run
+from maesn.runs.training import train
+enable_compilation_cache()
+for _ in train(Run.open(sys.argv[1])):
+    pass
+"""
+
+
+def num_lines(run: Run) -> int:
+    log = run.directory / "metrics.jsonl"
+    return log.read_bytes().count(b"\n") if log.exists() else 0
+
+
+class Killer:
+    """Starts real training processes, and ends them at random moments."""
+
+    def __init__(self, directory: Path, **environment: str) -> None:
+        self._stream = random.Random(1)
+        self._environment = os.environ | environment
+        self._errors = directory / "errors"
+
+    def start(self, run: Run) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-W", "error", "-c", KILLED, str(run.directory)]
+        with self._errors.open("ab") as errors:
+            return subprocess.Popen(command, env=self._environment, stderr=errors)
+
+    def said(self) -> str:
+        """What all processes have written to their standard error."""
+        return self._errors.read_text()
+
+    def stop(self, run: Run, process: subprocess.Popen[bytes], number: signal.Signals) -> int:
+        """Send a signal a random number of lines and milliseconds later."""
+        target = num_lines(run) + self._stream.randint(1, 12)
+        deadline = time.monotonic() + 120
+        while num_lines(run) < target:
+            assert process.poll() is None, self.said()
+            assert time.monotonic() < deadline, "it never got there"
+            time.sleep(0.001)
+        time.sleep(self._stream.uniform(0, 0.01))
+        process.send_signal(number)
+        return process.wait(timeout=60)

@@ -1,0 +1,233 @@
+"""Which latents a search plays and deploys; on the robot and in the library alike."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runtime.robot import contents, fast_learner, observations
+
+from maesn.envs import Point
+from maesn.runs.export import exported_policy, write_policy
+from maesn.runtime import Explorer, Safeguards
+from maesn.runtime.return_model import Reading, ReturnPrior
+from maesn.runtime.search import LatentSearch, SearchSettings
+
+ARCHIVE_ALONE = SearchSettings(draws=0)
+NOISE = 0.3
+
+
+def peak(latents: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """What a latent returns: 10 at the target, 0 from a distance of 2 on."""
+    distance = np.linalg.norm(latents - target, axis=-1)
+    return np.asarray(10.0 * np.maximum(1.0 - distance / 2.0, 0.0))
+
+
+def targets(number: int, seed: int) -> np.ndarray:
+    angle = np.random.default_rng(seed).uniform(0, np.pi, number)
+    return 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def peaks_prior(offset_std: float = 5.0, latents: int = 80) -> ReturnPrior:
+    """Training tasks reward latents near a point on a half circle, which a search has to find."""
+    archive = 2.5 * np.random.default_rng(0).standard_normal((latents, 2))
+    excess = np.stack([peak(archive, target) for target in targets(60, seed=1)])
+    return ReturnPrior(archive, excess, np.full(latents, NOISE**2), 4, -20.0, offset_std)
+
+
+PRIOR = peaks_prior()
+
+
+def search_of(prior: ReturnPrior = PRIOR, settings: SearchSettings = ARCHIVE_ALONE) -> LatentSearch:
+    return LatentSearch.start(settings.model(prior), settings)
+
+
+def searched(
+    search: LatentSearch, target: np.ndarray, episodes: int, shift: float = 0.0, seed: int = 0
+) -> tuple[LatentSearch, list[int]]:
+    """Search in one task; every return is shifted by a constant."""
+    generator, noise = np.random.default_rng(seed), np.random.default_rng(seed + 1)
+    chosen = []
+    for _ in range(episodes):
+        search, point = search.proposed(generator)
+        played = peak(search.latent(point), target) + shift + NOISE * noise.standard_normal()
+        search = search.after([Reading(point, float(played))])
+        chosen.append(point)
+    return search, chosen
+
+
+def deployed_values(settings: SearchSettings, episodes: int, number: int = 40) -> np.ndarray:
+    """What the deployed latent is worth in unseen tasks."""
+    found = []
+    for index, target in enumerate(targets(number, seed=2)):
+        search, _ = searched(search_of(settings=settings), target, episodes, -22.0, index)
+        found.append(peak(search.latent(search.best), target))
+    return np.asarray(found)
+
+
+def test_the_first_latent_is_the_one_with_the_highest_bound_under_the_prior() -> None:
+    search = search_of()
+    _, point = search.proposed(np.random.default_rng(0))
+    bound = search.posterior.mean + ARCHIVE_ALONE.exploration * search.posterior.std
+    assert point == np.argmax(bound)
+    assert search.best == np.argmax(search.posterior.mean)
+
+
+@pytest.mark.parametrize("acquisition", ["ucb", "thompson"])
+def test_a_search_finds_the_best_of_the_archive_in_unseen_tasks(acquisition: str) -> None:
+    best = np.asarray([peak(PRIOR.latents, target).max() for target in targets(40, seed=2)])
+    found = deployed_values(replace(ARCHIVE_ALONE, acquisition=acquisition), 12)
+    assert (best - found).mean() < 0.05 * best.mean()
+    assert deployed_values(ARCHIVE_ALONE, 0).mean() < 0.5 * best.mean()
+
+
+def test_draws_around_the_best_latent_go_beyond_the_archive() -> None:
+    alone = deployed_values(ARCHIVE_ALONE, 40)
+    refined = deployed_values(replace(ARCHIVE_ALONE, draws=8), 40)
+    gain = refined - alone
+    assert gain.mean() > 3 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_a_constant_that_is_added_to_every_return_of_a_task_changes_no_choice() -> None:
+    """It might tell of the task, as the constant outside of the radius does, and must not."""
+    search = search_of(peaks_prior(offset_std=1e5))
+    target = targets(1, seed=3)[0]
+    _, chosen = searched(search, target, 15, shift=-20.0)
+    for shift in np.random.default_rng(4).uniform(-300, 300, 5):
+        assert searched(search, target, 15, shift=shift)[1] == chosen
+
+
+def test_thompson_sampling_draws_from_the_posterior() -> None:
+    settings = SearchSettings("thompson", draws=0)
+    search, _ = searched(search_of(peaks_prior(latents=6), settings), np.asarray([0.0, 3.0]), 3)
+    generator = np.random.default_rng(5)
+    drawn = np.stack([search.scores(generator) for _ in range(4000)])
+    std = np.maximum(search.posterior.std, 1e-3)
+    assert (abs(drawn.mean(axis=0) - search.posterior.mean) / (std / np.sqrt(4000)) < 4.5).all()
+    assert (abs(drawn.std(axis=0) / std - 1) < 4.5 / np.sqrt(2 * 4000)).all()
+
+
+def test_posterior_intervals_cover_what_is_true() -> None:
+    """Over tasks and latents, nine in ten 90 % intervals hold the truth, within four sigmas."""
+    inside = []
+    for index, target in enumerate(targets(40, seed=6)):
+        search, _ = searched(search_of(), target, 5, -20.0, index)
+        error = abs(search.posterior.mean - peak(PRIOR.latents, target))
+        inside.append((error < 1.645 * search.posterior.std).mean())
+    share, error = np.mean(inside), np.std(inside, ddof=1) / np.sqrt(len(inside))
+    assert abs(share - 0.9) < 4 * error + 0.05  # the tasks are not quite Gaussian
+
+
+def test_no_latent_beyond_the_bound_is_chosen() -> None:
+    bounded = replace(search_of(), max_norm=2.0)
+    search, chosen = searched(bounded, np.asarray([0.0, 3.0]), 8)
+    for point in (*chosen, search.best):
+        assert np.linalg.norm(search.latent(point)) <= 2.0
+    none = replace(search, max_norm=1e-6)
+    assert none.best == np.argmin(np.linalg.norm(none.points.latents, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"exploration": -1.0}, "`exploration` must be at least 0"),
+        ({"draws": -1}, "`draws` must be at least 0"),
+        ({"draw_std": 0.0}, "`draw_std` must be positive"),
+        ({"length_scale": np.inf}, "`length_scale` must be positive"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(
+    settings: dict[str, object], complaint: str
+) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        SearchSettings(**settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An exported policy that searches, with draws around the best."""
+    path = tmp_path_factory.mktemp("search") / "policy.npz"
+    kept = {name: getattr(PRIOR, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
+    search = (replace(PRIOR, **kept), SearchSettings())
+    write_policy(path, exported_policy(fast_learner(), Point(), search=search))
+    return path
+
+
+ARRAYS = ("latents", "excess", "noise")
+
+
+def episode(explorer: Explorer, value: float, steps: int = Point().horizon) -> None:
+    for observation in observations(explorer, steps):
+        explorer.act(observation)
+    explorer.end_episode([value / steps] * steps)
+
+
+def robot_searched(explorer: Explorer, target: np.ndarray, episodes: int) -> list[list[float]]:
+    chosen = []
+    for _ in range(episodes):
+        z = explorer.begin_episode()
+        episode(explorer, float(peak(z, target)) - 20.0)
+        explorer.adapt()
+        chosen.append(z.tolist())
+    return chosen
+
+
+def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=7)
+    target = np.asarray([1.0, 2.5])
+    exported = explorer.exported.search
+    assert exported is not None
+    search = LatentSearch.start(exported.model, exported.settings)
+    generator = np.random.default_rng(7)
+    for _ in range(12):
+        z = explorer.begin_episode()
+        search, point = search.proposed(generator)
+        assert z.tolist() == search.latent(point).tolist()
+        generator.standard_normal((Point().horizon, 2))  # the robot's actions
+        value = float(peak(z, target)) - 20.0
+        episode(explorer, value)
+        explorer.adapt()
+        total = float(np.full(Point().horizon, value / Point().horizon).sum())
+        search = search.after([Reading(point, total)])
+    assert explorer.begin_episode(explore=False).tolist() == search.latent(search.best).tolist()
+    np.testing.assert_array_equal(explorer.beliefs.mean, search.posterior.mean)
+    np.testing.assert_array_equal(explorer.beliefs.std, search.posterior.std)
+
+
+def test_a_robot_s_search_is_saved_in_the_middle_and_goes_on_exactly(
+    policy: Path, tmp_path: Path
+) -> None:
+    target, path = np.asarray([-1.0, 2.5]), tmp_path / "robot.npz"
+    whole = Explorer.load(policy, seed=8)
+    first = robot_searched(whole, target, 14)
+    parts = Explorer.load(policy, seed=8)
+    second = robot_searched(parts, target, 9)
+    parts.save(path)
+    parts = Explorer.load(path)
+    second += robot_searched(parts, target, 5)
+    assert first == second
+    assert contents(whole) == contents(parts)
+
+
+def test_a_chosen_z_takes_part(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=9)
+    explorer.begin_episode(z=[0.5, 3.0])
+    episode(explorer, 100.0)
+    explorer.adapt()
+    assert explorer.begin_episode(explore=False).tolist() == [0.5, 3.0]
+    explorer.discard()
+    assert explorer.latent_mean.tolist() == [0.5, 3.0]
+
+
+def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=10, safeguards=Safeguards(max_latent_norm=1.5))
+    for z in robot_searched(explorer, np.asarray([0.0, 3.0]), 5):
+        assert np.linalg.norm(z) <= 1.5
+    assert np.linalg.norm(explorer.begin_episode(explore=False)) <= 1.5
+
+
+def test_beliefs_are_those_of_a_search(tmp_path: Path) -> None:
+    path = tmp_path / "gradient.npz"
+    write_policy(path, exported_policy(fast_learner(), Point()))
+    with pytest.raises(RuntimeError, match="export with the rule `search`"):
+        _ = Explorer.load(path).beliefs

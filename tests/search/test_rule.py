@@ -1,0 +1,168 @@
+"""The rule `search`, from the command line to the table, and what it refuses."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import tiny_maesn, tiny_settings
+
+import maesn
+from maesn import api, cli
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.search import SearchRule
+from maesn.learners import latent_space, maml
+from maesn.policies import GaussianMLP
+from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
+from maesn.runs.run import Run
+from maesn.runtime import Explorer
+from maesn.search.prior import PriorSettings
+from maesn.search.stored import read_prior
+
+SMALL = ["--draws", "10", "--episodes", "2", "--simulations", "20"]
+FILE = "priors/sparse-0.5.safetensors"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("search") / "run"
+    Run.create(directory, tiny_maesn(), tiny_settings())
+    assert cli.run(["prior", str(directory), *SMALL]) == 0
+    return directory
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("goals") / "few.npz"
+    np.savez(path, goal=np.float32([[0.0, 2.0], [2.0, 0.0], [-1.0, 1.0]]))
+    return str(path)
+
+
+def adapted(run: Path, few: str, *more: str) -> int:
+    return cli.run(["adapt", str(run), "--rule", "search", "--tasks", few, *more])
+
+
+def test_the_prior_says_what_training_tasks_return(trained: Path) -> None:
+    prior, bound = read_prior(trained / FILE)
+    tasks = len(Run.open(trained).training_tasks)
+    assert prior.latents.shape == (10 + tasks, 2)
+    assert prior.excess.shape == (tasks, 10 + tasks)
+    # An untrained point hardly ever reaches a goal, and 40 steps cost at most 0.1 each.
+    assert prior.excess.min() >= -4
+    assert -4 < np.median(prior.excess) < 0
+    assert prior.offset_mean == pytest.approx(-2.0 * 40, rel=1e-3)
+    assert set(bound) == {"checkpoint", "training task set", "reward", "numbers"}
+
+
+def test_one_episode_is_one_update_and_fresh_episodes_judge(
+    trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "table.csv"
+    options = ["--episodes", "4", "--deploy-episodes", "2", "--out", str(table)]
+    assert adapted(trained, few, *options, "--deploy-after", "0", "2", "4") == 0
+    shown = capsys.readouterr().out
+    assert "fresh episodes" in shown
+    rows = [line.split(",") for line in table.read_text().splitlines()[1:]]
+    explored = [row[1:3] for row in rows if row[3] == "explore" and row[0] == "0"]
+    assert explored == [["0", "0"], ["1", "1"], ["2", "2"], ["3", "3"], ["4", "4"]]
+    assert [row[1] for row in rows if row[3] == "deploy" and row[0] == "0"] == ["0", "2", "4"]
+    record = json.loads(table.with_suffix(".settings.json").read_text())
+    assert record["rule"].startswith("SearchRule(")
+    assert record["episodes_per_update"] == 1
+    latents = np.load(table.with_suffix(".latents.npz"))["mean"]
+    assert latents.shape == (3, 5, 2)
+
+
+def test_tasks_do_not_depend_on_how_many_there_are(trained: Path, few: str, tmp_path: Path) -> None:
+    ask = Evaluation(few, rule=SearchRule(), episodes=3, deploy_episodes=1)
+    three = api.adapt(trained, ask, out=tmp_path / "a.csv")
+    two = api.adapt(trained, ask.changed(tasks_at_once=1), out=tmp_path / "b.csv", num_tasks=2)
+    for name in ("mean_return", "success_rate"):
+        found = getattr(two.outcome.deployed, name)
+        np.testing.assert_allclose(found, getattr(three.outcome.deployed, name)[:2], rtol=1e-5)
+
+
+def test_a_missing_prior_is_made_and_said(
+    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("maesn.search.stored.USUAL", PriorSettings(draws=4, episodes=2))
+    run = tmp_path / "run"
+    learner = latent_space(policy=GaussianMLP((8,)), meta_batch_size=2)
+    Run.create(run, learner, tiny_settings())
+    assert adapted(run, few, "--episodes", "1", "--deploy-episodes", "1") == 0
+    assert f"`{run / FILE}` is missing: making it" in caplog.text
+    assert (run / FILE).exists()
+
+
+def test_an_exported_search_is_the_run_s(trained: Path, tmp_path: Path) -> None:
+    path = tmp_path / "policy.npz"
+    assert cli.run(["export", str(trained), str(path), "--rule", "search", "draws=0"]) == 0
+    explorer = Explorer.load(path, seed=0)
+    prior, _ = read_prior(trained / FILE)
+    assert explorer.exported.search is not None
+    assert explorer.exported.search.settings.draws == 0
+    np.testing.assert_array_equal(explorer.exported.search.prior.excess, prior.excess)
+    z = explorer.begin_episode()
+    assert (prior.latents == z).all(axis=1).any()
+
+
+def _changed_metadata(path: Path, name: str) -> None:
+    values, metadata = read_checkpoint(path)
+    save_checkpoint(path, values, metadata | {name: "another"})
+
+
+@pytest.mark.parametrize("what", ["checkpoint", "training task set", "reward"])
+def test_a_prior_of_something_else_is_refused(
+    what: str, trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    _changed_metadata(run / FILE, what)
+    assert adapted(run, few, "--episodes", "1") == 2
+    assert f"was made for another {what}" in capsys.readouterr().err
+
+
+def test_a_prior_for_another_radius_is_used_when_that_is_asked_for(
+    trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prior = str(trained / FILE)
+    wider = ["--sparse-radius", "0.9", "--episodes", "1", "--out", str(tmp_path / "table.csv")]
+    rule = ["adapt", str(trained), "--tasks", few, "--deploy-episodes", "1", "--rule", "search"]
+    assert cli.run([*rule, f"prior={prior}", *wider]) == 2
+    assert "was made for another reward" in capsys.readouterr().err
+    assert cli.run([*rule, f"prior={prior}", "any_reward=true", *wider]) == 0
+
+
+def test_a_damaged_prior_is_refused(
+    trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    content = bytearray((run / FILE).read_bytes())
+    content[-9] ^= 1
+    (run / FILE).write_bytes(content)
+    assert adapted(run, few, "--episodes", "1") == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
+def test_what_makes_no_sense_is_one_sentence(
+    trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert adapted(trained, few, "--episodes", "0") == 2
+    assert "a search needs `episodes` of at least 1, got 0" in capsys.readouterr().err
+    without = tmp_path / "without"
+    Run.create(without, maml(policy=GaussianMLP((8,)), meta_batch_size=2), tiny_settings())
+    assert adapted(without, few) == 2
+    assert "a search needs a policy with a latent" in capsys.readouterr().err
+    assert cli.run(["prior", str(without)]) == 2
+    assert "`maml` cannot search" in capsys.readouterr().err
+    assert cli.run(["adapt", str(trained), "--rule", "search", "acquisition=best"]) == 2
+    assert "acquisition" in capsys.readouterr().err
+
+
+def test_python_takes_the_rule_as_an_object(trained: Path, few: str, tmp_path: Path) -> None:
+    done = maesn.adapt(
+        trained, rule=SearchRule(), tasks=few, episodes=2, deploy_episodes=1, out=tmp_path / "t.csv"
+    )
+    assert done.curves.mean_return.shape == (3, 3)
