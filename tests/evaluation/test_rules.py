@@ -211,7 +211,7 @@ def test_rules_as_text() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("gradeint", "must be one of gradient, memory, none, or `module:name` of your own"),
+        ("gradeint", "must be one of gradient, search, memory, none, or `module:name` of your own"),
         ("gradient step=2", "it has no setting `step`; write NAME=VALUE with one of step_scale, "),
         ("gradient step_scale", "expected NAME=VALUE, each name once, got `step_scale`"),
         ("gradient step_scale=fast", "`GradientRule.step_scale` must be of type float"),

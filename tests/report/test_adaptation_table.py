@@ -178,7 +178,7 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         (f"{HEADER}\n{ROW.replace('explore', 'play')}\n", "explore or deploy for `purpose`.*play"),
         (f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n", "purpose explore .* got 0 rows"),
         (
-            f"{HEADER}\n{ROW}\n0,1,50,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
+            f"{HEADER}\n{ROW}\n1,0,0,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
             "the same `update` and `episodes` for every task and purpose",
         ),
     ],

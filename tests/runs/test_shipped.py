@@ -82,6 +82,7 @@ def test_one_adapts_to_tasks_that_it_has_not_seen(folder: Path) -> None:
     assert files(TRAINED) == installed
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("figures_unsaved")
 def test_one_can_be_drawn_and_filmed_by_its_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch
