@@ -197,6 +197,17 @@ def test_what_takes_days_says_so_first(tmp_path: Path, caplog: pytest.LogCapture
     ]
 
 
+def test_a_long_adaptation_says_so_first(
+    run: Run, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    many = ["--episodes", "2000000000", "--episodes-per-update", "2000000000"]
+    printed = said(capsys, "adapt", str(run.directory), "--num-tasks", "2", *many)
+    assert "4,000,000,000 episodes of 40 steps of `point` at once take at least" in printed
+    (warning,) = caplog.messages
+    assert warning.startswith("4,000,000,000 episodes of 40 steps are to be played.")
+    assert "takes 222 hours" in warning
+
+
 def test_tasks_that_a_small_file_states_are_limited(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -36,6 +36,7 @@ from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, read_json
+from maesn.worlds.budget import warn_of_duration
 
 Flag: TypeAlias = Annotated[
     bool,
@@ -134,6 +135,8 @@ def adapt(
     if out is not None and not Path(out).name:
         raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
+    num_tasks = asked.count(opened.task_set(asked.tasks))
+    warn_of_duration(opened.env(), num_tasks * (asked.episodes or 0))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
     return write_outcome(table if out is None else Path(out), outcome, record)
