@@ -3,6 +3,7 @@
 Worker processes import this file, so it imports no JAX: they start in a fraction of the time.
 """
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -239,9 +240,36 @@ def make_parent(how: str, diary: Path, task: np.ndarray, reward: str) -> Walker:
     child = subprocess.Popen(["sleep", "3600"])
     diary.write_text(f"{os.getpid()} {child.pid}\n")
     if how == "hangs":
-        time.sleep(3600)
+        ctypes.PyDLL(None).pause()  # in C, without ever letting Python run
     return Walker(task)
 
 
 def make_fragile(health: Path, task: np.ndarray, reward: str) -> Fragile:
     return Fragile(health, task)
+
+
+class Stuck(Settable):
+    """Raises an error far below its first step."""
+
+    def step(self, action: np.ndarray) -> Any:
+        return self.turn_gears(50)
+
+    def turn_gears(self, depth: int) -> Any:
+        if depth:
+            return self.turn_gears(depth - 1)
+        raise ValueError("the gears are stuck" + "!" * 10_000_000)
+
+
+class Whimsical(Settable):
+    """Starts wherever it likes."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        return super().reset(seed=None)
+
+
+def make_stuck(task: np.ndarray, reward: str) -> Stuck:
+    return Stuck(task)
+
+
+def make_whimsical(task: np.ndarray, reward: str) -> Whimsical:
+    return Whimsical(task)

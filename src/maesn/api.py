@@ -29,13 +29,13 @@ from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
-from maesn.runs.training import train_live
+from maesn.runs.training import KEEP, train_live
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.search import SearchSettings
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
-from maesn.storage import RunError, read_json
+from maesn.storage import RunError, check_writable, read_json
 from maesn.worlds.budget import warn_of_duration
 
 Flag: TypeAlias = Annotated[
@@ -58,6 +58,7 @@ def train(
     *,
     init_from: str | Path | None = None,
     family: TaskFamily | None = None,
+    keep: int = KEEP,
 ) -> Run:
     """Meta-train in a new run directory, with a live display.
 
@@ -68,13 +69,14 @@ def train(
         init_from: directory of a run, or name of a policy that comes with the library, whose policy
             and step sizes to start from.
         family: a family of your own; None for the one that `settings.family` names.
+        keep: the latest checkpoints that stay, beside the first of each power of ten; 0 for all.
 
     Raises:
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
     run = Run.create(directory, learner, settings, family=family, init_from=init_from)
-    train_live(run)
+    train_live(run, keep=keep)
     return run
 
 
@@ -83,6 +85,7 @@ def resume(
     iterations: int | None = None,
     family: str | TaskFamily | None = None,
     change: Mapping[str, Any] | None = None,
+    keep: int = KEEP,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
@@ -92,6 +95,7 @@ def resume(
         family: the run's family, if it is your own: itself, or `module:name`.
         change: settings that are to differ from here on, name -> value, which is written down in
             the run; see `maesn.runs.changes.change_run`.
+        keep: as for `train`.
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.
@@ -100,7 +104,7 @@ def resume(
     run = Run.open(run, family=family)
     if change:
         run = change_run(run, change)
-    train_live(run, iterations=iterations)
+    train_live(run, iterations, keep)
     return run
 
 
@@ -136,7 +140,8 @@ def adapt(
         raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
-    warn_of_duration(opened.env(), num_tasks * (asked.episodes or 0))
+    warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
+    check_writable(Path(out) if out else adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
     return write_outcome(table if out is None else Path(out), outcome, record)

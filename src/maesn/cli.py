@@ -4,10 +4,8 @@ import difflib
 import os
 import signal
 import sys
-import threading
 import traceback
 from importlib import import_module
-from typing import Any
 
 from maesn._version import __version__
 
@@ -39,14 +37,15 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
-    sys.unraisablehook = _keep_interrupts
-    try:
-        code = run(sys.argv[1:])
-    except KeyboardInterrupt:  # a second one, while the first was being reported
-        code = INTERRUPTED
-    # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sys.exit(code)
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+    sys.exit(run(sys.argv[1:]))
+
+
+def _interrupt(*_: object) -> None:
+    """Stop as Ctrl-C does; a second one ends the process at once."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    raise KeyboardInterrupt
 
 
 def run(arguments: list[str]) -> int:
@@ -85,9 +84,18 @@ def _run_command(name: str, options: list[str]) -> int:
         if TRACEBACK in os.environ:
             traceback.print_exception(error)
         sentence, code = _explained(error)
-        print(f"maesn {name}: {sentence}", file=sys.stderr)
+        print(f"maesn {name}: {sentence}", *_notes(error), sep="\n", file=sys.stderr)
         return code
     return 0
+
+
+def _notes(error: BaseException | None) -> list[str]:
+    """Return what an error and its causes say beside their messages."""
+    notes: list[str] = []
+    while error is not None:
+        notes += getattr(error, "__notes__", [])
+        error = error.__cause__
+    return notes
 
 
 def _explained(error: Exception) -> tuple[str, int]:
@@ -110,14 +118,6 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from maesn.worlds import EpisodeError
 
     return RunError, EngineError, RenderingError, EpisodeError
-
-
-def _keep_interrupts(event: Any) -> None:
-    """Repeat a Ctrl-C that came where Python drops it, as in a callback of JAX."""
-    if issubclass(event.exc_type, KeyboardInterrupt):
-        threading.Timer(0.01, os.kill, [os.getpid(), signal.SIGINT]).start()
-    else:
-        sys.__unraisablehook__(event)
 
 
 def _help() -> str:

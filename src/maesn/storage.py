@@ -6,10 +6,14 @@ Whatever goes wrong here, such as a full disk or damaged content, is a `RunError
 import contextlib
 import errno
 import fcntl
+import glob
 import json
 import logging
-import shutil
-from collections.abc import Iterator, Mapping
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +23,14 @@ from maesn.runtime import archive
 
 logger = logging.getLogger(__name__)
 
-# Stands in a directory that is being filled. Where it has stayed, its process died over that.
-UNFINISHED = ".unfinished"
+# Stands in a directory while a process works in it, which it names. It stays if that is killed.
+LOCK = ".maesn-lock"
+
+# Seconds that no writer needs for one file.
+_ABANDONED = 3600.0
+
+# Bytes that must fit on a disk before work begins.
+_PROBE = 65536
 
 _ADVICE = {
     errno.ENOSPC: "free some space there, or choose another directory",
@@ -30,6 +40,7 @@ _ADVICE = {
     errno.EPERM: "ask for the permission, or choose another directory",
     errno.EROFS: "choose a directory that can be written to",
     errno.ENOTDIR: "a part of this path is a file: choose another directory",
+    errno.EISDIR: "name a file in it",
     errno.EEXIST: "a file has that name: choose another directory",
     errno.ENOENT: "check the spelling",
 }
@@ -60,35 +71,95 @@ def refusals(before: str = "") -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def new_directory(directory: Path) -> Iterator[None]:
-    """Make a directory, new or empty, for the block to fill; remove it again if the block fails.
+def new_directory(directory: Path, files: Sequence[str]) -> Iterator[None]:
+    """Make a directory, new or empty, for the block to fill; undo that if the block fails.
 
-    What a process left behind that was killed over the same is cleared.
+    Nothing is removed but what the block can have made. What a process has left here that was
+    killed over the same is written again.
+
+    Args:
+        directory: where the block writes.
+        files: paths in it that the block may write. The last one makes the directory whole.
+
+    Raises:
+        RunError: the directory holds other files, or another process is at work in it.
     """
-    with explained("make", directory):
-        if (directory / UNFINISHED).exists():
-            shutil.rmtree(directory)
-        directory.mkdir(parents=True, exist_ok=True)
-        occupied = any(directory.iterdir())
-    if occupied:
-        raise RunError(
-            f"`{directory}` must be a new or an empty directory, but holds files: choose another "
-            f"one, or go on with the run in it (maesn resume {directory})."
-        )
+    existed = directory.exists()
     try:
-        with explained("fill", directory):
-            (directory / UNFINISHED).touch()
-            yield
-            (directory / UNFINISHED).unlink()
+        with explained("make", directory):
+            directory.mkdir(parents=True, exist_ok=True)
+            if not (directory / LOCK).exists():
+                _check_vacant(directory, [])
+        with locked(directory):
+            _check_vacant(directory, [LOCK, *files[:-1]])
+            with explained("fill", directory), _undoing(directory, files):
+                yield
+    finally:
+        if not existed:
+            with contextlib.suppress(OSError):  # it is not empty
+                directory.rmdir()
+
+
+def discard_partial(directory: Path, name: str = "*", seconds: float = 0.0) -> None:
+    """Remove what killed processes were writing, of this name and not touched for so long."""
+    for path in directory.glob(f"{name}.[0-9]*{archive.PARTIAL}"):
+        with contextlib.suppress(OSError):  # a file too many does no harm
+            if time.time() - path.stat().st_mtime >= seconds:
+                path.unlink()
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a path to which no file can be written, before the work that the file is for."""
+    with explained("write", path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "Is a directory")
+        with tempfile.TemporaryFile(dir=path.parent) as probe:
+            probe.write(bytes(_PROBE))
+
+
+def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
+    """Refuse a directory that holds more than a process can have left that died over filling it."""
+    own = {directory / name for name in expected}
+    own |= {path.parent for path in own}
+    for path in directory.rglob("*"):
+        if path not in own and not (own and path.suffix == archive.PARTIAL):
+            raise RunError(
+                f"`{directory}` must be a new or an empty directory, but holds files: choose "
+                f"another one, or go on with the run in it (maesn resume {directory})."
+            )
+
+
+@contextlib.contextmanager
+def _undoing(directory: Path, files: Sequence[str]) -> Iterator[None]:
+    """If the block fails, remove these files, and the folders that they leave empty."""
+    try:
+        yield
     except BaseException:
-        shutil.rmtree(directory, ignore_errors=True)
+        paths = [directory / name for name in files]
+        for path in paths:
+            path.unlink(missing_ok=True)
+        for folder in {path.parent for path in paths} - {directory}:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
         raise
+
+
+def refuse_links(directory: Path) -> None:
+    """Refuse a directory that holds links, pipes and the like: writing would go somewhere else."""
+    for path in (*directory.glob("*"), *directory.glob("*/*")):
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise RunError(
+                f"`{path}` must be a file or a folder itself, but is a link or the like: remove "
+                "it, or put what it points to in its place."
+            )
 
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file and the directories above; at any moment it is the old one or the new one."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        discard_partial(path.parent, glob.escape(path.name), _ABANDONED)
         archive.write_whole(path, content)
 
 
@@ -134,21 +205,49 @@ def read_arrays(
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Let no other process enter a block with the same file, until this one ends in any way."""
+def locked(directory: Path) -> Iterator[None]:
+    """Let no other process work in a directory, until the block or this process ends in any way.
+
+    Raises:
+        RunError: another process has the lock; the message names it. Or there are links in it.
+    """
+    path = directory / LOCK
+    refuse_links(directory)
     with contextlib.ExitStack() as stack:
         with explained("open", path):
-            file = stack.enter_context(path.open("r+b"))
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            file = stack.enter_context(os.fdopen(descriptor, "r+b", buffering=0))
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise RunError(
-                f"another process is at work in `{path.parent}`: wait for it, or stop it."
-            ) from error
+            raise RunError(_occupied(directory, file.read())) from error
         except OSError:
             warning = "The file system of `%s` has no locks: let no other process work in it."
-            logger.warning(warning, path.parent)
-        yield
+            logger.warning(warning, directory)
+        if not _is_at(path, file.fileno()):  # its last owner has just removed it
+            raise RunError(_occupied(directory, b""))
+        with contextlib.suppress(OSError):  # a lock that names nobody is one as well
+            file.truncate()
+            file.write(f"process {os.getpid()} on {platform.node()}".encode())
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _occupied(directory: Path, owner: bytes) -> str:
+    named = owner[:200].decode(errors="replace") or "another process"
+    return (
+        f"{named} is at work in `{directory}`: wait for it, stop it, or choose another directory."
+    )
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
 
 
 @contextlib.contextmanager

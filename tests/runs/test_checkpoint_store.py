@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 from small_runs import DriftState, create
 
-from maesn.runs.checkpoint import CheckpointError, MismatchError, read_checkpoint, save_checkpoint
+from maesn.runs.checkpoint import (
+    CheckpointError,
+    MismatchError,
+    prune,
+    read_checkpoint,
+    save_checkpoint,
+)
 from maesn.runs.config import Change
 from maesn.runs.run import Run
+from maesn.runs.training import train
+from maesn.storage import RunError
 
 
 def state(iteration: int) -> DriftState:
@@ -100,3 +108,48 @@ def test_a_checkpoint_belongs_to_one_of_the_runs_configurations(tmp_path: Path) 
     assert changed(run, recorded, seed=5).latest().iteration == 1
     with pytest.raises(MismatchError, match=r"with another `config.json`.*--change NAME=VALUE"):
         changed(run, seed=5).latest()
+
+
+def numbers(run: Run) -> list[int]:
+    return [int(path.stem[-6:]) for path in run.checkpoints()]
+
+
+def test_few_checkpoints_stay(tmp_path: Path) -> None:
+    run = create(tmp_path / "run", iterations=130, checkpoint_every=10)
+    steps = train(run)
+    wanted = {10: [0, 10], 40: [0, 10, 20, 30, 40], 50: [0, 10, 30, 40, 50]}
+    for progress in steps:
+        if progress.iteration in wanted:
+            assert numbers(run) == wanted[progress.iteration]
+    assert numbers(run) == [0, 10, 100, 110, 120, 130]
+    assert [run.load(path).iteration for path in run.checkpoints()] == numbers(run)
+
+
+@pytest.mark.parametrize(
+    ("keep", "wanted"),
+    [(0, [*range(13)]), (1, [0, 1, 10, 12]), (5, [0, 1, 8, 9, 10, 11, 12]), (99, [*range(13)])],
+)
+def test_how_many_stay_can_be_chosen(tmp_path: Path, keep: int, wanted: list[int]) -> None:
+    run = create(tmp_path / "run", iterations=12, checkpoint_every=1)
+    list(train(run, keep=keep))
+    assert numbers(run) == wanted
+
+
+def test_a_negative_number_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="`keep` must be at least 0, got -1"):
+        next(train(create(tmp_path / "run"), keep=-1))
+
+
+def test_the_only_good_checkpoint_is_never_deleted(tmp_path: Path) -> None:
+    run, paths = filled(tmp_path, 20, 30, 40, 50)
+    for path in paths[2:]:
+        path.write_bytes(b"")
+    with pytest.raises(CheckpointError):
+        prune(paths[3], 1)
+    assert numbers(run) == [20, 30, 40, 50]
+    prune(paths[1], 1)  # later ones count for nothing
+    assert run.latest().iteration == 30
+    run.save_state(state(35))
+    prune(run.directory / "checkpoints" / "iteration-000035.safetensors", 1)
+    assert numbers(run) == [20, 35, 40, 50]
+    assert run.latest().iteration == 35

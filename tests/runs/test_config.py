@@ -324,3 +324,53 @@ def test_what_a_function_raises_is_not_hidden(tmp_path: Path) -> None:
     broken = with_method(Point, observe=lambda self, readings: jnp.ones(2) @ jnp.ones(3))
     with pytest.raises(TypeError, match="contracting"):
         Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), POINT._replace(make_env=broken))
+
+
+ATTACKS: list[dict[str, Any]] = [
+    {"settings": {"seed": 1}},
+    {"settings": {"reward": "sparse"}},
+    {"settings": {"episodes_per_task": 4}},
+    {"settings": {"engine": "mjx"}},
+    {"versions": {}},
+    {"provenance": {"commit": "0" * 40}},
+    {"changes": [{"iteration": 0, "changed": {}, "digest": "0" * 16}]},
+    {"more": 1},
+]
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=str)
+def test_whatever_is_changed_by_hand_is_noticed(directory: Path, attack: dict[str, Any]) -> None:
+    path = directory / "config.json"
+    document = json.loads(path.read_text())
+    for name, value in attack.items():
+        held = document.get(name)
+        merged = isinstance(held, dict) and value
+        document[name] = held | value if merged else value
+    assert document != json.loads(path.read_text())
+    path.write_text(json.dumps(document))
+    with pytest.raises(RunError, match=r"was changed since maesn wrote it.*--change NAME=VALUE"):
+        Run.open(directory)
+    # With a digest that fits, it is not the file that the checkpoints were written with.
+    edit(directory, **document)
+    with pytest.raises(RunError, match=r"with another `config.json`|cannot be understood"):
+        Run.open(directory).latest()
+
+
+@pytest.mark.parametrize("digest", ["", None, 0, [], "drop"])
+def test_a_digest_that_is_none_is_refused(directory: Path, digest: Any) -> None:
+    path = directory / "config.json"
+    document = json.loads(path.read_text()) | {"digest": digest}
+    path.write_text(json.dumps({name: x for name, x in document.items() if x != "drop"}))
+    with pytest.raises(RunError, match="was changed since maesn wrote it"):
+        Run.open(directory)
+
+
+def test_a_name_that_stands_twice_changes_nothing(directory: Path) -> None:
+    """JSON readers differ in which one counts; here it is the one that the digest is of."""
+    path, before = directory / "config.json", Run.open(directory).config
+    text = path.read_text()
+    path.write_text(text.replace('"seed": 0', '"seed": 5, "seed": 0'))
+    assert Run.open(directory).config == before
+    path.write_text(text.replace('"seed": 0', '"seed": 0, "seed": 5'))
+    with pytest.raises(RunError, match="was changed since maesn wrote it"):
+        Run.open(directory)

@@ -1,18 +1,18 @@
 """However training is interrupted, what comes out is what would have come out."""
 
+import dataclasses
 import itertools
 import json
 import logging
 import os
-import resource
+import shutil
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 import pytest
+from dying import Crash, Death, files_no_larger_than
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
 
 from maesn.runs import config, log
@@ -42,30 +42,6 @@ def test_leaving_the_loop_saves(
     assert outcome(finish(reopened(run))) == whole
 
 
-class Crash(BaseException):
-    """The process is gone."""
-
-
-class Death:
-    """Lets a process die at its n-th write: that one is half done, and nothing follows."""
-
-    def __init__(self, moment: int) -> None:
-        self._left = moment
-        self.dead = False
-
-    def before(self, call: Callable[..., Any], half: Callable[..., Any] | None = None) -> Any:
-        def wrapped(*arguments: Any, **options: Any) -> Any:
-            if not self.dead and self._left > 0:
-                self._left -= 1
-                return call(*arguments, **options)
-            if half is not None and not self.dead:
-                half(*arguments)
-            self.dead = True
-            raise Crash
-
-        return wrapped
-
-
 def half_a_line(file: log.JsonLines, record: Any) -> None:
     file._file.write(json.dumps(dict(record)).encode()[:20])  # unbuffered
 
@@ -73,13 +49,12 @@ def half_a_line(file: log.JsonLines, record: Any) -> None:
 def test_death_at_any_write_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: tuple[bytes, dict[str, bytes]]
 ) -> None:
+    begun = create(tmp_path / "begun")
     for moment in range(1000):
-        run, death = create(tmp_path / str(moment)), Death(moment)
+        directory, death = shutil.copytree(begun.directory, tmp_path / str(moment)), Death(moment)
+        run = dataclasses.replace(begun, directory=directory)
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", death.before(os.fsync))
-            patch.setattr(Path, "replace", death.before(Path.replace))
-            # The clean-up after an exception, which a dead process does not do.
-            patch.setattr(Path, "unlink", death.before(Path.unlink))
+            death.at_files(patch)
             patch.setattr(log.JsonLines, "append", death.before(log.JsonLines.append, half_a_line))
             patch.setattr(log.JsonLines, "cut", death.before(log.JsonLines.cut))
             try:
@@ -156,15 +131,49 @@ def test_a_damaged_checkpoint_sends_the_run_back(
     assert outcome(finish(reopened(run))) == whole
 
 
-def test_lines_that_are_lost_are_missed(
-    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], caplog: pytest.LogCaptureFixture
+def damaged(lines: list[bytes], how: str) -> list[bytes]:
+    """What may have become of the lines of four iterations."""
+    broken = lines[1].replace(b"{", b"\x00", 1)
+    return {
+        "end": lines[:3],
+        "all": [],
+        "byte": [lines[0], broken, *lines[2:]],
+        "number": [lines[0], lines[1].replace(b": 2,", b": 4,", 1), *lines[2:]],
+        "break": [lines[0], lines[1][:-1], *lines[2:]],
+        "half": [*lines[:3], lines[3][:-9]],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    ("how", "lost"),
+    [
+        ("end", {4}),
+        ("all", {1, 2, 3, 4}),
+        ("byte", {2}),
+        ("number", {2}),
+        ("break", {2, 3}),
+        ("half", {4}),
+    ],
+)
+def test_lines_that_are_lost_are_missed_and_sound_ones_kept(
+    tmp_path: Path,
+    whole: tuple[bytes, dict[str, bytes]],
+    caplog: pytest.LogCaptureFixture,
+    how: str,
+    lost: set[int],
 ) -> None:
     run = finish(create(tmp_path / "run"), iterations=4)
     path = run.directory / "metrics.jsonl"
-    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:3]))
-    with caplog.at_level(logging.WARNING):
-        finish(reopened(run))
-    assert "holds only 3 of the 4 iterations" in caplog.text
+    path.write_bytes(b"".join(damaged(path.read_bytes().splitlines(keepends=True), how)))
+    for iterations in (5, 6):  # a later session loses no more
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            finish(reopened(run), iterations)
+        said = f"lacks {len(lost)} of the {iterations - 1} iterations before this one, the first "
+        assert f"{said}of them {min(lost)}." in caplog.text
+        assert len(caplog.records) == 1
+    kept = whole[0].splitlines(keepends=True)
+    assert path.read_bytes() == b"".join(x for n, x in enumerate(kept, 1) if n not in lost)
     assert tensors(run.checkpoints()[-1]) == whole[1]
 
 
@@ -172,7 +181,7 @@ def test_two_processes_cannot_train_one_run(tmp_path: Path) -> None:
     run = create(tmp_path / "run")
     steps = train(run)
     next(steps)
-    with pytest.raises(RunError, match="another process is at work in"):
+    with pytest.raises(RunError, match=f"process {os.getpid()} on .* is at work in"):
         next(train(reopened(run)))
     steps.close()
     assert next(train(reopened(run))).iteration == 2
@@ -190,17 +199,6 @@ def test_other_versions_are_mentioned(
         finish(reopened(run))
     assert f"was begun with jax 0.1 and goes on with {jax.__version__}" in caplog.text
     assert len(caplog.records) == 1
-
-
-@contextmanager
-def files_no_larger_than(size: int) -> Iterator[None]:
-    """Let writes fail as they do on a full disk, some of them half done."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(

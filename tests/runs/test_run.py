@@ -18,7 +18,7 @@ from playing import play
 from small_runs import create as create_drift
 from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
-from maesn import cli
+from maesn import cli, storage
 from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES, AnyEnv, Point
 from maesn.learners import METHODS, maml
@@ -192,13 +192,12 @@ Run.create(sys.argv[1], Drift(), tiny_settings())
 
 def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None:
     directory = tmp_path / "run"
-    tests = str(Path(__file__).parents[1])
-    environment = os.environ | {"PYTHONPATH": tests}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     died = subprocess.run(
         [sys.executable, "-c", CREATES, str(directory)], env=environment, check=False
     )
     assert died.returncode == -signal.SIGKILL
-    assert (directory / "checkpoints").exists()
+    assert [entry.name for entry in directory.iterdir()] == [storage.LOCK]
     with pytest.raises(RunError, match="there is no run in"):
         Run.open(directory)
     made = create_tiny(directory)

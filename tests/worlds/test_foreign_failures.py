@@ -27,12 +27,21 @@ from strange_families import (
     is_running,
     seeds,
 )
-from strangers import HORIZON, Diarist, Walker, make_broken, make_hopeless
+from strangers import (
+    HORIZON,
+    Diarist,
+    Walker,
+    make_broken,
+    make_hopeless,
+    make_settable,
+    make_stuck,
+    make_whimsical,
+)
 
 from maesn import cli
 from maesn.envs import TaskSet
 from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
-from maesn.worlds import EpisodeError, make_world
+from maesn.worlds import EnvContractError, EpisodeError, check_env_contract, make_world
 from maesn.worlds.collector import Collector
 
 FAILURES = {
@@ -159,6 +168,14 @@ def test_ctrl_c_ends_all_processes_and_is_passed_on(collect: Collector) -> None:
     assert not processes_of(collect)
 
 
+def test_a_signal_to_all_processes_of_a_job_is_the_parents_to_handle(collect: Collector) -> None:
+    processes = play_tasks(collect, 0, 1)
+    for process in processes:
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            os.kill(process, number)
+    assert play_tasks(collect, 0, 1) == processes
+
+
 ORPHANS = """
 import os, pickle, sys, time
 from functools import partial
@@ -225,5 +242,29 @@ def test_a_command_says_in_one_sentence_why_an_environment_cannot_be_made(
     command = ["train", "maesn", "--family", "strange_families:hopeless"]
     assert cli.run([*command, "--run", str(tmp_path / "run")]) == cli.USAGE_ERROR
     error = capsys.readouterr().err
-    assert error.startswith("maesn train: `stranger`, task 0: `make_env` raised OSError: no lic")
-    assert error.count("\n") == 1
+    sentence, *note = error.splitlines()
+    assert sentence.startswith("maesn train: `stranger`, task 0: `make_env` raised OSError: no lic")
+    assert note[0] == "In the process of the environment:"
+    assert re.search(r'strangers.py", line \d+, in make_hopeless$', note[-2])
+    assert note[-1].strip() == 'raise OSError("no licence")'
+
+
+def checked(make_env: Callable[[np.ndarray, str], object]) -> None:
+    env = family_of(make_env).make_env()
+    check_env_contract(env, rows()[0])
+
+
+def test_an_environment_is_stepped_before_training_starts(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    checked(make_settable)
+    assert not caplog.records
+    reason = r"`stranger`, task 0: `step` raised ValueError: the gears are stuck"
+    with pytest.raises(EnvContractError, match=reason) as error:
+        checked(make_stuck)
+    assert len(str(error.value)) < 1500  # of a message of ten million characters
+    (note,) = error.value.__cause__.__notes__  # type: ignore[union-attr]
+    assert note.index("in step") < note.index("in turn_gears") < note.index("raise ValueError(")
+    # Its starts do not follow from the seed: Gymnasium's own check finds that.
+    checked(make_whimsical)
+    assert "`stranger`: training can go on, but Gymnasium's `check_env` finds: " in caplog.text

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from maesn.foreign.errors import described
 from maesn.foreign.hosted import HostedEnvironment, HostedError
 
 ACTIONS = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -82,3 +83,27 @@ def test_a_reward_that_is_infinite_in_single_precision_is_refused(reward: float)
     one.begin(pickle.dumps(None), 0)
     with pytest.raises(HostedError, match="the reward is not finite"):
         one.step(np.zeros(1, np.float32))
+
+
+class Nameless(Exception):
+    """Cannot even say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ValueError("x"), "ValueError: x"),
+        (Nameless(), "Nameless: (its message cannot be shown)"),
+        (ValueError("a" + "b" * 10_000_000 + "c"), "ValueError: ab"),
+    ],
+)
+def test_an_error_is_described_in_few_characters(error: Exception, said: str) -> None:
+    text = described(error)
+    assert text.startswith(said)
+    assert len(text) < 1100
+    if len(text) > 100:
+        assert text.endswith("bc")
+        assert "bb ... (9,999,014 characters left out) ... bb" in text

@@ -16,6 +16,7 @@ from maesn.report.tables import print_side_by_side
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
+from maesn.runs.training import KEEP
 from maesn.storage import RunError, refusals
 
 
@@ -25,6 +26,7 @@ def resume(
     iterations: int | None = None,
     family: AnyFamily = None,
     change: tuple[str, ...] = (),
+    keep: int = KEEP,
 ) -> None:
     """Go on with a run from its latest checkpoint, as if it had never stopped.
 
@@ -34,10 +36,11 @@ def resume(
         family: The run's family as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as NAME=VALUE: `num_threads=2
             reward=sparse trust_region.damping=0.1`. `config.json` keeps a record of it.
+        keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
     """
     with refusals("`--change`: "):
         changes = values_of_words(change)
-    trained = api.resume(run, iterations, family=family, change=changes)
+    trained = api.resume(run, iterations, family=family, change=changes, keep=keep)
     # Of a run that was begun in Python, the command alone knows where the family is.
     say_what_is_next(trained, f" --family {family}" if family else trained.settings.family_option)
 

@@ -17,6 +17,7 @@ from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
 from maesn.runs.sources import resolve_family
+from maesn.runs.training import KEEP
 from maesn.storage import RunError
 
 Source: TypeAlias = Literal["recommended", "reference"]
@@ -36,6 +37,8 @@ class Options:
     init_from: Path | None = None
     """Directory of a run, or name of a policy that comes with the library, whose policy and step
     sizes to start from."""
+    keep: int = KEEP
+    """Latest checkpoints that stay, beside the first of each power of ten; 0: all of them."""
 
 
 def train(arguments: list[str]) -> None:
@@ -49,7 +52,7 @@ def train(arguments: list[str]) -> None:
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
-    run = api.train(learner, settings, directory, init_from=options.init_from)
+    run = api.train(learner, settings, directory, init_from=options.init_from, keep=options.keep)
     say_what_is_next(run, settings.family_option)
 
 

@@ -26,7 +26,7 @@ from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
-from maesn.storage import RunError, refusals
+from maesn.storage import RunError, refusals, refuse_links
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -103,7 +103,9 @@ AnyEvaluation: TypeAlias = Annotated[
 
 def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
     """Open a run whose directory will be written to; of a policy with the library, a copy."""
-    return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
+    opened = run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
+    refuse_links(opened.directory)
+    return opened
 
 
 @contextmanager

@@ -1,14 +1,16 @@
 """One environment inside a worker: begun, stepped, and checked at every step."""
 
 import pickle
-import traceback
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
 
+from maesn.foreign.errors import described, raised
 from maesn.foreign.interface import Interface, InterfaceError, describe
 from maesn.foreign.observations import fault
 
@@ -125,6 +127,21 @@ class HostedEnvironment:
         )
         return self._last
 
+    def complaint(self, task: bytes) -> str | None:
+        """Return what Gymnasium's own check finds; None if it finds nothing.
+
+        It plays some steps, and asks for more than is needed here: exact types and bounds, and the
+        same episode for the same seed.
+        """
+        env = self._with_task(task)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                check_env(env, skip_render_check=True, skip_close_check=True)
+        except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
+            return described(error)
+        return None
+
     def close(self) -> None:
         """Release what the environment holds."""
         if self._env is not None:
@@ -197,12 +214,6 @@ def _ask(what: str, question: Callable[[], Any]) -> Any:
     except Exception as error:  # whatever it is, it belongs to the user
         name = what if " " in what else f"`{what}`"
         raise HostedError(f"{name} {raised(error)}") from error
-
-
-def raised(error: Exception) -> str:
-    """Return what was raised, and where, as the end of a sentence."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    return f"raised {type(error).__name__}: {error} ({frame.filename}, line {frame.lineno})"
 
 
 def _action(space: spaces.Space[Any], control: np.ndarray) -> Any:

@@ -22,6 +22,8 @@ import cloudpickle
 import numpy as np
 from jaxtyping import Float
 
+from maesn.foreign.errors import described
+from maesn.foreign.guard import Guard
 from maesn.foreign.hosted import Reading
 from maesn.foreign.interface import Interface
 from maesn.foreign.worker import MARK, Failure
@@ -49,10 +51,14 @@ class WorkerError(RuntimeError):
     Attributes:
         simulation: which one, as a row of the arrays that `begin` was given.
         reason: what it did.
+
+    If the environment has raised an exception, a note says in which calls of its code.
     """
 
-    def __init__(self, simulation: int, reason: str) -> None:
+    def __init__(self, simulation: int, reason: str, calls: str = "") -> None:
         super().__init__(f"simulation {simulation}: {reason}")
+        if calls:
+            self.add_note(f"In the process of the environment:\n{calls.rstrip()}")
         self.simulation = simulation
         self.reason = reason
 
@@ -75,6 +81,7 @@ class WorkerPool:
         self._time_limit = time_limit
         self._content = _content(recipe)
         self._workers: list[_Worker] = []
+        self._guard: Guard | None = None
 
     @property
     def process_ids(self) -> list[int]:
@@ -92,6 +99,18 @@ class WorkerPool:
         """
         ((_, (interface,)),) = self._ask("describe", 1, [task])
         return interface
+
+    def complaint(self, task: bytes) -> str | None:
+        """Return what Gymnasium's own check finds in the environment of a task.
+
+        Args:
+            task: pickled.
+
+        Raises:
+            WorkerError: the environment cannot be used; the pool must be closed.
+        """
+        ((_, (complaint,)),) = self._ask("complaint", 1, [task])
+        return complaint
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
         """Begin an episode in every simulation.
@@ -121,6 +140,9 @@ class WorkerPool:
         deadline = time.monotonic() + _GRACE
         for worker in workers:
             worker.stop(deadline)
+        if self._guard is not None:
+            self._guard.close()
+            self._guard = None
 
     def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
         readings: Readings = {}
@@ -155,8 +177,10 @@ class WorkerPool:
     def _staff(self, num_simulations: int) -> "list[_Worker]":
         """Return the workers of so many simulations, and start those that are missing."""
         number = min(self._num_workers, num_simulations)
+        self._guard = self._guard or Guard()
         while len(self._workers) < number:
             self._workers.append(_Worker(self._content))
+            self._guard.watch(self._workers[-1].process.pid)
         return self._workers[:number]
 
 
@@ -171,7 +195,7 @@ class _Worker:
             shared.truncate(MARK.size)
             self._mark = mmap.mmap(shared.fileno(), MARK.size)
             descriptors = (theirs.fileno(), shared.fileno())
-            numbers = map(str, (*descriptors, os.getpid()))
+            numbers = map(str, descriptors)
             self.process = subprocess.Popen(
                 [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *numbers],
                 pass_fds=descriptors,
@@ -235,7 +259,7 @@ def _content(recipe: tuple[Any, ...]) -> bytes:
         return cloudpickle.dumps(recipe)
     except Exception as error:  # what a user's closure holds can raise anything
         raise WorkerError(
-            0, f"`make_env` cannot be sent to a process: {type(error).__name__}: {error}"
+            0, f"`make_env` cannot be sent to a process: {described(error)}"
         ) from error
 
 
@@ -249,5 +273,5 @@ def _answer(worker: _Worker, first: int, stride: int) -> Sequence[Any]:
             f"the environment has ended its process (exit code {code})",
         ) from error
     if isinstance(answer, Failure):
-        raise WorkerError(first + stride * answer.environment, answer.reason)
+        raise WorkerError(first + stride * answer.environment, answer.reason, answer.calls)
     return answer

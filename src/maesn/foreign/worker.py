@@ -1,33 +1,25 @@
 """The program of a worker process: hosts a share of the environments and steps them in turn.
 
-It is started by `maesn.foreign.pool`, and ends when its connection does, however that comes about;
-also if the parent process is killed while an environment hangs.
+It is started by `maesn.foreign.pool`, and ends when its connection does. If an environment hangs
+then, `maesn.foreign.guard` ends it.
 """
 
-import atexit
 import contextlib
 import mmap
-import os
 import pickle
 import signal
 import struct
-import sys
-import threading
-import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading, raised
+from maesn.foreign.errors import calls_of, described, raised, shortened
+from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
 
 # What a worker writes before each call of an environment: how many calls so far, and whose.
 MARK = struct.Struct("=Qq")
-
-
-# Seconds between two looks whether the parent process is still there.
-_LOOK_PERIOD = 1.0
 
 
 class Failure(NamedTuple):
@@ -36,27 +28,25 @@ class Failure(NamedTuple):
     environment: int
     """Which one, among those of the worker."""
     reason: str
+    calls: str
+    """Those of its code in which it has raised an exception; empty if it has not."""
 
 
-def main(connection_descriptor: int, mark_descriptor: int, parent: int) -> None:
+def main(connection_descriptor: int, mark_descriptor: int) -> None:
     """Serve the parent process until it closes the connection.
 
     Args:
         connection_descriptor: of a socket to the parent, which sends first the recipe and then
             requests.
         mark_descriptor: of a file that both processes map.
-        parent: its process.
     """
-    connection_over = threading.Event()
-    # Registered before an environment can be: whatever those want done at the end is done first.
-    atexit.register(_end_group_after, connection_over)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    # Schedulers signal all processes of a job; the parent then saves, and ends this one. A handler
+    # that does nothing, because what is ignored would be ignored by environments' processes too.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: None)
     connection = Connection(connection_descriptor)
-    with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(OSError):
-        try:
-            _serve(connection, mark)
-        except (EOFError, ConnectionError):
-            connection_over.set()
+    with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
+        _serve(connection, mark)
 
 
 def _serve(connection: Connection, mark: mmap.mmap) -> None:
@@ -71,37 +61,13 @@ def _serve(connection: Connection, mark: mmap.mmap) -> None:
         share.close()
 
 
-def _end_group_after(connection_over: threading.Event) -> None:
-    """End what the environments have started; a `sys.exit` of their own keeps its exit code.
-
-    The parent does it as well, unless it is being killed. Its descriptors are closed then while it
-    still counts as the parent, so that `os.getppid` would not notice.
-    """
-    if connection_over.is_set():
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(Exception):
-                stream.flush()
-        os.killpg(0, signal.SIGKILL)
-
-
-def _end_with(parent: int) -> None:
-    """End this process, and those that its environments have started, when the parent is gone.
-
-    An environment that hangs in compiled code without ever letting Python run is not ended.
-    """
-    while os.getppid() == parent:
-        time.sleep(_LOOK_PERIOD)
-    time.sleep(_LOOK_PERIOD)  # for environments that can be closed
-    os.killpg(0, signal.SIGKILL)
-
-
 def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":
     recipe = connection.recv_bytes()
     try:
         return _Share(pickle.loads(recipe), mark)
     except Exception as error:  # noqa: BLE001  # the import of a user's module can raise anything
-        reason = f"`make_env` cannot be loaded: {type(error).__name__}: {error}"
-        connection.send(Failure(0, reason))
+        reason = f"`make_env` cannot be loaded: {described(error)}"
+        connection.send(Failure(0, reason, calls_of(error)))
         return None
 
 
@@ -134,10 +100,10 @@ class _Share:
             try:
                 answers.append(getattr(self._environments[index], request)(*arguments))
             except HostedError as error:
-                return Failure(index, str(error))
+                return Failure(index, shortened(str(error)), calls_of(error.__cause__))
             except Exception as error:  # noqa: BLE001  # of a user's code, wherever it is called
-                return Failure(index, f"the environment {raised(error)}")
-        return answers if request == "describe" else _by_field(answers)
+                return Failure(index, f"the environment {raised(error)}", calls_of(error))
+        return _by_field(answers) if request in ("begin", "step") else answers
 
     def close(self) -> None:
         """Close all environments, whatever each of them does about it."""

@@ -26,13 +26,14 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     """
     with refusals("the change cannot be made: "):
         config = _changed(run, changes)
-    change = Change(run.latest().iteration, dict(changes), run.config.digest())
-    config = dataclasses.replace(config, changes=(*config.changes, change))
-    changed = dataclasses.replace(run, config=config)
-    if not eqx.tree_equal(changed.structure(), run.structure()):
-        raise RunError(_refusal(", ".join(changes)))
-    changed.world().close()  # the engine may lack something
-    write_config(run.directory, config)
+    with run.alone():
+        change = Change(run.latest().iteration, dict(changes), run.config.digest())
+        config = dataclasses.replace(config, changes=(*config.changes, change))
+        changed = dataclasses.replace(run, config=config)
+        if not eqx.tree_equal(changed.structure(), run.structure()):
+            raise RunError(_refusal(", ".join(changes)))
+        changed.world().close()  # the engine may lack something
+        write_config(run.directory, config)
     return changed
 
 

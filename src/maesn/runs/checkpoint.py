@@ -7,6 +7,7 @@ Safetensors does not recognise a flipped bit. So the metadata hold a SHA-256 of 
 inside the file and not beside it: one rename then replaces both.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -131,9 +132,8 @@ def checked(source: Path | str, state: Any, metadata: Mapping[str, str]) -> Chec
 def checkpoint_paths(directory: Path) -> list[Path]:
     """Return the paths of all checkpoints, the earliest first."""
     found = directory.glob("iteration-*.safetensors")
-    numbers = {path: path.stem.removeprefix("iteration-") for path in found}
-    numbered = [path for path, number in numbers.items() if number.isdecimal()]
-    return sorted(numbered, key=lambda path: int(numbers[path]))
+    numbered = (path for path in found if path.stem.removeprefix("iteration-").isdecimal())
+    return sorted(numbered, key=_number)
 
 
 def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpoint:
@@ -150,6 +150,30 @@ def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpo
         return checkpoint
     nothing = f"`{directory}` holds no sound checkpoint: restore one."
     raise CheckpointError(" ".join([nothing, *damage]))
+
+
+def prune(path: Path, keep: int) -> None:
+    """Delete the checkpoints before one that is sound, but for those that are worth keeping.
+
+    These are the latest `keep`, this one included, the untrained one, and the first one of each
+    power of ten: of iterations 1 to 9, 10 to 99, 100 to 999, ...
+
+    Raises:
+        CheckpointError: this one is damaged; nothing is deleted.
+    """
+    read_checkpoint(path)
+    paths = checkpoint_paths(path.parent)
+    before = paths[: paths.index(path) + 1]
+    first: dict[int, Path] = {}
+    for one in before:
+        first.setdefault(len(str(_number(one))) if _number(one) else 0, one)
+    for one in set(before[:-keep]) - set(first.values()):
+        with contextlib.suppress(OSError):  # a file too many does no harm
+            one.unlink()
+
+
+def _number(path: Path) -> int:
+    return int(path.stem.removeprefix("iteration-"))
 
 
 def _named_arrays(tree: Any) -> dict[str, np.ndarray]:

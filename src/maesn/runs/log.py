@@ -14,7 +14,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import RecordWriter
 
-from maesn.storage import explained
+from maesn.storage import explained, write_whole
 
 logger = logging.getLogger(__name__)
 
@@ -56,43 +56,52 @@ class JsonLines:
     """A file with one JSON object for each iteration, which can be cut back to any of them."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         with explained("open", path):
             # Unbuffered: what could not be written must not be tried again later.
             self._file = path.open("a+b", buffering=0)
 
-    def cut(self, iterations: int) -> None:
-        """Keep the lines of iterations 1 ... `iterations`, and nothing after them."""
-        kept = end = 0
-        with explained("write", self._path):
-            for line in self._path.read_bytes().splitlines(keepends=True)[:iterations]:
-                if not (line.startswith(b'{"iteration": %d,' % (kept + 1)) and line[-1:] == b"\n"):
-                    break
-                kept += 1
-                end += len(line)
-            self._file.truncate(end)
-        if kept < iterations:
-            logger.warning(
-                f"`{self._path}` holds only {kept} of the {iterations} iterations before this one; "
-                "the rest is lost, but not for the learner."
-            )
+    def cut(self, iterations: int) -> list[int]:
+        """Keep the sound lines of iterations 1 ... `iterations`; return those that have none."""
+        with explained("write", self.path):
+            content = self.path.read_bytes()
+            numbered = {_iteration(line): line for line in content.splitlines(keepends=True)}
+            kept = [n for n in range(1, iterations + 1) if n in numbered]
+            sound = b"".join(numbered[n] for n in kept)
+            if content.startswith(sound):
+                self._file.truncate(len(sound))
+            else:  # damaged in the middle
+                write_whole(self.path, sound)
+                self._file.close()
+                self._file = self.path.open("a+b", buffering=0)
+        return sorted(set(range(1, iterations + 1)) - set(kept))
 
     def append(self, record: Mapping[str, float | int]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
         finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
         line = json.dumps(finite, allow_nan=False).encode() + b"\n"
-        with explained("write", self._path):
+        with explained("write", self.path):
             while line:  # a disk that is nearly full takes a part of it
                 line = line[self._file.write(line) :]
 
     def sync(self) -> None:
         """Make all lines survive a power cut."""
-        with explained("write", self._path):
+        with explained("write", self.path):
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _iteration(line: bytes) -> int | None:
+    """Return the number of the iteration that a line is about; None if the line is damaged."""
+    with contextlib.suppress(ValueError, RecursionError):
+        record = json.loads(line)
+        if line.endswith(b"\n") and isinstance(record, dict):
+            found = record.get("iteration")
+            return found if type(found) is int else None
+    return None
 
 
 class EventLog:
@@ -176,5 +185,11 @@ def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterato
         contextlib.closing(EventLog(events, iteration, environment_steps)) as tensorboard,
     ):
         log = RunLog(metrics, timing, tensorboard)
-        log.cut(iteration)
+        for file in (metrics, timing):
+            missing = file.cut(iteration)
+            if missing:
+                logger.warning(
+                    f"`{file.path}` lacks {len(missing)} of the {iteration} iterations before this "
+                    f"one, the first of them {missing[0]}. The learner has not lost them."
+                )
         yield log

@@ -3,7 +3,9 @@
 `docs/files.md` lists what is in one.
 """
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs import checkpoint, sources
 from maesn.runs.checkpoint import Checkpoint
 from maesn.runs.config import (
+    CONFIG,
     RunConfig,
     RunSettings,
     check_policy,
@@ -26,7 +29,14 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.storage import new_directory, read_json_lines, refusals
+from maesn.storage import (
+    RunError,
+    discard_partial,
+    locked,
+    new_directory,
+    read_json_lines,
+    refusals,
+)
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
 CHECKPOINTS = "checkpoints"
@@ -54,6 +64,23 @@ class Run:
     def learner(self) -> AbstractMetaLearner[Any, Any]:
         """The method and its settings."""
         return self.config.learner
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let no other process work in the run, until the block or this process ends in any way.
+
+        Raises:
+            RunError: another process does, or has changed the run since it was opened.
+        """
+        with locked(self.directory):
+            if read_config(self.directory).digest() != self.config.digest():
+                raise RunError(
+                    f"`{self.directory / CONFIG}` has changed since the run was opened: open it "
+                    "again."
+                )
+            for folder in (self.directory, self.directory / CHECKPOINTS):
+                discard_partial(folder)
+            yield
 
     @classmethod
     def create(
@@ -87,14 +114,14 @@ class Run:
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
             sources.warn_of_known_tests(family, tasks)
-        with new_directory(run.directory):
-            (run.directory / CHECKPOINTS).mkdir()
+        files = [f"{CHECKPOINTS}/{_checkpoint_name(0)}", sources.TASKS_FILE, CONFIG]
+        with new_directory(run.directory, files):
             if settings.tasks not in NAMED_SETS:
                 sources.save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             state = run.untrained_state() if init_from is None else run._begun_state(init_from)
             check_policy(learner, state, run.env())
             run.save_state(state)
-            # Last, so that a directory with this file in it is a whole run.
+            # Last: a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
         return run
 
@@ -183,7 +210,7 @@ class Run:
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
-        path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
+        path = self.directory / CHECKPOINTS / _checkpoint_name(iteration)
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -234,6 +261,10 @@ class Run:
         description = jax.eval_shape(env.describe, self.training_tasks[0]).size
         sizes = (env.observation_size, env.action_size, rows, description)
         return self.learner, self.iteration_key(_UNTRAINED), *sizes
+
+
+def _checkpoint_name(iteration: int) -> str:
+    return f"iteration-{iteration:06d}.safetensors"
 
 
 @eqx.filter_jit  # one program instead of many small ones takes half the time to compile

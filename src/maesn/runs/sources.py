@@ -4,7 +4,6 @@ A policy that comes with the library is a run directory of its last checkpoint a
 """
 
 import importlib
-import shutil
 import warnings
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,15 @@ import jax
 import numpy as np
 
 from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
-from maesn.storage import RunError, explained, new_directory, read_arrays, refusals, write_arrays
+from maesn.storage import (
+    RunError,
+    explained,
+    new_directory,
+    read_arrays,
+    refusals,
+    write_arrays,
+    write_whole,
+)
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
 # Bytes of a user's tasks: two million goals. Training takes about a hundred times as much memory.
@@ -186,13 +193,22 @@ def working_copy(run: str | Path) -> Path:
             f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
             f"of the library: name `{copy}` itself if it is meant, or move it away."
         )
-    with new_directory(copy):
-        shutil.copytree(source, copy, dirs_exist_ok=True)
+    # The name of `config.json` is behind `checkpoints/`: it makes the copy whole.
+    files = sorted(path.relative_to(source) for path in source.rglob("*.*"))
+    with new_directory(copy, list(map(str, files))):
+        for file in files:
+            write_whole(copy / file, (source / file).read_bytes())
     return copy
 
 
 def _content(directory: Path) -> dict[str, bytes]:
-    """Return what makes a run the one that it is, not what commands have left beside it."""
-    files = [directory / "config.json", *sorted(directory.glob("checkpoints/*.safetensors"))]
+    """Return what makes a run the one that it is, not what commands have left beside it.
+
+    Nothing if there is none, or one that was never whole.
+    """
+    config = directory / "config.json"
+    if not config.exists():
+        return {}
     with explained("read", directory):
-        return {file.name: file.read_bytes() for file in files if file.exists()}
+        files = [config, *sorted(directory.glob("checkpoints/*.safetensors"))]
+        return {file.name: file.read_bytes() for file in files}

@@ -18,19 +18,23 @@ from rich.progress import Progress as Bar
 from rich.table import Column
 
 from maesn.experience.episodes import Episodes
-from maesn.runs.checkpoint import Checkpoint, named_leaves
+from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
 from maesn.runs.compilation import compile_seconds
-from maesn.runs.config import CONFIG, installed_versions
+from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
+from maesn.runs.signals import ending_by_signals
 from maesn.settings import LARGEST_COUNT
-from maesn.storage import RunError, locked
+from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
 
 # Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
 MAX_NONFINITE = 5
+
+# The latest checkpoints that stay: others than the last one in case that it is damaged.
+KEEP = 3
 
 # Iterations whose mean duration, without compilation, predicts the time that is left.
 _WINDOW = 20
@@ -42,7 +46,7 @@ class TrainingError(RunError):
     """Training cannot go on; the last good state is on disk."""
 
 
-def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
+def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
 
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
@@ -50,6 +54,8 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
     written every `checkpoint_every` iterations and at any end but that of the process.
 
     `iterations` is the number of meta-iterations in total; None for that of the run's settings.
+    `keep` is how many of the latest checkpoints stay, beside the first of each power of ten; 0 for
+    all of them.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -61,14 +67,18 @@ def train(run: Run, iterations: int | None = None) -> Generator[Progress]:
         raise RunError(
             f"`iterations` is a total and must be from 0 to {LARGEST_COUNT}, got {total}."
         )
+    if keep < 0:
+        raise RunError(f"`keep` must be at least 0, got {keep}.")
     with contextlib.ExitStack() as stack:
-        stack.enter_context(locked(run.directory / CONFIG))
+        stack.enter_context(run.alone())
         start = run.latest()
         log = stack.enter_context(open_log(run.directory, start.iteration, start.environment_steps))
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        training = _Training(run, log, start, saved=start.iteration)
+        training = _Training(run, log, start, keep, saved=start.iteration)
+        # Again if the first time is interrupted: there is nothing left to do otherwise.
+        stack.callback(training.end)
         stack.callback(training.end)
         collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
         while training.checkpoint.iteration < total:
@@ -82,6 +92,7 @@ class _Training:
     run: Run
     log: RunLog
     checkpoint: Checkpoint
+    keep: int
     saved: int
     """Iteration of the latest checkpoint on disk."""
     steps: int = 0
@@ -120,13 +131,15 @@ class _Training:
         return progress
 
     def save(self) -> None:
-        """Write a checkpoint unless it is there already."""
+        """Write a checkpoint unless it is there already, and delete those that are not kept."""
         if self.saved == self.checkpoint.iteration:
             return
         # The log first: whoever finds a checkpoint can rely on the log up to it.
         self.log.sync()
-        self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
+        path = self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
         self.saved = self.checkpoint.iteration
+        if self.keep:
+            prune(path, self.keep)
 
     def end(self) -> None:
         """Leave log and checkpoint in agreement, whatever was interrupted."""
@@ -166,7 +179,10 @@ def _compare_versions(run: Run) -> None:
 
 
 def train_live(
-    run: Run, iterations: int | None = None, console: Console | None = None
+    run: Run,
+    iterations: int | None = None,
+    keep: int = KEEP,
+    console: Console | None = None,
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 
@@ -176,16 +192,21 @@ def train_live(
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
     try:
-        with contextlib.closing(train(run, iterations)) as steps, _display(console, total) as show:
+        with (
+            ending_by_signals(),
+            contextlib.closing(train(run, iterations, keep)) as steps,
+            _display(console, total) as show,
+        ):
             recent: deque[float] = deque(maxlen=_WINDOW)
             for last in steps:
                 recent.append(last.seconds - last.compile_seconds)
                 left = sum(recent) / len(recent) * (total - last.iteration)
                 show(last, f"{datetime.timedelta(seconds=round(left))} left")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.settings.family_option
-        _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        with contextlib.suppress(OSError):
+            _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
         done = run.latest().iteration
@@ -224,11 +245,20 @@ def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str],
     ]
     if console.width >= _WIDE:
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
-    with Bar(*columns, console=console) as bar:
-        shown = bar.add_task("compiling", total=total)
+    # A thread that refreshes it would outlive the terminal.
+    bar = Bar(*columns, console=console, auto_refresh=False)
+    shown = bar.add_task("compiling", total=total)
+    bar.start()
+    try:
         yield lambda progress, left: bar.update(
-            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+            shown,
+            completed=progress.iteration,
+            description=f"{left}: {describe(progress)}",
+            refresh=True,
         )
+    finally:
+        with contextlib.suppress(OSError):  # the terminal may be what is gone
+            bar.stop()
 
 
 def _say(console: Console, text: str) -> None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 import jax
@@ -26,8 +27,9 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it declares.
 
     Readings and model fields that MuJoCo does not have are refused as well, and a control period
-    that is not the model's. JAX works out the shapes; no episode is played. Environments of others
-    are checked in `maesn.foreign`, where they are hosted. What a function raises is passed on.
+    that is not the model's. JAX works out the shapes; no episode is played. What a function raises
+    is passed on. Environments of others are begun and stepped once; what Gymnasium's own check
+    finds beyond that is a warning.
 
     Args:
         env: of any family.
@@ -37,6 +39,8 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
         EnvContractError: a function returns another shape, there is no field of a name, or
             `control_period` is wrong.
     """
+    if env.engine == "gymnasium":  # an extra of the installation
+        import_module("maesn.worlds.foreign").check_hosted(env, task)
     if not isinstance(env, AbstractSimulatedEnv):
         return
     for function, found, wanted in _declared(env, task):

@@ -1,10 +1,14 @@
 """Worlds of foreign environments, which run in processes of their own."""
 
+import contextlib
+import logging
 import os
 import pickle
 import weakref
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt32
 
@@ -20,7 +24,10 @@ from maesn.worlds.base import (
     SimulationFailure,
     Trajectory,
 )
+from maesn.worlds.contract import EnvContractError
 from maesn.worlds.host import play_on_host
+
+logger = logging.getLogger(__name__)
 
 
 def default_num_workers() -> int:
@@ -89,9 +96,40 @@ class GymnasiumWorld(AbstractWorld):
 
     def _open(self) -> WorkerPool:
         if self._pool is None:
-            env = self._env
-            recipe = (env.recipe.make_env, env.reward_kind, env.interface)
-            self._pool = WorkerPool(recipe, self._num_workers, env.recipe.time_limit)
+            self._pool = _new_pool(self._env, self._num_workers)
             # Also at the end of the program.
             weakref.finalize(self, self._pool.close)
         return self._pool
+
+
+def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
+    """Begin and step an environment once; what Gymnasium finds beyond that is a warning.
+
+    Args:
+        env: of a family.
+        task: one of its tasks.
+
+    Raises:
+        EnvContractError: it fails, or returns what cannot be used.
+    """
+    row = pickle.dumps(jax.tree.map(np.asarray, task))
+    middle = np.asarray(env.control(jnp.zeros(env.action_size)))
+    with contextlib.closing(_new_pool(env, 1)) as pool:
+        try:
+            pool.begin([row], [0])
+            pool.step(middle[None])
+        except WorkerError as error:
+            raise EnvContractError(f"`{env.name}`, task 0: {error.reason}") from error
+        try:
+            complaint = pool.complaint(row)
+        except WorkerError as error:
+            complaint = error.reason
+    if complaint is not None:
+        logger.warning(
+            f"`{env.name}`: training can go on, but Gymnasium's `check_env` finds: {complaint}"
+        )
+
+
+def _new_pool(env: AbstractGymnasiumEnv, num_workers: int) -> WorkerPool:
+    recipe = (env.recipe.make_env, env.reward_kind, env.interface)
+    return WorkerPool(recipe, num_workers, env.recipe.time_limit)

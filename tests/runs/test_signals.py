@@ -1,0 +1,158 @@
+"""Signals that end a program: what is unsaved is saved, and a second one does not wait for it."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from small_runs import Drift, create, finish, metrics, outcome, reopened
+
+from maesn.runs.run import Run
+from maesn.runs.signals import ending_by_signals
+from maesn.runs.training import train_live
+
+SIGNALS = [signal.SIGTERM, signal.SIGHUP]
+
+
+def signalled_at(
+    monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, iteration: int, number: signal.Signals
+) -> None:
+    """Raise a signal in a method, before it does what it does, at one iteration."""
+    method, raised = getattr(owner, name), []
+
+    def wrapped(self: Any, *arguments: Any) -> Any:
+        state = arguments[1] if owner is Drift else arguments[0]
+        if int(state.iteration) == iteration and not raised:
+            raised.append(True)
+            signal.raise_signal(number)
+        return method(self, *arguments)
+
+    monkeypatch.setattr(owner, name, wrapped)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_saves_says_so_and_ends_with_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    run, text = create(tmp_path / "run", checkpoint_every=100), io.StringIO()
+    with monkeypatch.context() as patch:
+        signalled_at(patch, Drift, "step", 3, number)
+        with pytest.raises(SystemExit) as stopped:
+            train_live(run, console=Console(file=text, width=40))
+    assert stopped.value.code == 128 + number
+    assert f"Stopped, and saved. To go on: maesn resume {run.directory}\n" in text.getvalue()
+    assert run.latest().iteration == len(metrics(run)) == 3
+    assert signal.getsignal(number) == signal.SIG_DFL
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert outcome(finish(reopened(run))) == outcome(finish(create(tmp_path / "whole")))
+
+
+def test_a_signal_during_the_last_save_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = create(tmp_path / "run", checkpoint_every=100)
+    signalled_at(monkeypatch, Run, "save_state", 6, signal.SIGTERM)
+    with pytest.raises(SystemExit):
+        train_live(run, console=Console(file=io.StringIO()))
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert run.latest().iteration == 6
+
+
+class Gone(io.StringIO):
+    """A terminal that was closed at some time."""
+
+    closed_at = 10**9
+
+    def write(self, text: str) -> int:
+        if self.tell() > self.closed_at:
+            raise OSError("Input/output error")
+        return super().write(text)
+
+
+def test_a_closed_terminal_ends_training_as_its_signal_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, terminal, step = create(tmp_path / "run", checkpoint_every=100), Gone(), Drift.step
+
+    def closing(learner: Drift, key: Any, state: Any, collect: Any) -> Any:
+        if int(state.iteration) == 3:
+            terminal.closed_at = 0
+            signal.raise_signal(signal.SIGHUP)
+        return step(learner, key, state, collect)
+
+    monkeypatch.setattr(Drift, "step", closing)
+    with pytest.raises(SystemExit, match="129"):
+        train_live(run, console=Console(file=terminal, force_terminal=True, width=80))
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert run.latest().iteration == 3
+
+
+TWICE = """
+import signal, sys, time
+from maesn import cli
+from maesn.runs.signals import ending_by_signals
+def command(arguments):
+    try:
+        with ending_by_signals():
+            print("at work", flush=True)
+            time.sleep(60)
+    finally:
+        print("saving", flush=True)
+        time.sleep(60)
+cli.run = command
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("SIGTERM", "SIGTERM"), ("SIGTERM", "SIGINT"), ("SIGHUP", "SIGHUP"), ("SIGINT", "SIGINT")],
+)
+def test_a_second_signal_ends_the_process_at_once(first: str, second: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", TWICE],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        for number, said in ((first, b"at work"), (second, b"saving")):
+            assert process.stdout.readline().strip() == said
+            process.send_signal(signal.Signals[number])
+        assert process.wait(timeout=30) == -signal.Signals[second]
+
+
+def test_what_a_program_does_about_signals_itself_is_left_alone() -> None:
+    def own(*_: Any) -> None:
+        seen.append(1)
+
+    seen: list[int] = []
+    signal.signal(signal.SIGTERM, own)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ending_by_signals():
+            for number in SIGNALS:
+                signal.raise_signal(number)
+        assert seen == [1]
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def test_threads_train_without_handlers() -> None:
+    done = []
+
+    def work() -> None:
+        with ending_by_signals():
+            done.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == [signal.SIG_DFL]
