@@ -4,8 +4,10 @@ import difflib
 import os
 import signal
 import sys
+import threading
 import traceback
 from importlib import import_module
+from typing import Any
 
 from maesn._version import __version__
 
@@ -37,15 +39,28 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
+    sys.unraisablehook = _keep_interrupts
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def _interrupt(*_: object) -> None:
     """Stop as Ctrl-C does; a second one ends the process at once."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     raise KeyboardInterrupt
+
+
+def _keep_interrupts(event: Any) -> None:
+    """Repeat a Ctrl-C that came where Python drops it, as in a callback of JAX."""
+    if issubclass(event.exc_type, KeyboardInterrupt):
+        signal.signal(signal.SIGINT, _interrupt)
+        threading.Timer(0.01, os.kill, [os.getpid(), signal.SIGINT]).start()
+    else:
+        sys.__unraisablehook__(event)
 
 
 def run(arguments: list[str]) -> int:
