@@ -24,6 +24,7 @@ from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
+from maesn.settings import LARGEST_COUNT
 from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
@@ -62,8 +63,10 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
-    if total < 0:
-        raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
+    if not 0 <= total <= LARGEST_COUNT:
+        raise RunError(
+            f"`iterations` is a total and must be from 0 to {LARGEST_COUNT}, got {total}."
+        )
     if keep < 0:
         raise RunError(f"`keep` must be at least 0, got {keep}.")
     with contextlib.ExitStack() as stack:
