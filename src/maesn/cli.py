@@ -42,7 +42,10 @@ def main() -> None:
     sys.unraisablehook = _keep_interrupts
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-    code = run(sys.argv[1:])
+    try:
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # before a command has begun
+        code = INTERRUPTED
     # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)
