@@ -26,7 +26,8 @@ test: $(TEST_READY) ## Run all tests and all checks
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
 test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies
-	@$(BIN)/python -m pytest --quiet --tb=short tests/long
+	@$(BIN)/python -m pytest --quiet --tb=short -m "long or not long" tests/long
+	@$(BIN)/python -m pytest --quiet --tb=short -m long tests
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
 EXTERNAL := .venv-external

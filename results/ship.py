@@ -1,10 +1,10 @@
 """Make the policy that the package ships for a family out of a finished run.
 
-    python results/ship.py results/wheeled/maesn-20x50-seed-0 --commit 640fd42
+    python results/ship.py results/wheeled/maesn-20x50-spread-0-seed-0 --commit 87cd55a
 
-writes `src/maesn/trained/FAMILY`: the run's last checkpoint, and its `config.json` with where the
-policy comes from as an entry `provenance`. `maesn adapt FAMILY` then adapts it on every
-installation.
+writes `src/maesn/trained/FAMILY`: the run's last checkpoint, its `config.json` with where the
+policy comes from as an entry `provenance`, and its prior for the rule `search`. `maesn adapt
+FAMILY` then adapts it on every installation.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from maesn.runs.config import CONFIG, RunConfig, RunSettings, write_config
 from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
+from maesn.search.stored import run_prior
 from maesn.storage import new_directory
 
 
@@ -104,7 +105,7 @@ def main(settings: Settings) -> None:
     run = Run.open(settings.run)
     target = TRAINED / run.family.name
     ship(run, settings.commit, target)
-    print(target)
+    print(target, run_prior(Run.open(target))[0])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The verbs from end to end, as functions and as commands, on runs that take seconds."""
 
 import dataclasses
+import re
 import subprocess
 import sys
 import time
@@ -59,11 +60,24 @@ def test_adaptation_goes_on_from_saved_latents(trained: Path, tmp_path: Path) ->
     np.testing.assert_array_equal(rest.curves.mean_return, whole.curves.mean_return[:, 1:])
 
 
-def test_a_table_of_a_file_does_not_replace_that_of_a_set() -> None:
-    of_set = adaptation_file(Path("run"), maesn.Evaluation("test"))
-    of_file = adaptation_file(Path("run"), maesn.Evaluation("elsewhere/test.npz"))
-    assert of_set == Path("run/adaptation/test-sparse.csv")
-    assert of_file == Path("run/adaptation/file-test-sparse.csv")
+def test_tables_of_other_tasks_have_other_names(tmp_path: Path) -> None:
+    assert adaptation_file(Path("run"), maesn.Evaluation("test")) == Path(
+        "run/adaptation/test-sparse.csv"
+    )
+    names = []
+    for folder, rows, write in (
+        ("a", 3, np.savez),
+        ("b", 4, np.savez),
+        ("c", 3, np.savez_compressed),
+    ):
+        (tmp_path / folder).mkdir()
+        path = tmp_path / folder / "test.npz"
+        write(path, goal=np.ones((rows, 2), np.float32))
+        names.append(adaptation_file(Path("run"), maesn.Evaluation(str(path))).name)
+    assert re.fullmatch(r"file-test-[0-9a-f]{6}-sparse\.csv", names[0])
+    assert names[0] == names[2] != names[1]
+    with pytest.raises(RunError, match=r"absent\.npz"):
+        adaptation_file(Path("run"), maesn.Evaluation(str(tmp_path / "absent.npz")))
 
 
 def test_latents_of_other_tasks_or_methods_are_refused(trained: Path, tmp_path: Path) -> None:
@@ -96,7 +110,16 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
 
 
 def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
-    assert api.export(trained, tmp_path / "policy.npz").exists()
+    path = tmp_path / "policy.npz"
+    path.write_text("a policy of yesterday")
+    command = ["export", str(trained), str(path)]
+    with pytest.raises(RunError, match=r"`.*policy\.npz` exists and would be replaced"):
+        api.export(trained, path)
+    assert cli.run(command) == cli.USAGE_ERROR
+    assert path.read_text() == "a policy of yesterday"
+    assert cli.run([*command, "--overwrite"]) == 0
+    policy = path.read_bytes()
+    assert api.export(trained, path, overwrite=True).read_bytes() == policy
     with pytest.raises(RunError, match="cannot be exported"):
         api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
 

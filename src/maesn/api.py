@@ -7,10 +7,11 @@ as `module:name`.
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 from tyro.conf import Positional
+from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
@@ -35,6 +36,19 @@ from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, check_writable, read_json
+from maesn.worlds.budget import warn_of_duration
+
+Flag: TypeAlias = Annotated[
+    bool,
+    PrimitiveConstructorSpec(
+        nargs=0,
+        metavar="",
+        instance_from_str=lambda _: True,
+        is_instance=lambda value: isinstance(value, bool),
+        str_from_instance=lambda _: [],
+    ),
+]
+"""False, unless the command line names it; it takes no value there."""
 
 
 def train(
@@ -122,7 +136,11 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
+    if out is not None and not Path(out).name:
+        raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
+    num_tasks = asked.count(opened.task_set(asked.tasks))
+    warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
     check_writable(Path(out) if out else adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     table = adaptation_file(opened.directory, asked, outcome.first_update)
@@ -173,6 +191,7 @@ def export(
     latents: running.OptionalPath = None,
     task: int | None = None,
     rule: running.AnyRule = None,
+    overwrite: Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -189,10 +208,17 @@ def export(
         task: Index of its task, in the set that was adapted to.
         rule: How the robot adapts: gradient, or search with its settings behind it. Left out:
             gradient.
+        overwrite: Replace a file that is there.
 
     Raises:
-        RunError: the run cannot be exported, or its latents are others, or lack the task.
+        RunError: the run cannot be exported, the file is there, or the latents are others or lack
+            the task.
     """
+    if not overwrite and Path(path).exists():
+        raise RunError(
+            f"`{path}` exists and would be replaced: give another path, or say so (--overwrite, in "
+            "Python `overwrite=True`)."
+        )
     opened = Run.open(run, family=family)
     checkpoint = opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)

@@ -1,9 +1,13 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
 import difflib
+import os
 import signal
 import sys
+import threading
+import traceback
 from importlib import import_module
+from typing import Any
 
 from maesn._version import __version__
 
@@ -25,15 +29,26 @@ COMMANDS = {
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
 _FILES = {"train": "train", "list": "list", "compare": "studies", "ablation": "studies"}
 
+# Shows the traceback of an error behind its sentence.
+TRACEBACK = "MAESN_TRACEBACK"
+
+FAULT = 1  # an error that the library does not expect
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
+    sys.unraisablehook = _keep_interrupts
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-    sys.exit(run(sys.argv[1:]))
+    try:
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # before a command has begun
+        code = INTERRUPTED
+    # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def _interrupt(*_: object) -> None:
@@ -42,8 +57,23 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
+def _keep_interrupts(event: Any) -> None:
+    """Repeat a Ctrl-C that came where Python drops it, as in a callback of JAX."""
+    if issubclass(event.exc_type, KeyboardInterrupt):
+        signal.signal(signal.SIGINT, _interrupt)
+        threading.Timer(0.01, os.kill, [os.getpid(), signal.SIGINT]).start()
+    else:
+        sys.__unraisablehook__(event)
+
+
 def run(arguments: list[str]) -> int:
-    """Run one command; return 0, or 2 for a mistake in the options or in what they point to."""
+    """Run one command; return 0, or 2 for a mistake in the options or in what they point to.
+
+    Any other error is 1. Whatever goes wrong is said in one sentence.
+    """
+    if not all(arguments) or any("\0" in argument for argument in arguments):
+        print("maesn: an argument is empty or holds a NUL character: check it.", file=sys.stderr)
+        return USAGE_ERROR
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
         return 0
@@ -68,9 +98,12 @@ def _run_command(name: str, options: list[str]) -> int:
     except KeyboardInterrupt:
         print(f"maesn {name}: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except _user_errors() as error:
-        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
-        return USAGE_ERROR
+    except Exception as error:  # noqa: BLE001
+        if TRACEBACK in os.environ:
+            traceback.print_exception(error)
+        sentence, code = _explained(error)
+        print(f"maesn {name}: {sentence}", *_notes(error), sep="\n", file=sys.stderr)
+        return code
     return 0
 
 
@@ -83,8 +116,21 @@ def _notes(error: BaseException | None) -> list[str]:
     return notes
 
 
+def _explained(error: Exception) -> tuple[str, int]:
+    """Return an error as a sentence, and the exit code that belongs to it."""
+    if isinstance(error, _user_errors()):
+        return str(error), USAGE_ERROR
+    if isinstance(error, OSError):
+        named = f": `{str(error.filename)[:200]}`" if error.filename else ""
+        return f"{error.strerror or error}{named}", USAGE_ERROR
+    *_, where = traceback.extract_tb(error.__traceback__)
+    said = (str(error).splitlines() or ["no more is said"])[0]
+    at = f"{where.filename}, line {where.lineno}"
+    return f"{type(error).__name__} in {at}: {said} ({TRACEBACK}=1 shows how it came to it)", FAULT
+
+
 def _user_errors() -> tuple[type[Exception], ...]:
-    """Return the errors whose message is all that a user needs: no traceback."""
+    """Return the errors whose message is all that a user needs."""
     from maesn.physics import EngineError, RenderingError
     from maesn.storage import RunError
     from maesn.worlds import EpisodeError

@@ -2,6 +2,8 @@
 
 from typing import Any, get_args
 
+LARGEST_COUNT = 2**31 - 1  # of JAX's integers
+
 
 def check_choice(name: str, value: str, choices: Any) -> None:
     """Refuse what is not among the choices: misspelt, it would silently count as another one.
@@ -20,7 +22,7 @@ def check_choice(name: str, value: str, choices: Any) -> None:
 
 
 def check_numbers(settings: Any, **least: int) -> None:
-    """Refuse numbers below their `least`, a seed that is too large, and a radius of no length.
+    """Refuse numbers below their `least` or too large, and a radius of no length.
 
     The settings have a `seed` and a `sparse_radius`. None is never refused, all else by ValueError.
     """
@@ -28,6 +30,8 @@ def check_numbers(settings: Any, **least: int) -> None:
         value = getattr(settings, name)
         if value is not None and value < smallest:
             raise ValueError(f"`{name}` must be at least {smallest}, got {value}.")
+        if value is not None and name != "seed" and value > LARGEST_COUNT:
+            raise ValueError(f"`{name}` must be at most {LARGEST_COUNT}, got {value}.")
     if settings.seed >= 2**32:  # JAX would silently take it modulo 2^32
         raise ValueError(f"`seed` must be below 2^32, got {settings.seed}.")
     if settings.sparse_radius is not None and not settings.sparse_radius > 0:

@@ -173,6 +173,7 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
     """Read a JSON object. Messages of errors end with the remedy."""
     with _expecting("a JSON object", path, remedy):
+        archive.refuse_special(path)
         return _parsed(path.read_bytes())
 
 
@@ -182,6 +183,7 @@ def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, An
     A last line without its line break is left out: it may be being written at this moment.
     """
     with _expecting("lines of JSON objects", path, remedy):
+        archive.refuse_special(path)
         complete, _, _ = path.read_bytes().rpartition(b"\n")
         lines = enumerate(complete.splitlines(), start=1)
         return [_parsed(line, f"line {number}") for number, line in lines]
@@ -194,10 +196,12 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
         archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
 
 
-def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
-    """Read the arrays of an `.npz` file by name. Pickled objects are refused."""
+def read_arrays(
+    path: Path, remedy: str, largest: int = archive.LARGEST_FILE
+) -> dict[str, np.ndarray]:
+    """Read the arrays of an `.npz` file by name, of `largest` bytes at most; no pickled objects."""
     with _expecting("arrays", path, remedy):
-        return archive.read_arrays(path)
+        return archive.read_arrays(path, largest=largest)
 
 
 @contextlib.contextmanager
@@ -259,7 +263,7 @@ def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
 
 def _parsed(text: bytes, what: str = "it") -> dict[str, Any]:
     with contextlib.suppress(ValueError):
-        document = json.loads(text)
+        document = archive.parse_json(text)
         if isinstance(document, dict):
             return document
     raise ValueError(f"{what} is no JSON object")

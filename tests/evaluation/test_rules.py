@@ -61,7 +61,7 @@ def test_fine_tuning_has_a_table_of_its_own(trained: Path, few: str, tmp_path: P
     plain = api.adapt(trained, asked)
     command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--then", "trpo", "after=3"]
     assert cli.run(command) == 0
-    (tuned,) = (trained / "adaptation").glob("file-few-sparse-3-episodes-then-trpo-*.csv")
+    (tuned,) = (trained / "adaptation").glob("file-few-*-sparse-3-episodes-then-trpo-*.csv")
     # The same until the policy is tuned: after 0 and 3 episodes.
     assert rows(plain.table)[:3] == rows(tuned)[:3]
     assert rows(plain.table)[4] != rows(tuned)[4]
@@ -211,7 +211,7 @@ def test_rules_as_text() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("gradeint", "must be one of gradient, memory, none, or `module:name` of your own"),
+        ("gradeint", "must be one of gradient, search, memory, none, or `module:name` of your own"),
         ("gradient step=2", "it has no setting `step`; write NAME=VALUE with one of step_scale, "),
         ("gradient step_scale", "expected NAME=VALUE, each name once, got `step_scale`"),
         ("gradient step_scale=fast", "`GradientRule.step_scale` must be of type float"),
@@ -240,7 +240,7 @@ def test_a_rule_of_ones_own_is_found_by_name(
     monkeypatch.syspath_prepend(tmp_path)
     command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--rule", "my_rules:Widened"]
     assert cli.run([*command, "factor=3"]) == 0
-    (table,) = (trained / "adaptation").glob("file-few-sparse-widened-*.csv")
+    (table,) = (trained / "adaptation").glob("file-few-*-sparse-widened-*.csv")
     record = json.loads(table.with_suffix(".settings.json").read_text())
     assert record["rule"] == "my_rules:Widened(factor=3.0)"
     del sys.modules["my_rules"]

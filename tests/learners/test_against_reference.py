@@ -171,7 +171,9 @@ def assert_agent_close(agents: Agents, slot: int, expected: ReferenceAgent) -> N
         np.testing.assert_allclose(array, expected.theta[name], rtol=1e-11, err_msg=name)
 
 
-@pytest.mark.parametrize("case", ["two_inner_updates", "theta_as_well"])
+@pytest.mark.parametrize(
+    "case", ["two_inner_updates", pytest.param("theta_as_well", marks=pytest.mark.long)]
+)
 @pytest.mark.usefixtures("x64")
 def test_a_whole_meta_iteration(case: str) -> None:
     """Who plays, in which tasks, and what comes of it."""

@@ -154,6 +154,7 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collect
         assert float(getattr(said.learner, measure)) == pytest.approx(wanted, rel=1e-5)
 
 
+@pytest.mark.long
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
     learner = BonusMetaLearner(tiny(), SMALL)
     state, _ = learner.step(jax.random.key(1), learner.init(jax.random.key(0), 2, 2, 5), collect)
@@ -194,6 +195,7 @@ def test_a_bonus_is_not_added_twice_nor_lost_by_fine_tuning() -> None:
     assert tuned.learner == FineTuning(vime.learner, IMPROVEMENTS["trpo"])
 
 
+@pytest.mark.long
 def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
     """Where every reward is the same, weights move by the bonus alone."""
     learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)

@@ -87,6 +87,7 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.long
 def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
     for preset in (maesn, maml):
         learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5)

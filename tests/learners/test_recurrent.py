@@ -145,6 +145,7 @@ def trials_of_unequal_length() -> Trials:
     return join_episodes(collect.played)
 
 
+@pytest.mark.long
 def test_the_value_function_learns_returns() -> None:
     """With a reward of 1 a step, a trial's returns follow from the time alone."""
     value = RecurrentValue((), 8, (8,), MinibatchDescent(1e-2, epochs=150, minibatches=1))
@@ -174,6 +175,7 @@ def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was(
     assert any(jax.tree.leaves(moved))
 
 
+@pytest.mark.long
 def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
     """`tests/long` has RL2 by TRPO."""
     assert_a_probe_of_memory_is_solved("rl2")

@@ -146,7 +146,7 @@ def collect() -> Collector:
     return Collector(make_world(env, family.task_set("test", size=4)), 8)
 
 
-@pytest.mark.parametrize("name", ["reinforce", "trpo"])
+@pytest.mark.parametrize("name", [pytest.param("reinforce", marks=pytest.mark.long), "trpo"])
 def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     learner = small(name)
     outcome = adapt(learner, collect, episodes=64)

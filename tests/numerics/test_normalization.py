@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from playing import keys
 from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 
@@ -83,6 +84,7 @@ def trained(iterations: int) -> tuple[GradientState, Recorder]:
     return state, collect
 
 
+@pytest.mark.long
 def test_a_learner_sees_by_the_statistics_of_the_iterations_before() -> None:
     state, collect = trained(2)
     seen = np.concatenate(

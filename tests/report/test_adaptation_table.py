@@ -80,17 +80,12 @@ def test_the_path_of_a_table_says_what_its_name_says() -> None:
     assert table_name(other) == TableName("from-10-ood", "dense", "-on-mjx")
 
 
-def test_the_table_of_a_file_of_tasks_has_its_stem() -> None:
-    path = adaptation_file(Path("run"), Evaluation(tasks="elsewhere/test.npz"))
-    assert path.name == "file-test-sparse.csv"
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
         ("test-sparse", ("test", "sparse", "")),
         ("from-10-test-dense", ("from-10-test", "dense", "")),
-        ("file-my-sparse-goals-dense", ("file-my-sparse-goals", "dense", "")),
+        ("file-my-sparse-goals-0a1b2c-dense", ("file-my-sparse-goals-0a1b2c", "dense", "")),
         ("test-sparse-10-then-trpo", ("test", "sparse", "-10-then-trpo")),
         ("ood-sparse-3-full-steps-on-mjx", ("ood", "sparse", "-3-full-steps-on-mjx")),
         ("validation-dense-bonus-vime", ("validation", "dense", "-bonus-vime")),
@@ -183,7 +178,7 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         (f"{HEADER}\n{ROW.replace('explore', 'play')}\n", "explore or deploy for `purpose`.*play"),
         (f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n", "purpose explore .* got 0 rows"),
         (
-            f"{HEADER}\n{ROW}\n0,1,50,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
+            f"{HEADER}\n{ROW}\n1,0,0,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
             "the same `update` and `episodes` for every task and purpose",
         ),
     ],

@@ -94,6 +94,7 @@ def test_a_default_configuration_stays_unless_another_is_better_beyond_chance() 
     assert tuning.chosen({"default": default, "other": default - 1}) == "default"
 
 
+@pytest.mark.long
 def test_every_configuration_has_a_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 from small_runs import DriftState, create
 
-from maesn.runs.checkpoint import CheckpointError, MismatchError, prune
+from maesn.runs.checkpoint import (
+    CheckpointError,
+    MismatchError,
+    prune,
+    read_checkpoint,
+    save_checkpoint,
+)
 from maesn.runs.config import Change
 from maesn.runs.run import Run
 from maesn.runs.training import train
@@ -53,6 +59,33 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(
     assert [record.getMessage().count(str(first)) for record in caplog.records] == [1, 1]
     assert str(third) in caplog.messages[0]
     assert str(second) in caplog.messages[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"iteration": "abc"}, "must state its iterations .* got .'abc', '0'."),
+        ({"iteration": "-1"}, "must state its iterations"),
+        ({"iteration": "9" * 5000}, "must state its iterations"),
+        ({"environment_steps": "1.5"}, "must state its iterations"),
+        ({"position": np.float32([0, np.nan, 0])}, "`position` is not finite"),
+        ({"rows": np.full((100, 2), np.inf, np.float32)}, "`rows` is not finite"),
+    ],
+)
+def test_a_right_checksum_on_senseless_content_is_no_sound_checkpoint(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, change: dict[str, Any], message: str
+) -> None:
+    run = create(tmp_path / "run")
+    values, metadata = read_checkpoint(run.checkpoints()[0])
+    for name, value in change.items():
+        target: dict[str, Any] = metadata if isinstance(value, str) else values
+        target[name] = value
+    later = run.directory / "checkpoints" / "iteration-000001.safetensors"
+    save_checkpoint(later, values, metadata)
+    with pytest.raises(CheckpointError, match=message):
+        run.load(later)
+    assert run.latest().iteration == 0
+    assert "Using " in caplog.text
 
 
 def test_without_a_sound_checkpoint_there_is_nothing_to_go_on_from(tmp_path: Path) -> None:

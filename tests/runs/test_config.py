@@ -4,7 +4,9 @@ import json
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -114,6 +116,13 @@ def test_settings_that_do_not_fit_the_tasks(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"`meta_batch_size` is 101, .* only 100 tasks"):
         Run.create(tmp_path / "run", tiny_maesn(meta_batch_size=101), tiny_settings())
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["reward", "variant", "engine"])
+def test_a_word_that_is_none_of_the_choices_is_refused_at_once(name: str) -> None:
+    settings: Any = SimpleNamespace(**vars(RunSettings()) | {name: "spars"})  # no types are checked
+    with pytest.raises(ValueError, match=f"`{name}` must be '.*' or '.*', got 'spars'"):
+        RunSettings.__post_init__(settings)
 
 
 def test_numbers_that_are_not_finite_are_no_settings(tmp_path: Path) -> None:
@@ -230,6 +239,17 @@ CONTRADICTIONS = {
     "control` must return the shape (2,), got (3,).": with_method(
         Wheeled, control=lambda self, action: jnp.zeros(3)
     ),
+    "action_size` must be 2, as many as the model has actuators, because `control` makes one "
+    "number of each, got 3.": partial(
+        with_method(Wheeled, control=lambda self, action: 2 * action), action_size=3
+    ),
+    "control` must take an action of `action_size` 2 numbers, but JAX says: ": with_method(
+        Wheeled, control=lambda self, action: action * jnp.ones(3)
+    ),
+    "control_period` must be `frame_skip` times the time step of the model, 1 * 0.01 s = 0.01 s, "
+    "got 0.02 s: ": with_method(Wheeled, control_period=0.02),
+    "control_period` must be `frame_skip` times the time step of the model, 5 * 0.01 s = 0.05 s, "
+    "got 0.01 s: ": with_method(Wheeled, frame_skip=5),
     "instruction` must return the shape (1,), got ().": with_method(
         Point, instruction=lambda self, task: jnp.zeros(())
     ),
@@ -265,6 +285,32 @@ def test_an_environment_that_contradicts_itself_is_refused(said: str, tmp_path: 
     name = CONTRADICTIONS[said]().name
     with pytest.raises(RunError, match=re.escape(f"`{name}`: `{said}")):
         Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), family)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("xml", "said"),
+    [
+        (
+            "<mujoco><worldbody><geom typ='box'/></worldbody></mujoco>",
+            "unrecognized attribute: 'typ'",
+        ),
+        ("<mujoco><worldbody>", "XML parse error"),
+        (
+            "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
+            "mass and inertia of mov",
+        ),
+    ],
+)
+def test_a_model_with_an_error_is_refused_in_one_sentence(
+    tmp_path: Path, xml: str, said: str
+) -> None:
+    path = tmp_path / "own.xml"
+    path.write_text(xml)
+    odd = POINT._replace(name="odd", make_env=with_method(Wheeled, model=str(path)))
+    with pytest.raises(RunError, match=f"`model` '{path}' cannot be compiled.*{said}") as refused:
+        Run.create(tmp_path / "run", tiny_maesn(), tiny_settings(), odd)
+    assert "\n" not in str(refused.value)
     assert not (tmp_path / "run").exists()
 
 

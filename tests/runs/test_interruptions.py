@@ -1,9 +1,11 @@
 """However training is interrupted, what comes out is what would have come out."""
 
+import dataclasses
 import itertools
 import json
 import logging
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -47,8 +49,10 @@ def half_a_line(file: log.JsonLines, record: Any) -> None:
 def test_death_at_any_write_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: tuple[bytes, dict[str, bytes]]
 ) -> None:
+    begun = create(tmp_path / "begun")
     for moment in range(1000):
-        run, death = create(tmp_path / str(moment)), Death(moment)
+        directory, death = shutil.copytree(begun.directory, tmp_path / str(moment)), Death(moment)
+        run = dataclasses.replace(begun, directory=directory)
         with monkeypatch.context() as patch:
             death.at_files(patch)
             patch.setattr(log.JsonLines, "append", death.before(log.JsonLines.append, half_a_line))

@@ -33,6 +33,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run.directory
 
 
+@pytest.mark.long
 def test_a_run_goes_on_as_if_it_had_not_stopped(trained: Path, tmp_path: Path) -> None:
     parts = create(tmp_path / "parts", tiny(), iterations=3)
     finish(parts, iterations=2)

@@ -52,7 +52,7 @@ def test_other_tasks_by_path(tmp_path: Path) -> None:
     found = run.task_set(file)
     np.testing.assert_array_equal(found.tasks, goals(3))
     assert found.tasks.dtype == POINT.task_set("test").tasks.dtype
-    with pytest.raises(RunError, match=r"one of training, validation, test, ood or .* `tset`"):
+    with pytest.raises(RunError, match=r"training, validation, test, ood, final or .* `tset`"):
         run.task_set("tset")
 
 

@@ -111,6 +111,7 @@ def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
     assert seen["charts/SPS"][1][1] == pytest.approx(second.steps_per_second)
 
 
+@pytest.mark.long
 def test_a_loss_that_is_not_finite_is_skipped_and_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -56,12 +56,85 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_arrays(tmp_path / "nothing.npz")
 
 
+def with_header(path: Path, header: str, compression: int = zipfile.ZIP_STORED) -> None:
+    """Write an array whose header says what it likes; the checksum is right."""
+    text = header.encode() + b" " * 64 + b"\n"
+    start = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little")
+    with zipfile.ZipFile(path, "w", compression) as members:
+        members.writestr("goal.npy", start + text + np.zeros((3, 2)).tobytes())
+
+
+def with_number(path: Path, offset: int, number: bytes) -> None:
+    """Change a number in the file's table of contents."""
+    content = bytearray(path.read_bytes())
+    start = content.rindex(b"PK\x01\x02") + offset
+    content[start : start + len(number)] = number
+    path.write_bytes(content)
+
+
+HEADER = "{'descr': '<f8', 'fortran_order': False, 'shape': (3, 2)}"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ("(3, 2)", "(10000000000000000, 2)"),  # 160 petabytes
+        ("(3, 2)", "(300, 2)"),
+        ("(3, 2)", "(-1, 2)"),
+        ("(3, 2)", f"({'9' * 30},)"),
+        ("(3, 2)", "(4294967296, 4294967296)"),
+        ("'<f8'", "'<U9999999999'"),
+        ("'<f8'", "'|O'"),
+        ("'<f8'", "['a', 'b']"),
+        ("'<f8'", "[('a',)]"),
+        ("False", "3"),
+        (HEADER, "(" * 3000),
+        (HEADER, "[" * 90 + "]" * 90),
+        (HEADER, "{[]: 1}"),
+        ("}", ""),
+        ("'descr", '"descr'),
+    ],
+)
+def test_headers_that_make_no_sense_are_refused(tmp_path: Path, changes: tuple[str, str]) -> None:
+    path = tmp_path / "file.npz"
+    with_header(path, HEADER)
+    np.testing.assert_array_equal(read_arrays(path)["goal"], np.zeros((3, 2)))
+    with_header(path, HEADER.replace(*changes))
+    with pytest.raises(ValueError, match="or damaged"):
+        read_arrays(path)
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, 99])
+def test_only_numpys_own_compression_is_read(tmp_path: Path, compression: int) -> None:
+    path = tmp_path / "file.npz"
+    with_header(path, HEADER, zipfile.ZIP_DEFLATED)
+    assert read_arrays(path)["goal"].shape == (3, 2)
+    with_number(path, 10, compression.to_bytes(2, "little"))
+    with pytest.raises(ValueError, match="compressed in another way"):
+        read_arrays(path)
+
+
+def test_a_small_file_that_states_much_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "file.npz"
+    with_header(path, HEADER, zipfile.ZIP_DEFLATED)
+    with_number(path, 24, (2**32 - 2).to_bytes(4, "little"))
+    with pytest.raises(ValueError, match=r"it states 4,295 MB of arrays, at most 1,074"):
+        read_arrays(path)
+
+
+def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(ValueError, match="it is a pipe or a device"):
+            read_arrays(path)
+
+
 def test_a_flipped_bit_in_an_array_is_noticed(tmp_path: Path) -> None:
     write_arrays(tmp_path / "file.npz", {"goal": np.zeros(1000)})
     content = bytearray((tmp_path / "file.npz").read_bytes())
     content[len(content) // 2] ^= 1
     (tmp_path / "file.npz").write_bytes(content)
-    with pytest.raises(ValueError, match="checksum"):
+    with pytest.raises(ValueError, match="CRC-32"):
         read_arrays(tmp_path / "file.npz")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from runtime.robot import STEPS, constant, contents, observations, play, towards
 
-from maesn.runtime import Explorer
+from maesn.runtime import Explorer, ExplorerState, Latent
 
 OBSERVATION = np.asarray([0.1, -0.2])
 
@@ -130,6 +130,7 @@ MISUSE: dict[str, tuple[int | None, Callable[[Explorer], object], str]] = {
     "too few rewards": (2, lambda e: e.end_episode([1.0]), "one for each call of `act`"),
     "too many rewards": (2, lambda e: e.end_episode([1.0] * 3), "one for each call of `act`"),
     "reward NaN": (2, lambda e: e.end_episode([1.0, np.nan]), "component 1 is nan"),
+    "reward too large": (2, lambda e: e.end_episode([1.0, -1e200]), "at most 1e.100 in size"),
     "z too long": (None, lambda e: e.begin_episode(z=np.zeros(3)), r"shape \(2,\).*\(3,\)"),
     "z NaN": (None, lambda e: e.begin_episode(z=[0.0, np.nan]), "`z` must be finite, but comp"),
     "z of two minds": (
@@ -177,8 +178,12 @@ def test_adapt_needs_episodes_to_compare(policy: Path, num_episodes: int) -> Non
 
 @pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value")
 def test_an_update_that_is_not_finite_is_refused(policy: Path) -> None:
-    explorer = Explorer.load(policy, seed=9)
-    play(explorer, 3, lambda z, number: [1e308 * (-1.0) ** number] * STEPS)
+    narrow = ExplorerState(Latent(np.zeros(2), np.full(2, -400.0)))
+    explorer = Explorer(Explorer.load(policy).exported, narrow, seed=9)
+    for number in range(3):
+        explorer.begin_episode(z=[1.0, 0.0])  # 1e173 standard deviations away
+        explorer.act(OBSERVATION)
+        explorer.end_episode([float(number)])
     before = contents(explorer)
     with pytest.raises(RuntimeError, match="not finite"):
         explorer.adapt()

@@ -1,11 +1,12 @@
 """Limits on what is executed, the bound on the latent, and taking updates back."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from runtime.robot import STEPS, constant, observations, play, policy_file, towards
+from runtime.robot import STEPS, constant, contents, observations, play, policy_file, towards
 
 from maesn.envs import Wheeled
 from maesn.runtime import Actuators, Explorer, Safeguards
@@ -125,6 +126,10 @@ def test_a_taken_back_update_is_not_the_same_again(policy: Path) -> None:
         ({"upper": (1.0, 1.0, 1.0)}, "`upper` must be one number or 2"),
         ({"max_change": 0.0}, "`max_change` must be positive"),
         ({"max_change": 0.1, "rest": 7.0}, "`rest` must lie within"),
+        ({"lower": float("inf")}, "leave no control"),
+        ({"upper": float("-inf")}, "leave no control"),
+        ({"rest": float("inf")}, "`rest` must be finite, got inf"),
+        ({"rest": (0.0, float("-inf"))}, "`rest` must be finite"),
         ({"lower": float("nan")}, "`lower` must be one number"),
         ({"max_latent_norm": -1.0}, "`max_latent_norm` must be at least 0"),
         ({"max_return_drop": float("nan")}, "`max_return_drop` must be at least 0"),
@@ -140,6 +145,29 @@ def test_senseless_safeguards_are_refused(
 def test_limits_may_be_arrays() -> None:
     limits = Safeguards(lower=np.asarray([-1.0, 0.0]), rest=np.float64(0.5))
     assert limits == Safeguards(lower=(-1.0, 0.0), rest=0.5)
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value")
+@pytest.mark.parametrize("number", ["offset", "scale", "std"])
+def test_what_leaves_is_finite_or_refused(policy: Path, number: str) -> None:
+    usual = Explorer.load(policy).exported
+    huge = np.full(2, 1.7e308)
+    free = {"lower": np.full(2, -np.inf), "upper": np.full(2, np.inf)}
+    actuators = replace(usual.actuators, **free, **{} if number == "std" else {number: huge})
+    std = huge if number == "std" else usual.policy.std
+    exported = replace(usual, policy=replace(usual.policy, std=std), actuators=actuators)
+    explorer = Explorer(exported, safeguards=Safeguards(max_change=1.7e308), seed=0)
+    explorer.begin_episode()
+    refused = []
+    for observation in 1e30 * observations(explorer, 50):
+        before = contents(explorer)
+        try:
+            assert np.isfinite(explorer.act(observation)).all()
+        except ValueError as error:
+            refused.append(str(error))
+            assert contents(explorer) == before
+    assert refused or number == "offset"
+    assert all("must be finite, but the action" in message for message in refused)
 
 
 def test_actuators_scale_shift_and_clip() -> None:

@@ -81,6 +81,7 @@ def test_a_search_finds_the_best_of_the_archive_in_unseen_tasks(acquisition: str
     assert deployed_values(ARCHIVE_ALONE, 0).mean() < 0.5 * best.mean()
 
 
+@pytest.mark.long
 def test_draws_around_the_best_latent_go_beyond_the_archive() -> None:
     alone = deployed_values(ARCHIVE_ALONE, 40)
     refined = deployed_values(replace(ARCHIVE_ALONE, draws=8), 40)

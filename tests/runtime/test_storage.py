@@ -1,6 +1,8 @@
 """Files: exact continuation, whole or not at all, and damaged ones are refused."""
 
 import errno
+import json
+import math
 import os
 import pickle
 from pathlib import Path
@@ -185,6 +187,8 @@ def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
         ("metadata", np.array('{"format": "maesn-policy", "version": 99}'), "version must be 1"),
         ("metadata", np.array('{"format": "other"}'), "format must be 'maesn-policy'"),
         ("metadata", np.array("[1, 2]"), "format must be"),
+        ("episodes.length", np.asarray([6, -1]), "`episodes.length` must sum up to 5 steps"),
+        ("episodes.rewards", np.full(5, 1e200), "`rewards` must be at most 1e.100"),
         ("metadata", np.array("{"), "something else or damaged"),
         ("metadata", np.array('{"format": "maesn-policy", "version": 1}'), "entry `"),
     ],
@@ -192,9 +196,36 @@ def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
 def test_senseless_entries_are_refused(
     policy: Path, tmp_path: Path, name: str, value: np.ndarray, message: str
 ) -> None:
-    path = rewritten(policy, tmp_path / "odd.npz", **{name: value})
+    explorer = Explorer.load(policy)
+    play(explorer, 1, towards([1.0, 0.0]))
+    explorer.save(tmp_path / "saved.npz")
+    path = rewritten(tmp_path / "saved.npz", tmp_path / "odd.npz", **{name: value})
     with pytest.raises(ValueError, match=message):
         Explorer.load(path)
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "message"),
+    [
+        ("factor", math.nan, "`factor` must be above 0"),
+        ("factor", 10**400, "`factor` must be of type float"),
+        ("discount", 2, "`discount` must be from 0 to 1"),
+        ("ridge", math.inf, "`ridge` must be positive and finite"),
+        ("full_steps", 0, "`full_steps` must be at least 1"),
+        ("observation_size", -1, "`observation_size` must be at least 1"),
+        ("num_layers", 0, "`num_layers` must be at least 1"),
+    ],
+)
+def test_senseless_numbers_are_refused(
+    policy: Path, tmp_path: Path, number: str, value: float, message: str
+) -> None:
+    with np.load(policy) as archive:
+        metadata = json.loads(str(archive["metadata"]))
+    target = metadata["rule"] if number in metadata["rule"] else metadata
+    target[number] = value
+    text = np.array(json.dumps(metadata))
+    with pytest.raises(ValueError, match=message):
+        Explorer.load(rewritten(policy, tmp_path / "odd.npz", metadata=text))
 
 
 class Trap:

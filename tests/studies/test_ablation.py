@@ -168,6 +168,7 @@ def test_copies_of_a_run_do_not_join_and_other_names_are_refused(
     assert "must be called `maml_bias_only-seed-0`, because" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_unfinished_runs_of_other_seeds_are_left_out_and_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

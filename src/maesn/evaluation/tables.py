@@ -14,6 +14,7 @@ from maesn.envs import NAMED_SETS
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.report.reading import LATENTS, RECORD, TableName
+from maesn.runs.checkpoint import digest_of_arrays
 from maesn.storage import (
     RunError,
     explained,
@@ -27,13 +28,17 @@ from maesn.storage import (
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
     """Return where a table of adaptation curves goes by default.
 
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM` for a user's
-    own file. Before it stands `from-UPDATE-` if an earlier adaptation goes on. Behind the reward
-    stand rule and wrappers, the number of tasks, the sparse radius and the engine, each where it is
-    not the usual one: tables of different kinds never share a file, and so never a figure.
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM-DIGEST` for a
+    user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
+    adaptation goes on. Behind the reward stand rule and wrappers, the number of tasks, the sparse
+    radius and the engine, each where it is not the usual one: tables of different kinds never share
+    a file, and so never a figure.
+
+    Raises:
+        RunError: the file of tasks cannot be read.
     """
     tasks = evaluation.tasks
-    name = tasks if tasks in NAMED_SETS else f"file-{Path(tasks).stem}"
+    name = tasks if tasks in NAMED_SETS else _name_of_file(Path(tasks))
     start = f"from-{first_update}-" if first_update else ""
     parts = {
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
@@ -42,6 +47,11 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     }
     changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
     return TableName(start + name, evaluation.reward, changed).path(directory)
+
+
+def _name_of_file(path: Path) -> str:
+    held = read_arrays(path, "give an .npz file of tasks")
+    return f"file-{path.stem}-{digest_of_arrays(held)[:6]}"
 
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -31,11 +31,17 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
 
     Raises:
         FileNotFoundError: there is neither such a model nor such a file.
-        ValueError: MuJoCo cannot compile the XML.
+        ValueError: MuJoCo cannot compile the XML; the message is one sentence.
     """
     _redirect_warnings()
     _messages.clear()
-    compiled = _compile(os.fspath(model))
+    try:
+        compiled = _compile(os.fspath(model))
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise ValueError(
+            f"`model` {label(model)!r} cannot be compiled, because MuJoCo says: {said}"
+        ) from error
     for message in _messages:
         warnings.warn(f"model {label(model)!r}: {message}", stacklevel=2)
     compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

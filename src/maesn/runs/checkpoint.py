@@ -21,6 +21,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from maesn.runtime.archive import refuse_special
 from maesn.storage import RunError, explained, write_whole
 
 Tree = TypeVar("Tree")
@@ -79,10 +80,11 @@ def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
 def read_checkpoint(path: Path) -> Tensors:
     """Read a checkpoint; raises `CheckpointError` if it is missing, unreadable or damaged."""
     try:
+        refuse_special(path)
         with explained("read", path), safetensors.safe_open(path, framework="numpy") as file:
             metadata = dict(file.metadata() or {})
             values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (RunError, safetensors.SafetensorError) as error:
+    except (RunError, ValueError, safetensors.SafetensorError) as error:
         raise CheckpointError(f"`{path}` is no readable checkpoint: {error}") from error
     stated, content = metadata.pop(CHECKSUM, "none"), Tensors(values, metadata)
     if _checksum(content) != stated:
@@ -108,6 +110,23 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
     return jax.tree.unflatten(
         jax.tree.structure(like), [jnp.asarray(values[name]) for name in expected]
     )
+
+
+def checked(source: Path | str, state: Any, metadata: Mapping[str, str]) -> Checkpoint:
+    """Return a restored checkpoint; `CheckpointError` if its numbers cannot be gone on from.
+
+    A checksum says that a file is as it was written, not that what was written makes sense.
+    """
+    for name, leaf in named_leaves(state).items():
+        if not np.isfinite(np.asarray(leaf)).all():
+            raise CheckpointError(f"`{source}` is damaged: tensor `{name}` is not finite.")
+    counts = [metadata.get(name, "nothing") for name in ("iteration", "environment_steps")]
+    if not all(count.isdecimal() and len(count) < 20 for count in counts):
+        raise CheckpointError(
+            f"`{source}` is damaged: it must state its iterations and environment steps as "
+            f"numbers, got {counts}."
+        )
+    return Checkpoint(state, *map(int, counts))
 
 
 def checkpoint_paths(directory: Path) -> list[Path]:

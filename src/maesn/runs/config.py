@@ -16,9 +16,10 @@ from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Varia
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.policies import USUAL
 from maesn.runs.serialization import digest_of_document, fields_from_json, fields_to_json
-from maesn.settings import check_numbers
+from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
+from maesn.worlds.budget import check_memory, warn_of_duration
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
 SCHEMA = 2
@@ -63,6 +64,9 @@ class RunSettings:
     for families on a MuJoCo model."""
 
     def __post_init__(self) -> None:
+        check_choice("variant", self.variant, Variant)
+        check_choice("reward", self.reward, RewardKind)
+        check_choice("engine", self.engine, EngineName)
         check_numbers(self, iterations=0, num_threads=0, episodes_per_task=1, checkpoint_every=1)
 
     @property
@@ -130,6 +134,8 @@ def new_config(
 ) -> RunConfig:
     """Return what a new run will write down."""
     env = make_env(family, settings)
+    check_memory(env, settings.episodes_per_task)  # of one task; a batch of them is checked later
+    warn_of_duration(env, settings.episodes_per_task * settings.iterations)
     with refusals():
         engine = engine_of(env, settings.engine)
         made = RunConfig(

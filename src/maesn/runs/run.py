@@ -233,7 +233,7 @@ class Run:
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        return Checkpoint(state, int(metadata["iteration"]), int(metadata["environment_steps"]))
+        return checkpoint.checked(path, state, metadata)
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""

@@ -132,7 +132,7 @@ def values_of_words(words: Iterable[str]) -> dict[str, Any]:
         values[path] = text
         # Literals alone: numbers, truth values, None, lists.
         for read in (ast.literal_eval, json.loads):
-            with contextlib.suppress(ValueError, SyntaxError):
+            with contextlib.suppress(ValueError, SyntaxError, TypeError, MemoryError):
                 values[path] = read(text)
     return values
 

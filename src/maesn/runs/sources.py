@@ -23,6 +23,8 @@ from maesn.storage import (
 )
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
+# Bytes of a user's tasks: two million goals. Training takes about a hundred times as much memory.
+LARGEST_TASKS = 2**24
 TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
 
@@ -44,7 +46,7 @@ def imported(name: str, option: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise RunError(
             f"`{option}` is `{name}`, but {error}: `module` must be importable (set PYTHONPATH to "
             "where it is) and have that name in it."
@@ -100,7 +102,8 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     """
     names = family.task_names
     wanted = f"the arrays {', '.join(names)}, one row for each task"
-    held = read_arrays(Path(path), f"give an .npz file with {wanted}, as numpy.savez writes it")
+    remedy = f"give an .npz file with {wanted}, as numpy.savez writes it"
+    held = read_arrays(Path(path), remedy, LARGEST_TASKS)
     if not set(names) <= set(held):
         raise RunError(f"`{path}` must hold {wanted}; it holds {', '.join(held) or 'none'}.")
     drawn, structure = jax.tree.flatten(family.draw_tasks(np.random.default_rng(0), 1))

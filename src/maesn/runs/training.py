@@ -24,6 +24,7 @@ from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
+from maesn.settings import LARGEST_COUNT
 from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
@@ -62,8 +63,10 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
-    if total < 0:
-        raise RunError(f"`iterations` is a total and must be at least 0, got {total}.")
+    if not 0 <= total <= LARGEST_COUNT:
+        raise RunError(
+            f"`iterations` is a total and must be from 0 to {LARGEST_COUNT}, got {total}."
+        )
     if keep < 0:
         raise RunError(f"`keep` must be at least 0, got {keep}.")
     with contextlib.ExitStack() as stack:
@@ -242,12 +245,16 @@ def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str],
     ]
     if console.width >= _WIDE:
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
-    bar = Bar(*columns, console=console)
+    # A thread that refreshes it would outlive the terminal.
+    bar = Bar(*columns, console=console, auto_refresh=False)
     shown = bar.add_task("compiling", total=total)
     bar.start()
     try:
         yield lambda progress, left: bar.update(
-            shown, completed=progress.iteration, description=f"{left}: {describe(progress)}"
+            shown,
+            completed=progress.iteration,
+            description=f"{left}: {describe(progress)}",
+            refresh=True,
         )
     finally:
         with contextlib.suppress(OSError):  # the terminal may be what is gone

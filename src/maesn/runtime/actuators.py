@@ -62,7 +62,7 @@ class Actuators:
             ValueError: no control is left.
         """
         low, high = np.maximum(self.lower, lower), np.minimum(self.upper, upper)
-        if (low > high).any():
+        if ((low > high) | np.isposinf(low) | np.isneginf(high)).any():
             raise ValueError(
                 f"`lower` {lower} and `upper` {upper} leave no control: `lower` must be at most "
                 f"`upper`, and the policy's own range is {self.lower} to {self.upper}."

@@ -8,7 +8,9 @@ import contextlib
 import io
 import json
 import os
+import stat
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
@@ -26,14 +28,25 @@ VERSION = 1
 PARTIAL = ".partial"
 _METADATA = "metadata"
 
-# What `zipfile`, NumPy and JSON raise where a file is damaged, found by flipping its bits.
+# Bytes that the arrays of a file may have in memory. A file of a few kilobytes can state terabytes.
+LARGEST_FILE = 2**30
+
+_COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
+
+# What `zipfile`, NumPy and JSON raise where a file is damaged, found by flipping its bits and by
+# writing headers that make no sense.
 _UNREADABLE = (
+    ArithmeticError,
     EOFError,
-    KeyError,
+    LookupError,
+    MemoryError,
     OSError,
     RuntimeError,
+    SyntaxError,
+    TypeError,
     ValueError,
     struct.error,
+    tokenize.TokenError,
     zipfile.BadZipFile,
     zlib.error,
 )
@@ -86,29 +99,30 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.g
     write_whole(path, content.getvalue())
 
 
-def read_arrays(path: str | os.PathLike[str], names: Collection[str] | None = None) -> Arrays:
+def read_arrays(
+    path: str | os.PathLike[str],
+    names: Collection[str] | None = None,
+    largest: int = LARGEST_FILE,
+) -> Arrays:
     """Return the arrays of an `.npz` file by name. Nothing in it is executed.
 
     Args:
         path: of the file.
         names: arrays that are needed; others are left unread. None for all.
+        largest: bytes that all arrays of the file may have in memory.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: it is damaged or something else, or an array is missing. The message does not
-            name the file.
+        ValueError: it is damaged, something else or too large, or an array is missing. The message
+            does not name the file.
     """
+    refuse_special(path)
     with Path(path).open("rb") as file:
         try:
             with zipfile.ZipFile(file) as members:
-                damaged = members.testzip()  # before NumPy interprets anything
-            if damaged is not None:
-                raise zipfile.BadZipFile(f"the checksum of {damaged!r} is wrong")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                found = archive.files
+                found = _members(members, largest)
                 wanted = found if names is None else [name for name in names if name in found]
-                arrays = {name: _array(name, archive[name]) for name in wanted}
+                arrays = {name: _array(members, found[name]) for name in wanted}
         except _UNREADABLE as error:
             raise ValueError(f"it is no .npz file of plain arrays, or damaged ({error})") from error
     missing = [name for name in names or () if name not in arrays]
@@ -116,6 +130,30 @@ def read_arrays(path: str | os.PathLike[str], names: Collection[str] | None = No
         held = ", ".join(f"`{name}`" for name in found) or "none"
         raise ValueError(f"array `{missing[0]}` is missing from the file, which holds {held}")
     return arrays
+
+
+def refuse_special(path: str | os.PathLike[str]) -> None:
+    """Refuse pipes and devices: reading them may wait for ever, or never end.
+
+    Raises:
+        ValueError: it is one.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        mode = Path(path).stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise ValueError("it is a pipe or a device, but only files are read")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return what a JSON text says.
+
+    Raises:
+        ValueError: it is no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def write_archive(
@@ -147,7 +185,7 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
     """
     try:
         arrays = read_arrays(path)
-        metadata = json.loads(str(arrays.pop(_METADATA)))
+        metadata = parse_json(str(arrays.pop(_METADATA)))
     except (KeyError, ValueError) as error:
         raise ValueError(
             "it must be a file written by `maesn export` or `Explorer.save`, but it is "
@@ -155,9 +193,9 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
         ) from error
     _check_version(metadata)
     # Every array has a checksum, but a damaged table of contents can hide whole arrays.
-    missing = set(entry(metadata, "arrays", list)) - set(arrays)
+    missing = [name for name in entry(metadata, "arrays", list) if name not in list(arrays)]
     if missing:
-        raise ValueError(f"array `{min(missing)}` is missing from the file; write it again.")
+        raise ValueError(f"array `{missing[0]}` is missing from the file; write it again.")
     return arrays, metadata
 
 
@@ -173,17 +211,29 @@ def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
         ValueError: it is missing or of another type.
     """
     value = metadata.get(name)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and type(value) is int and abs(value) < 2**53:
         return kind(value)  # type: ignore[call-arg]
     if not isinstance(value, kind):
         raise ValueError(f"entry `{name}` must be of type {kind.__name__}, got {value!r}.")
     return value
 
 
-def _array(name: str, member: NDArray[np.generic] | bytes) -> NDArray[np.generic]:
-    if isinstance(member, bytes):  # NumPy returns a member that is not in its own format as it is
-        raise ValueError(f"`{name}` is no array")
-    return member
+def _members(archive: zipfile.ZipFile, largest: int) -> dict[str, zipfile.ZipInfo]:
+    """Return what is in a file by the names of the arrays, if it states no more than is read."""
+    members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+    if {member.compress_type for member in members.values()} - _COMPRESSIONS:
+        raise ValueError("it is compressed in another way than `numpy.savez_compressed` does")
+    size = sum(member.file_size for member in members.values())
+    if size > largest:
+        raise ValueError(f"it states {size / 1e6:,.0f} MB of arrays, at most {largest / 1e6:,.0f}")
+    return members
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
+    content = archive.read(member)  # compares the checksum before NumPy interprets anything
+    if not content.startswith(np.lib.format.MAGIC_PREFIX):
+        raise ValueError(f"`{member.filename.removesuffix('.npy')}` is no array")
+    return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
 
 
 def _check_version(metadata: Any) -> None:

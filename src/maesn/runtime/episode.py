@@ -13,6 +13,9 @@ Purpose: TypeAlias = Literal["explore", "deploy"]
 """`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
 only."""
 
+LARGEST_REWARD = 1e100
+"""The squares of larger ones, summed over many steps, are beyond double precision."""
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -31,6 +34,14 @@ class Episode:
     actions: FloatArray
     controls: FloatArray
     rewards: FloatArray
+
+    def __post_init__(self) -> None:
+        size = float(np.abs(self.rewards).max(initial=0.0))
+        if size > LARGEST_REWARD:
+            raise ValueError(
+                f"`rewards` must be at most {LARGEST_REWARD:g} in size, got {size:g}. Nothing was "
+                "recorded: give them in a larger unit."
+            )
 
     @property
     def undiscounted_return(self) -> float:
@@ -124,8 +135,11 @@ def episodes_from_arrays(
     """Return the batch of a file; raises ValueError if its arrays do not fit."""
     if "episodes.length" not in arrays:
         return ()
-    length = take(arrays, "episodes.length", -1).astype(np.int64)
-    steps = int(length.sum())
+    stated = take(arrays, "episodes.length", -1)
+    steps = len(take(arrays, "episodes.rewards", -1))
+    if not (stated >= 1).all() or stated.sum() != steps:
+        raise ValueError(f"array `episodes.length` must sum up to {steps} steps, got {stated}.")
+    length = stated.astype(np.int64)
     latents = take(arrays, "episodes.latents", length.shape[0], latent_size)
     joined = (
         take(arrays, "episodes.observations", steps, observation_size),

@@ -190,7 +190,8 @@ class Explorer:
         Raises:
             RuntimeError: no episode is running.
             ValueError: the observation has the wrong size or is not finite, the policy's answer to
-                it is not finite, or `normalized` is asked of actuators without limits.
+                it or the control is not finite, or `normalized` is asked of actuators without
+                limits.
         """
         running = self._running("act")
         size = self.exported.observation_size
@@ -203,12 +204,19 @@ class Explorer:
             )
         if normalized:
             self.exported.actuators.refuse_unlimited()
+        random_state = self._generator.bit_generator.state
         if explore:
             std = self.exported.policy.std
             action += std * self._generator.standard_normal(std.shape[0])
         before = running.controls[-1] if running.controls else None
         control = self._limiter.control(action, before)
         answer = self.exported.actuators.normalized(control) if normalized else control.copy()
+        if not np.isfinite([action, control, answer]).all():
+            self._generator.bit_generator.state = random_state
+            raise ValueError(
+                f"the control must be finite, but the action {action} becomes {answer}; nothing "
+                "was recorded. Limit the controls with `Safeguards`."
+            )
         running.add(observed, action, control)
         return answer
 

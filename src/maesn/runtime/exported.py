@@ -93,10 +93,12 @@ class ExportedPolicy:
         """Return the policy of a file; raises ValueError if the file does not fit together."""
         start_mean = take(arrays, "start.mean", -1)
         size = start_mean.shape[0]
+        sizes = {name: entry(metadata, name, int) for name in ("observation_size", "num_layers")}
+        for name, number in sizes.items():
+            if number < 1:
+                raise ValueError(f"entry `{name}` must be at least 1, got {number}.")
         policy = GaussianPolicy.from_arrays(
-            arrays,
-            input_size=entry(metadata, "observation_size", int) + size,
-            num_layers=entry(metadata, "num_layers", int),
+            arrays, sizes["observation_size"] + size, sizes["num_layers"]
         )
         rule = entry(metadata, "rule", dict)
         return ExportedPolicy(

@@ -54,6 +54,16 @@ class LearningRule:
     discount: float
     ridge: float
 
+    def __post_init__(self) -> None:
+        for name, fits, wanted in (
+            ("full_steps", self.full_steps >= 1, "at least 1"),
+            ("factor", 0 < self.factor <= 1, "above 0 and at most 1"),
+            ("discount", 0 <= self.discount <= 1, "from 0 to 1"),
+            ("ridge", 0 < self.ridge < np.inf, "positive and finite"),
+        ):
+            if not fits:
+                raise ValueError(f"`{name}` must be {wanted}, got {getattr(self, name)}.")
+
     def scale(self, update: int) -> float:
         """Return what the step sizes are multiplied by in update number 0, 1, ...
 

@@ -50,6 +50,8 @@ class Safeguards:
                 raise ValueError(f"`{name}` must be at least 0 or None, got {bound}.")
         for name in _LIMITS:
             object.__setattr__(self, name, _plain(name, getattr(self, name)))
+        if not np.isfinite(np.asarray(self.rest, np.float64)).all():
+            raise ValueError(f"`rest` must be finite, got {self.rest}.")
         if self.max_change is not None and not (np.asarray(self.max_change) > 0).all():
             raise ValueError(f"`max_change` must be positive, got {self.max_change}.")
 

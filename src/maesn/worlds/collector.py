@@ -34,6 +34,7 @@ from maesn.worlds import (
     SimulationFailure,
     Trajectory,
 )
+from maesn.worlds.budget import check_memory
 
 # What a policy returns for each kind of actions. By its type the noise of the actions is drawn,
 # before the policy is called.
@@ -79,6 +80,7 @@ class Collector:
 
         Raises:
             EpisodeError: physics or reward of an episode became non-finite.
+            RunError: the machine cannot hold that many episodes at once.
             ValueError: the policy's actions are of another kind than the environment's.
         """
         episodes, readings = self.play(keys, agents, task_index)
@@ -95,6 +97,7 @@ class Collector:
             The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
         """
         self._check_policy(agents)
+        check_memory(self.world.env, len(task_index) * self.episodes_per_task)
         tasks = self.world.tasks[np.asarray(task_index)]
         # Without the state of the trials, so that their first episode and the others share one
         # compiled program.

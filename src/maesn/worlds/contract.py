@@ -1,5 +1,6 @@
 """Whether an environment's functions fit what it declares, before it is played."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -25,16 +26,18 @@ class EnvContractError(ValueError):
 def check_env_contract(env: AnyEnv, task: Any) -> None:
     """Refuse an environment whose functions return other shapes than it declares.
 
-    Readings and model fields that MuJoCo does not have are refused as well. JAX works out the
-    shapes; no episode is played. What a function raises is passed on. Environments of others are
-    begun and stepped once; what Gymnasium's own check finds beyond that is a warning.
+    Readings and model fields that MuJoCo does not have are refused as well, and a control period
+    that is not the model's. JAX works out the shapes; no episode is played. What a function raises
+    is passed on. Environments of others are begun and stepped once; what Gymnasium's own check
+    finds beyond that is a warning.
 
     Args:
         env: of any family.
         task: one of its tasks.
 
     Raises:
-        EnvContractError: a function returns another shape, or there is no field of a name.
+        EnvContractError: a function returns another shape, there is no field of a name, or
+            `control_period` is wrong.
     """
     if env.engine == "gymnasium":  # an extra of the installation
         import_module("maesn.worlds.foreign").check_hosted(env, task)
@@ -53,13 +56,19 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
     task = jax.tree.map(jnp.asarray, task)
     start = jax.eval_shape(env.start, jax.random.key(0), task)
     action = jnp.zeros(env.action_size)
-    control = jax.eval_shape(env.control, action)
+    control = _control(env, action)
     readings: Any = {"qpos": start.qpos, "qvel": start.qvel}
     if isinstance(env, AbstractPureEnv):
         moved = jax.eval_shape(env.advance, readings, control)
         yield "advance", moved, jax.tree.map(jnp.shape, readings)
     if isinstance(env, AbstractMujocoEnv):
         model = load_model(env.model)
+        _check_period(env, model.opt.timestep)
+        if control.shape == action.shape != (model.nu,):
+            raise EnvContractError(
+                f"`{env.name}`: `action_size` must be {model.nu}, as many as the model has "
+                f"actuators, because `control` makes one number of each, got {env.action_size}."
+            )
         with _naming(env):
             readings = _single(resting_readings(model, env.readings))
             fields = _single(field_values(model, tuple(start.model_fields)))
@@ -75,6 +84,26 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "position", jax.eval_shape(env.position, seen), (2,)
         yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
         yield "goal", jax.eval_shape(env.goal, task), (2,)
+
+
+def _control(env: AbstractSimulatedEnv[Any], action: Array) -> Any:
+    try:
+        return jax.eval_shape(env.control, action)
+    except TypeError as error:  # of JAX, where shapes do not fit
+        raise EnvContractError(
+            f"`{env.name}`: `control` must take an action of `action_size` {env.action_size} "
+            f"numbers, but JAX says: {' '.join(str(error).split())}"
+        ) from error
+
+
+def _check_period(env: AbstractMujocoEnv[Any], timestep: float) -> None:
+    period = env.frame_skip * timestep
+    if not math.isclose(env.control_period, period, rel_tol=1e-6):
+        raise EnvContractError(
+            f"`{env.name}`: `control_period` must be `frame_skip` times the time step of the "
+            f"model, {env.frame_skip} * {timestep:g} s = {period:g} s, got "
+            f"{env.control_period:g} s: robots are controlled at that rate."
+        )
 
 
 @contextmanager

@@ -29,5 +29,9 @@ def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
     np.testing.assert_allclose(own.curves.mean_return, native.curves.mean_return, atol=0.5)
     # Single precision against double: the means differ in their last digits.
     assert (own.curves.mean_return != native.curves.mean_return).any()
-    names = {path.name for path in (run.directory / "adaptation").glob("*.csv")}
-    assert names == {"file-tasks-dense.csv", "file-tasks-dense-on-native.csv"}
+    names = [path.name for path in (run.directory / "adaptation").glob("*.csv")]
+    # Between them stands the digest of the tasks.
+    assert {name[:11] + name[17:] for name in names} == {
+        "file-tasks--dense.csv",
+        "file-tasks--dense-on-native.csv",
+    }

@@ -1,0 +1,53 @@
+"""What episodes cost in memory and in time, estimated before the first one is played."""
+
+import contextlib
+import logging
+import os
+from pathlib import Path
+
+from maesn.envs.base import AnyEnv
+from maesn.storage import RunError
+
+logger = logging.getLogger(__name__)
+
+# About what two cores play in a second on `point`, the cheapest family.
+STEPS_PER_SECOND = 2e5
+# Control steps that are worth a warning: more than an hour, even at that speed.
+MANY_STEPS = 1e9
+
+
+def check_memory(env: AnyEnv, num_episodes: int) -> None:
+    """Refuse a batch of episodes that this machine cannot hold.
+
+    What is counted is the least that any method keeps of a step in single precision: observation,
+    action, its noise, mean and standard deviation, and six numbers and flags.
+
+    Raises:
+        RunError: the batch is larger than the machine's memory.
+    """
+    needed = 4 * num_episodes * env.horizon * (env.observation_size + 4 * env.action_size + 6)
+    if needed > memory():
+        raise RunError(
+            f"{num_episodes:,} episodes of {env.horizon:,} steps of `{env.name}` at once take at "
+            f"least {needed / 1e9:,.1f} GB, but this machine has {memory() / 1e9:,.1f} GB: play "
+            "fewer episodes of each task, or fewer tasks at once."
+        )
+
+
+def warn_of_duration(env: AnyEnv, num_episodes: int) -> None:
+    """Say so before it begins if episodes will take hours or more."""
+    steps = num_episodes * env.horizon
+    if steps > MANY_STEPS:
+        hours = steps / STEPS_PER_SECOND / 3600
+        logger.warning(
+            f"{num_episodes:,} episodes of {env.horizon:,} steps are to be played. At "
+            f"{STEPS_PER_SECOND:,.0f} steps per second this takes {hours:,.0f} hours."
+        )
+
+
+def memory() -> int:
+    """Return the bytes of memory that a process on this machine, or in this container, can get."""
+    bytes_ = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with contextlib.suppress(OSError, ValueError):
+        bytes_ = min(bytes_, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return bytes_
