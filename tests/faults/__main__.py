@@ -32,7 +32,8 @@ def main() -> int:
     parser.add_argument("--only", choices=list(KINDS), nargs="+", default=list(KINDS))
     parser.add_argument("--index", type=int, help="one attempt alone, as a finding names it")
     options = parser.parse_args()
-    logging.disable(logging.CRITICAL)
+    logging.getLogger("maesn").propagate = False
+    logging.getLogger("maesn").addHandler(logging.NullHandler())
     warnings.simplefilter("ignore")
     start, wrong = time.monotonic(), []
     with tempfile.TemporaryDirectory() as directory:

@@ -62,7 +62,7 @@ def _no_larger_files(
 def _full_file_system(
     stream: random.Random, name: str, material: Material, directory: Path
 ) -> Iterator[tuple[Ended, str]]:
-    pages = stream.randrange(8)
+    pages = stream.randrange(1, 9)
     with _mounted(directory):
         SCENARIOS[name].prepare(material, directory)
         found = os.statvfs(directory)

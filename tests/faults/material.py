@@ -41,6 +41,14 @@ class Material:
     directory: Path
     operations: dict[str, int] = field(default_factory=dict)
     """How many operations on files there are in each scenario."""
+    read: dict[str, Any] = field(default_factory=dict)
+    """What is read of sound files."""
+
+    def __post_init__(self) -> None:
+        # All of it: a process that was forked can compute little.
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                getattr(self, name)
 
     @cached_property
     def untrained(self) -> Any:
@@ -135,6 +143,16 @@ class Material:
     def explorers(self) -> tuple[Path, Path]:
         """Both, saved in the middle of an episode."""
         return self._saved(self.policies[0]), self._saved(self.policies[1])
+
+    @cached_property
+    def folders(self) -> dict[str, Path]:
+        """Directories with one file of each kind."""
+        policies = self.directory / "policies"
+        policies.mkdir()
+        for path in (*self.policies, *self.explorers):
+            shutil.copy(path, policies)
+        self.adapted  # noqa: B018  # leaves files
+        return {"run": self.run.directory, "latent": self.latent.directory, "policies": policies}
 
     def _saved(self, policy: Path) -> Path:
         explorer = Explorer.load(policy, seed=3, safeguards=SAFEGUARDS)

@@ -9,6 +9,7 @@ from typing import Any
 
 from faults.material import MORE, PRIOR, Material
 from faults.processes import count_operations
+import numpy as np
 from small_runs import finish, outcome
 
 from maesn import api
@@ -90,8 +91,7 @@ def _after_change(material: Material, directory: Path) -> str:
     return _differs(run, MORE, material.changed)
 
 
-def _copy_adapted(material: Material, directory: Path) -> None:
-    material.adapted  # noqa: B018  # so that its files are there
+def _copy_latent(material: Material, directory: Path) -> None:
     shutil.copytree(material.latent.directory, directory / "run")
 
 
@@ -112,11 +112,6 @@ def _after_adapt(material: Material, directory: Path) -> str:
     return ", ".join(lost)
 
 
-def _prepare_prior(material: Material, directory: Path) -> None:
-    material.prior  # noqa: B018
-    shutil.copytree(material.latent.directory, directory / "run")
-
-
 def _prior(material: Material, directory: Path) -> None:
     original, stored.make_prior = stored.make_prior, lambda *_, **__: material.prior  # type: ignore[assignment]
     try:
@@ -127,9 +122,9 @@ def _prior(material: Material, directory: Path) -> None:
 
 def _after_prior(material: Material, directory: Path) -> str:
     (file,) = (directory / "run" / "priors").glob("*.safetensors")
-    (original,) = (material.latent.directory / "priors").glob("*.safetensors")
-    read_prior(file)
-    return "" if file.read_bytes() == original.read_bytes() else "the prior"
+    found = read_prior(file)[0]
+    same = all(np.array_equal(getattr(found, n), x) for n, x in vars(material.prior).items())
+    return "" if same else "the prior"
 
 
 def _prepare_export(material: Material, directory: Path) -> None:
@@ -164,8 +159,8 @@ SCENARIOS = {
     "train": Scenario(_begin, _train, _after_train),
     "resume": Scenario(_copy, _resume, _after_resume),
     "change": Scenario(_copy, _change, _after_change),
-    "adapt": Scenario(_copy_adapted, _adapt, _after_adapt),
-    "prior": Scenario(_prepare_prior, _prior, _after_prior),
+    "adapt": Scenario(_copy_latent, _adapt, _after_adapt),
+    "prior": Scenario(_copy_latent, _prior, _after_prior),
     "export": Scenario(_prepare_export, _export, _after_export),
     "save": Scenario(_prepare_save, _save, _after_save),
 }
@@ -175,7 +170,7 @@ def operations(name: str, material: Material) -> int:
     """How many operations on files there are in a scenario."""
     if name not in material.operations:
         trial = material.directory / f"trial-{name}"
-        trial.mkdir()
+        trial.mkdir(exist_ok=True)
         SCENARIOS[name].prepare(material, trial)
         work = partial(SCENARIOS[name].work, material, trial)
         material.operations[name] = count_operations(work, trial)

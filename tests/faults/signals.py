@@ -30,7 +30,6 @@ def command(*words: str) -> None:
 
 def attempt(stream: random.Random, material: Material, directory: Path, findings: Findings) -> None:
     """Send signals to a process that trains, then go on."""
-    material.long_outcome  # noqa: B018  # before the copy is made
     run, said = material.long(directory / "run"), directory / "said"
     process = fork(partial(command, "resume", str(run.directory)), said)
     while not (said.exists() and said.read_text()):

@@ -19,7 +19,6 @@ from maesn.runs.run import Run
 
 def attempt(stream: random.Random, material: Material, directory: Path, findings: Findings) -> None:
     """Let two processes make one run, or train it; go on, and compare."""
-    material.long_outcome  # noqa: B018  # before the copies are made
     makes = stream.random() < 0.5
     if makes:
         work = partial(refusing, partial(SCENARIOS["create"].work, material, directory))

@@ -80,7 +80,8 @@ def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
 def read_checkpoint(path: Path) -> Tensors:
     """Read a checkpoint; raises `CheckpointError` if it is missing, unreadable or damaged."""
     try:
-        refuse_special(path)
+        with explained("read", path):
+            refuse_special(path)
         with explained("read", path), safetensors.safe_open(path, framework="numpy") as file:
             metadata = dict(file.metadata() or {})
             values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

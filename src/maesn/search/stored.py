@@ -15,6 +15,7 @@ from rich.progress import Progress as ProgressBar
 from maesn.envs import RewardKind, describe_env
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
+from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_learner
 from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
@@ -137,6 +138,6 @@ def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
     values, metadata = read_checkpoint(path)
     try:
         held: dict[str, Any] = {name: values[name].astype(np.float64) for name in _ARRAYS}
-        return ReturnPrior(**held, **json.loads(metadata["numbers"])), metadata
+        return ReturnPrior(**held, **parse_json(metadata["numbers"])), metadata
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error
