@@ -20,6 +20,7 @@ os.environ |= {
     "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_cpu_multi_thread_eigen=false",
 }
 
+import maesn
 from faults.kinds import KINDS
 from faults.material import Material
 from faults.table import campaign, header, line
@@ -43,7 +44,8 @@ def main() -> int:
         for kind, found in campaign(chosen, material, options.seed, options.scale, options.index):
             print(line(kind.name, found), flush=True)
             wrong += found.wrong
-    print(f"\nseed {options.seed}, {(time.monotonic() - start) / 60:.0f} minutes")
+    minutes, share = (time.monotonic() - start) / 60, f"{options.scale:g} of a full campaign"
+    print(f"\nmaesn {maesn.__version__}, seed {options.seed}, {share}, {minutes:.0f} minutes")
     print(*wrong, sep="\n\n", file=sys.stderr)
     return int(bool(wrong))
 

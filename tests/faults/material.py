@@ -28,7 +28,9 @@ MORE = 8
 LONG = 150
 ADAPTATION: dict[str, Any] = {"num_tasks": 2, "episodes": 4, "episodes_per_update": 2}
 PRIOR = PriorSettings(draws=12, adapted=False, episodes=2)
-SAFEGUARDS = Safeguards(lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7, max_return_drop=9)
+SAFEGUARDS = Safeguards(
+    lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7, max_return_drop=9.0
+)
 
 Outcome = tuple[bytes, dict[str, bytes]]
 """The log of a run, and the tensors of its last checkpoint."""

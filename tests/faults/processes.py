@@ -135,9 +135,6 @@ def fork(work: Callable[[], Any], output: Path) -> int:
         os.dup2(descriptor, 2)
         sys.stdout = os.fdopen(1, "w", buffering=1, closefd=False)
         sys.stderr = os.fdopen(2, "w", buffering=1, closefd=False)
-        if os.environ.get("HDEBUG"):
-            import faulthandler
-            faulthandler.dump_traceback_later(8)
         work()
         status = 0
     except SystemExit as left:
@@ -149,14 +146,13 @@ def fork(work: Callable[[], Any], output: Path) -> int:
         os._exit(status)
 
 
-def wait(process: int, output: Path, limit: float = 15.0) -> Ended:
+def wait(process: int, output: Path, limit: float = 60.0) -> Ended:
     """Wait until a process has ended; `Hang` if it does not."""
     deadline, found, status = time.monotonic() + limit, 0, 0
     try:
         while not found:
             found, status = os.waitpid(process, os.WNOHANG)
             if time.monotonic() > deadline:
-                if os.environ.get("HDEBUG"): print(output.read_text())
                 raise Hang
             time.sleep(0.002)
     finally:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from faults.material import Material
-from faults.table import CLEAR, CONTINUED, LOSS, TRACEBACK, Findings
+from faults.table import CLEAR, CONTINUED, LOSS, TRACEBACK, Findings, is_of_tests
 
 from maesn.runtime import Explorer, Safeguards
 
@@ -42,9 +42,7 @@ def _call(
         findings.add(LOSS if changed else CLEAR, f"{what} changed what it refused: {error!r}")
         return explorer
     except Exception as error:  # noqa: BLE001
-        # In the tests, annotations are checked before the library sees the argument.
-        is_annotation = type(error).__module__.startswith("beartype")
-        findings.add(CLEAR if is_annotation else TRACEBACK, f"{what}{error!r}")
+        findings.add(CLEAR if is_of_tests(error) else TRACEBACK, f"{what}{error!r}")
         return explorer
     findings.add(LOSS if wrong else CONTINUED, what + wrong)
     return after

@@ -45,6 +45,11 @@ class Findings:
             self.wrong.append(f"{outcome}: {what}")
 
 
+def is_of_tests(error: object) -> bool:
+    """Whether it is an annotation that an argument broke: in the tests, these are checked first."""
+    return "TypeCheckError" in repr(error) or "BeartypeCallHint" in repr(error)
+
+
 Attempt: TypeAlias = Callable[[random.Random, Material, Path, Findings], None]
 """Draws one fault, or a few that belong together, and says what became of each of them."""
 
