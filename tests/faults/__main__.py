@@ -20,10 +20,11 @@ os.environ |= {
     "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_cpu_multi_thread_eigen=false",
 }
 
-import maesn
 from faults.kinds import KINDS
 from faults.material import Material
 from faults.table import campaign, header, line
+
+import maesn
 
 
 def main() -> int:

@@ -5,7 +5,6 @@ import json
 import os
 import random
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,9 @@ def altered(stream: random.Random, document: Any, canary: Path) -> Any:
 
 def _json(stream: random.Random, content: bytes, canary: Path) -> bytes:
     if stream.random() < 0.1:
-        return stream.choice(["[" * DEEP, '{"a":' * DEEP, "null", "[]", '{"schema": [[2]]}']).encode()
+        return stream.choice(
+            ["[" * DEEP, '{"a":' * DEEP, "null", "[]", '{"schema": [[2]]}']
+        ).encode()
     document = json.loads(content)
     document.pop("digest", None)
     document = altered(stream, document, canary)
@@ -149,7 +150,9 @@ def _npz(stream: random.Random, content: bytes, canary: Path) -> bytes:
         pickled = io.BytesIO()
         np.save(pickled, np.array([Trap(canary)], dtype=object), allow_pickle=True)
         raw = pickled.getvalue()
-        return _zipped(arrays, zipfile.ZIP_STORED, {name: raw[128:] if stream.random() < 0.5 else raw})
+        return _zipped(
+            arrays, zipfile.ZIP_STORED, {name: raw[128:] if stream.random() < 0.5 else raw}
+        )
     else:
         arrays[name] = np.array([Trap(canary)], dtype=object)
     np.savez(more, **arrays)
@@ -176,7 +179,20 @@ def _csv(stream: random.Random, content: bytes, _: Path) -> bytes:
     rows = [line.split(",") for line in content.decode().splitlines()]
     row = stream.choice(rows)
     column = stream.randrange(len(row))
-    odd = ["", "nan", "inf", "1e400", "-1", "x" * 200_000, '"', "\0", "1e300", "9" * 5000, "é", "\ufeff"]
+    odd = [
+        "",
+        "nan",
+        "inf",
+        "1e400",
+        "-1",
+        "x" * 200_000,
+        '"',
+        "\0",
+        "1e300",
+        "9" * 5000,
+        "é",
+        "\ufeff",
+    ]
     row[column] = stream.choice(odd)
     stream.choice([lambda: None, lambda: row.pop(), lambda: rows.append(row), rows.pop])()
     return "\n".join(map(",".join, rows)).encode()

@@ -67,7 +67,9 @@ class Material:
         tasks = self.directory / "goals.npz"
         if not tasks.exists():
             np.savez(tasks, goal=goals(3))
-        return create(directory, Drift(), **{"iterations": ITERATIONS, "tasks": str(tasks)} | settings)
+        return create(
+            directory, Drift(), **{"iterations": ITERATIONS, "tasks": str(tasks)} | settings
+        )
 
     def copy(self, directory: Path, iterations: int = ITERATIONS) -> Run:
         """The same run, as far as it had come after so many iterations."""

@@ -14,8 +14,24 @@ from typing import Any, NamedTuple
 from faults.table import Hang
 
 OPERATIONS = frozenset(
-    "open write writelines flush truncate fsync fdatasync close replace rename unlink remove mkdir "
-    "rmdir ftruncate flock".split()
+    [
+        "open",
+        "write",
+        "writelines",
+        "flush",
+        "truncate",
+        "fsync",
+        "fdatasync",
+        "close",
+        "replace",
+        "rename",
+        "unlink",
+        "remove",
+        "mkdir",
+        "rmdir",
+        "ftruncate",
+        "flock",
+    ]
 )
 """Functions and methods, written in C, that change files."""
 _MODULES = {"posix", "_io", "fcntl"}

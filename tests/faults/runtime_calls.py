@@ -80,7 +80,9 @@ def _safeguards(stream: random.Random) -> Safeguards | None:
         return None
     names = ["lower", "upper", "max_change", "rest", "max_latent_norm", "max_return_drop"]
     usual = [-0.05, 0.05, 0.02, 0.0, 1.5, 3.0]
-    chosen = {name: value for name, value in zip(names, usual, strict=True) if stream.random() < 0.4}
+    chosen = {
+        name: value for name, value in zip(names, usual, strict=True) if stream.random() < 0.4
+    }
     if chosen and stream.random() < 0.3:
         chosen[stream.choice(list(chosen))] = stream.choice([_number(stream), _vector(stream, 2)])
     try:
@@ -110,9 +112,7 @@ def act(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
     return explorer, _beyond(explorer, answer, running.controls[-1], before, normalized)
 
 
-def _beyond(
-    explorer: Explorer, answer: Any, control: Any, before: Any, normalized: bool
-) -> str:
+def _beyond(explorer: Explorer, answer: Any, control: Any, before: Any, normalized: bool) -> str:
     """Return which limit a control is beyond: computed from the limits alone."""
     actuators, safeguards, slack = explorer.exported.actuators, explorer.safeguards, 1e-12
     size = len(actuators.lower)

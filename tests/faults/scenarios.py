@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from faults.material import MORE, PRIOR, Material
 from faults.processes import count_operations
-import numpy as np
 from small_runs import finish, outcome
 
 from maesn import api

@@ -146,9 +146,7 @@ WORLDS: dict[str, Callable[[], Any]] = {
     "step: raises": _at_step(lambda _: _raise(ValueError("stuck"))),
     "step: raises ten million characters": _at_step(lambda _: _raise(ValueError("!" * 10**7))),
     "step: raises what has no text": _at_step(lambda _: _raise(Unspeakable())),
-    "step: raises what cannot be pickled": _at_step(
-        lambda _: _raise(ValueError(threading.Lock()))
-    ),
+    "step: raises what cannot be pickled": _at_step(lambda _: _raise(ValueError(threading.Lock()))),
     "step: recurses": _at_step(lambda _: _deep(0)),
     "step: out of memory": _at_step(lambda _: _raise(MemoryError())),
     "step: interrupts": _at_step(lambda _: _raise(KeyboardInterrupt())),

@@ -66,7 +66,11 @@ class Kind(NamedTuple):
 
 
 def campaign(
-    kinds: Sequence[Kind], material: Material, seed: int, scale: float = 1.0, index: int | None = None
+    kinds: Sequence[Kind],
+    material: Material,
+    seed: int,
+    scale: float = 1.0,
+    index: int | None = None,
 ) -> Iterator[tuple[Kind, Findings]]:
     """Draw the faults of each kind.
 
