@@ -11,7 +11,7 @@ TEST_READY := $(VENV)/.ready-to-test
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-long test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo check test test-faults test-long soak test-external fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -28,6 +28,12 @@ test: $(TEST_READY) ## Run all tests and all checks
 test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies
 	@$(BIN)/python -m pytest --quiet --tb=short -m "long or not long" tests/long
 	@$(BIN)/python -m pytest --quiet --tb=short -m long tests
+
+test-faults: $(TEST_READY) ## Attack the library for half an hour: kills, damaged files, full disks, wrong words
+	@PYTHONPATH=tests $(BIN)/python -m faults $(FAULTS)
+
+soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end
+	@PYTHONPATH=tests $(BIN)/python -m faults.soak $(SOAK)
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
 EXTERNAL := .venv-external

@@ -45,9 +45,9 @@ def main() -> int:
         for kind, found in campaign(chosen, material, options.seed, options.scale, options.index):
             print(line(kind.name, found), flush=True)
             wrong += found.wrong
+            print(*found.wrong, sep="\n\n", file=sys.stderr, flush=True)
     minutes, share = (time.monotonic() - start) / 60, f"{options.scale:g} of a full campaign"
     print(f"\nmaesn {maesn.__version__}, seed {options.seed}, {share}, {minutes:.0f} minutes")
-    print(*wrong, sep="\n\n", file=sys.stderr)
     return int(bool(wrong))
 
 

@@ -28,8 +28,8 @@ def attempt(stream: random.Random, material: Material, directory: Path, findings
     name = stream.choice(list(SCENARIOS))
     kinds = [_one_operation, _no_larger_files]
     kinds += [_full_file_system, _read_only_file_system] if _can_mount(material.directory) else []
-    with stream.choice(kinds)(stream, name, material, directory) as (ended, what):
-        what = f"{name}, {what}: "
+    with stream.choice(kinds)(stream, name, material, directory) as (ended, how):
+        what = f"{name}, {how}"
         if ended.status not in (0, REFUSED):
             findings.add(TRACEBACK, f"{what}: status {ended.status}, {ended.said}")
             return

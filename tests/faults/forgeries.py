@@ -194,5 +194,5 @@ def _csv(stream: random.Random, content: bytes, _: Path) -> bytes:
         "\ufeff",
     ]
     row[column] = stream.choice(odd)
-    stream.choice([lambda: None, lambda: row.pop(), lambda: rows.append(row), rows.pop])()
+    stream.choice([lambda: None, row.pop, lambda: rows.append(row), rows.pop])()
     return "\n".join(map(",".join, rows)).encode()

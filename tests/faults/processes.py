@@ -1,4 +1,4 @@
-"""Processes that die at any of their file operations: copies of this one, so that they start warm."""
+"""Processes that die at any operation on files: copies of this one, so that they start warm."""
 
 import os
 import resource
@@ -13,26 +13,10 @@ from typing import Any, NamedTuple
 
 from faults.table import Hang
 
-OPERATIONS = frozenset(
-    [
-        "open",
-        "write",
-        "writelines",
-        "flush",
-        "truncate",
-        "fsync",
-        "fdatasync",
-        "close",
-        "replace",
-        "rename",
-        "unlink",
-        "remove",
-        "mkdir",
-        "rmdir",
-        "ftruncate",
-        "flock",
-    ]
-)
+OPERATIONS = {
+    *("open", "write", "writelines", "flush", "close", "truncate", "ftruncate", "fsync"),
+    *("fdatasync", "replace", "rename", "unlink", "remove", "mkdir", "rmdir", "flock"),
+}
 """Functions and methods, written in C, that change files."""
 _MODULES = {"posix", "_io", "fcntl"}
 

@@ -29,7 +29,7 @@ class Scenario:
     work: Callable[[Material, Path], Any]
     """Runs in a process of its own."""
     lost: Callable[[Material, Path], str]
-    """Go on where the work has ended in whatever way; return what is lost, nothing if nothing is."""
+    """Go on where the work has ended in whatever way; say what is lost, if anything is."""
 
 
 def _begin(material: Material, directory: Path) -> None:

@@ -162,7 +162,7 @@ WORLDS: dict[str, Callable[[], Any]] = {
     "reset: raises": _at_reset(lambda _: _raise(OSError("no power"))),
     "reset: three values": _at_reset(lambda answer: (*answer, 0)),
     "reset: another shape": _at_reset(lambda _: (np.zeros(5, np.float32), {})),
-    "spaces: none": lambda: gymnasium.Env(),
+    "spaces: none": gymnasium.Env,
     "spaces: actions without bounds": _spaces(action=spaces.Box(-np.inf, np.inf, (2,))),
     "spaces: no actions": _spaces(action=spaces.Box(-1, 1, (0,))),
     "spaces: several choices": _spaces(action=spaces.MultiDiscrete([2, 3])),

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from faults.disks import REFUSED, refusing
-from faults.material import Material
+from faults.material import LONG, Material
 from faults.processes import fork, wait
 from faults.scenarios import SCENARIOS
 from faults.signals import command
@@ -15,6 +15,10 @@ from small_runs import finish, outcome
 
 from maesn.cli import USAGE_ERROR
 from maesn.runs.run import Run
+
+
+FIRST = f"\n1/{LONG}: "
+"""What a process says that trains from the beginning."""
 
 
 def attempt(stream: random.Random, material: Material, directory: Path, findings: Findings) -> None:
@@ -35,6 +39,8 @@ def attempt(stream: random.Random, material: Material, directory: Path, findings
     refused = {REFUSED, USAGE_ERROR}
     if any(one.status not in {0} | refused or "Traceback" in one.said for one in ended):
         findings.add(TRACEBACK, what)
+    elif sum(one.status == 0 and (makes or FIRST in one.said) for one in ended) > 1:
+        findings.add(LOSS, f"{what}: both have done the work")
     elif _lost(makes, material, directory):
         findings.add(LOSS, what)
     else:
