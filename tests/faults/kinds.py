@@ -15,13 +15,13 @@ from faults.table import Kind
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind("kills", kills.attempt, 300, 120),
-        Kind("mutated files", mutations.attempt, 2400, 20),
-        Kind("signals", signals.attempt, 100, 120),
-        Kind("two writers", writers.attempt, 60, 120),
-        Kind("disks", disks.attempt, 200, 120),
+        Kind("kills", kills.attempt, 300, 112),
+        Kind("mutated files", mutations.attempt, 2400, 12),
+        Kind("signals", signals.attempt, 100, 112),
+        Kind("two writers", writers.attempt, 60, 112),
+        Kind("disks", disks.attempt, 200, 112),
         Kind("faulty environments", environments.attempt, 80, 90),
-        Kind("runtime calls", runtime_calls.attempt, 510, 120),
+        Kind("runtime calls", runtime_calls.attempt, 510, 112),
         Kind("wrong command lines", command_lines.attempt, 300, 90),
     )
 }

@@ -91,7 +91,7 @@ def _attempt(kind: Kind, material: Material, name: str, findings: Findings) -> N
             with time_limit(kind.limit):
                 kind.attempt(random.Random(name), material, Path(directory), own)
         except Hang:
-            own.add(HANG, f"more than {kind.limit:g} s")
+            own.add(HANG, f"more than {kind.limit:g} s, at {traceback.format_exc()}")
         except Exception:  # noqa: BLE001
             own.add(TRACEBACK, traceback.format_exc())
     findings.counts += own.counts

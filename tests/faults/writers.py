@@ -16,7 +16,6 @@ from small_runs import finish, outcome
 from maesn.cli import USAGE_ERROR
 from maesn.runs.run import Run
 
-
 FIRST = f"\n1/{LONG}: "
 """What a process says that trains from the beginning."""
 

@@ -162,7 +162,7 @@ def _latents(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
         arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
         mean, log_std = arrays["mean"], arrays["log_std"]
         first = int(arrays["first_update"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ArithmeticError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
     if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")

@@ -1,9 +1,10 @@
 """The files that an adaptation leaves: their names, tables of curves, and records of arrays."""
 
+import contextlib
 import csv
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Real
 
 from maesn.report import adaptation_table as table
+from maesn.runtime import archive
 from maesn.storage import RunError, read_arrays, read_json
 
 Record = TypeVar("Record")
@@ -48,10 +50,11 @@ def read_rows(
 ) -> list[dict[str, Any]]:
     """Return the rows of a `.csv` file as texts; a `RunError` says which column is missing."""
     try:
+        archive.refuse_special(path)
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             rows, present = list(reader), reader.fieldnames or ()
-    except (OSError, UnicodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
     for name in columns:
         if name not in present:
@@ -98,6 +101,16 @@ def _recorded(path: Path, name: str) -> int | None:
     if not isinstance(value, int | None):
         raise _broken(path, f"a whole number or null for `{name}` in `{record}`", repr(value))
     return value
+
+
+@contextlib.contextmanager
+def _sensible(what: str, remedy: str) -> Iterator[None]:
+    try:
+        yield
+    except (ArithmeticError, TypeError, ValueError) as error:
+        raise RunError(
+            f"Expected {what} to be a number, got otherwise ({error}); {remedy}."
+        ) from error
 
 
 def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
@@ -176,5 +189,6 @@ def read_record(
             expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
             raise RunError(f"Expected {expected}, got {found}; {remedy}.")
         known |= zip(axes, array.shape, strict=True)
-        values[field.name] = array.astype(np.float64) if axes else hint(array)
+        with _sensible(f"`{field.name}` in `{path}`", remedy):
+            values[field.name] = array.astype(np.float64) if axes else hint(array)
     return kind(**values)

@@ -1,6 +1,7 @@
 """What a run writes down of every iteration: JSON lines, and events for TensorBoard."""
 
 import contextlib
+import itertools
 import json
 import logging
 import math
@@ -61,12 +62,16 @@ class JsonLines:
             # Unbuffered: what could not be written must not be tried again later.
             self._file = path.open("a+b", buffering=0)
 
-    def cut(self, iterations: int) -> list[int]:
-        """Keep the sound lines of iterations 1 ... `iterations`; return those that have none."""
+    def cut(self, iterations: int) -> tuple[int, int]:
+        """Keep the sound lines of iterations 1 ... `iterations`.
+
+        Returns:
+            How many of these have none, and the first of them.
+        """
         with explained("write", self.path):
             content = self.path.read_bytes()
             numbered = {_iteration(line): line for line in content.splitlines(keepends=True)}
-            kept = [n for n in range(1, iterations + 1) if n in numbered]
+            kept = sorted(n for n in numbered if n is not None and 1 <= n <= iterations)
             sound = b"".join(numbered[n] for n in kept)
             if content.startswith(sound):
                 self._file.truncate(len(sound))
@@ -74,7 +79,8 @@ class JsonLines:
                 write_whole(self.path, sound)
                 self._file.close()
                 self._file = self.path.open("a+b", buffering=0)
-        return sorted(set(range(1, iterations + 1)) - set(kept))
+        agree = (found == wanted for wanted, found in enumerate(kept, start=1))
+        return iterations - len(kept), 1 + sum(itertools.takewhile(bool, agree))
 
     def append(self, record: Mapping[str, float | int]) -> None:
         """Write one line. Numbers that are not finite become null: JSON has none."""
@@ -186,10 +192,10 @@ def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterato
     ):
         log = RunLog(metrics, timing, tensorboard)
         for file in (metrics, timing):
-            missing = file.cut(iteration)
+            missing, first = file.cut(iteration)
             if missing:
                 logger.warning(
-                    f"`{file.path}` lacks {len(missing)} of the {iteration} iterations before this "
-                    f"one, the first of them {missing[0]}. The learner has not lost them."
+                    f"`{file.path}` lacks {missing} of the {iteration} iterations before this "
+                    f"one, the first of them {first}. The learner has not lost them."
                 )
         yield log

@@ -233,7 +233,14 @@ class Run:
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        return checkpoint.checked(path, state, metadata)
+        found = checkpoint.checked(path, state, metadata)
+        counted = int(self.learner.iteration(state))
+        if counted != found.iteration:
+            raise checkpoint.CheckpointError(
+                f"`{path}` is damaged: it states {found.iteration} iterations, but the learner in "
+                f"it has counted {counted}."
+            )
+        return found
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
