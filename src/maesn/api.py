@@ -7,21 +7,25 @@ as `module:name`.
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import Positional
-from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.record import identity_of_run
 from maesn.evaluation.rules import AbstractRule, GradientRule
 from maesn.evaluation.search import SearchRule
-from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
+from maesn.evaluation.tables import (
+    Adapted,
+    adaptation_file,
+    identity_of_run,
+    read_latents,
+    write_outcome,
+)
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
@@ -37,18 +41,6 @@ from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, check_writable, read_json
 from maesn.worlds.budget import warn_of_duration
-
-Flag: TypeAlias = Annotated[
-    bool,
-    PrimitiveConstructorSpec(
-        nargs=0,
-        metavar="",
-        instance_from_str=lambda _: True,
-        is_instance=lambda value: isinstance(value, bool),
-        str_from_instance=lambda _: [],
-    ),
-]
-"""False, unless the command line names it; it takes no value there."""
 
 
 def train(
@@ -191,7 +183,7 @@ def export(
     latents: running.OptionalPath = None,
     task: int | None = None,
     rule: running.AnyRule = None,
-    overwrite: Flag = False,
+    overwrite: running.Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -286,7 +278,13 @@ def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tu
             f"`{latents}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."
         )
-    return adapted_latent(Path(latents), task)
+    found, updates = read_latents(Path(latents))
+    if not 0 <= task < len(found.mean):
+        raise RunError(
+            f"`task` must be an index from 0 to {len(found.mean) - 1}, the tasks of `{latents}`, "
+            f"got {task}."
+        )
+    return Latent(found.mean[task], found.log_std[task]), updates
 
 
 def _search(

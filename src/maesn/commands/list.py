@@ -5,7 +5,7 @@ from typing import Any
 
 from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
-from maesn.evaluation.naming import BONUSES, RULES, THEN
+from maesn.evaluation.naming import KNOWN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.serialization import TAG, fields_to_json, leaves
@@ -22,7 +22,7 @@ def list() -> None:  # noqa: A001
     print("from scratch, for `maesn compare --scratch`:")
     for name, make in SCRATCH.items():
         print(f"  {name:16s}{_first_line(make.__doc__)}")
-    for option, rules in (("rule", RULES), ("then", THEN), ("bonus", BONUSES)):
+    for option, rules in KNOWN.items():
         print(f"for `--{option}`:")
         for name, rule in rules.items():
             print(f"  {name:16s}{_first_line(rule.__doc__)}{_settings(rule())}")

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
@@ -78,8 +77,7 @@ def render(
         played = record_adaptation(learner, world, asked, task, updates, shown)
         goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
-    with closing(_Stage(env, goal, played, stride)) as stage:
-        rows = [stage.row(playback, each) for playback in played]
+    rows = draw(env, goal, played, stride, each)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
@@ -103,6 +101,16 @@ def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
     return [count // each for count in after]
 
 
+class Filmed(NamedTuple):
+    """An episode."""
+
+    states: HostReadings
+    """`[time, ...]` each, up to the one that ended it if that can be drawn."""
+    total_return: float
+    solved: bool
+    """Whether it reaches the goal region at some time."""
+
+
 class Playback(NamedTuple):
     """Some episodes of one task that were played after a number of updates."""
 
@@ -111,13 +119,7 @@ class Playback(NamedTuple):
     """Over all episodes that were played, not only those that are kept here."""
     success_rate: float
     """Share of all episodes that reach the goal region at some time."""
-    readings: HostReadings
-    """States of the episodes that are kept, `[time_plus_1, episode, ...]` each."""
-    num_steps: Int[np.ndarray, " episode"]
-    """Steps until an episode ended; the states behind are garbage."""
-    returns: Float[np.ndarray, " episode"]
-    solved: Bool[np.ndarray, " episode"]
-    """Whether the episode reaches the goal region at some time."""
+    episodes: list[Filmed]
 
 
 def record_adaptation(
@@ -132,13 +134,12 @@ def record_adaptation(
 
     After each of these numbers of `updates`, ascending, the first `shown` episodes are kept.
     """
-    kept: list[tuple[Any, ...]] = []
+    kept: list[list[Filmed]] = []
 
     def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
-        # With one task at a time, its episodes are the simulations.
         if stage in updates:
-            states = jax.tree.map(lambda x: np.asarray(x[:, :shown]), readings)
-            kept.append((states, *_of_each(episodes, shown)))
+            # With one task at a time, its episodes are the simulations.
+            kept.append([_filmed(episodes, readings, episode) for episode in range(shown)])
 
     each = evaluation.budget.per_update
     curves = adapt(
@@ -150,69 +151,62 @@ def record_adaptation(
     ).explored
     returns, rates = curves.mean_return[0], curves.success_rate[0]
     return [
-        Playback(update, float(returns[update]), float(rates[update]), *what)
-        for update, what in zip(updates, kept, strict=True)
+        Playback(update, float(returns[update]), float(rates[update]), filmed)
+        for update, filmed in zip(updates, kept, strict=True)
     ]
 
 
-def _of_each(episodes: Episodes, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return number of steps, return and success of the first episodes of the only task."""
-    valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
-    returns = np.asarray(episodes.undiscounted_return[0])
-    return valid.sum(-1)[:count], returns[:count], (valid & solved).any(-1)[:count]
+def _filmed(episodes: Episodes, readings: Readings | HostReadings, episode: int) -> Filmed:
+    """Return one episode of the only task."""
+    valid, solved = (np.asarray(x[0, episode]) for x in (episodes.valid, episodes.solved))
+    total_return = float(episodes.undiscounted_return[0, episode])
+    return Filmed(
+        _lived(readings, episode, int(valid.sum())), total_return, bool((valid & solved).any())
+    )
 
 
-class _Stage:
-    """Draws the episodes of one task, all from the same place."""
-
-    def __init__(self, env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> None:
-        self._env = env
-        self._task = task
-        self._stride = stride
-        lived = [self._lived(one, episode) for one in played for episode in _episodes(one)]
-        drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
-        seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
-        goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
-        self._scene = Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)
-
-    def row(self, playback: Playback, num_played: int) -> Row:
-        """Draw all episodes of one number of updates."""
-        cells = [self._cell(playback, episode) for episode in _episodes(playback)]
-        done = f"after {playback.update * num_played} episodes"
-        return Row(
-            f"{done if playback.update else 'before adaptation'}: mean return "
-            f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
-            "reach the goal",
-            cells,
-        )
-
-    def close(self) -> None:
-        """Give the memory of the drawing library back."""
-        self._scene.close()
-
-    def _cell(self, playback: Playback, episode: int) -> Cell:
-        states = self._lived(playback, episode)
-        path = places(self._env, states)
-        times = [*range(0, self._env.horizon, self._stride), self._env.horizon]
-
-        def picture(time: int) -> np.ndarray:
-            now = {name: value[time] for name, value in states.items()}
-            trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
-            return self._scene.draw(now, self._task, trail)
-
-        # An episode that has ended stands still.
-        pictures = [picture(min(time, len(path) - 1)) for time in times]
-        reached = bool(playback.solved[episode])
-        caption = f"episode {episode + 1}: return {playback.returns[episode]:.1f}"
-        return Cell(f"{caption}, goal reached" if reached else caption, reached, pictures)
-
-    def _lived(self, playback: Playback, episode: int) -> HostReadings:
-        """Return the states of one episode, up to the one that ended it if that can be drawn."""
-        last = int(playback.num_steps[episode])
-        states = {name: value[: last + 1, episode] for name, value in playback.readings.items()}
-        blown_up = not all(np.isfinite(value[last]).all() for value in states.values())
-        return {name: value[:last] for name, value in states.items()} if blown_up else states
+def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
+    """Return the states of one episode, without the last one if the physics blew up there."""
+    states = {name: np.asarray(x)[: num_steps + 1, episode] for name, x in readings.items()}
+    blown_up = not all(np.isfinite(value[num_steps]).all() for value in states.values())
+    return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
 
 
-def _episodes(playback: Playback) -> range:
-    return range(len(playback.num_steps))
+def draw(
+    env: AnyEnv, task: Any, played: Sequence[Playback], stride: int, num_played: int
+) -> list[Row]:
+    """Draw the episodes of one task, one picture every `stride` steps, all from the same place."""
+    lived = [episode.states for playback in played for episode in playback.episodes]
+    drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
+    seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
+    goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
+    times = [*range(0, env.horizon, stride), env.horizon]
+    with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
+
+        def cell(number: int, episode: Filmed) -> Cell:
+            path, pictures = places(env, episode.states), []
+            for time in times:
+                now = min(time, len(path) - 1)  # an episode that has ended stands still
+                states = {name: value[now] for name, value in episode.states.items()}
+                trail = np.concatenate([path[:now:stride], path[now : now + 1]])
+                pictures.append(scene.draw(states, task, trail))
+            reached = ", goal reached" if episode.solved else ""
+            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            return Cell(caption, episode.solved, pictures)
+
+        return [
+            Row(
+                _title(playback, num_played),
+                [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)],
+            )
+            for playback in played
+        ]
+
+
+def _title(playback: Playback, num_played: int) -> str:
+    done = f"after {playback.update * num_played} episodes"
+    return (
+        f"{done if playback.update else 'before adaptation'}: mean return "
+        f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
+        "reach the goal"
+    )
