@@ -26,12 +26,6 @@ logger = logging.getLogger(__name__)
 # Stands in a directory while a process works in it, which it names. It stays if that is killed.
 LOCK = ".maesn-lock"
 
-# Seconds that no writer needs for one file.
-_ABANDONED = 3600.0
-
-# Bytes that must fit on a disk before work begins.
-_PROBE = 65536
-
 _ADVICE = {
     errno.ENOSPC: "free some space there, or choose another directory",
     errno.EDQUOT: "free some space there, or choose another directory",
@@ -111,7 +105,7 @@ def check_writable(path: Path) -> None:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "Is a directory")
         with tempfile.TemporaryFile(dir=path.parent) as probe:
-            probe.write(bytes(_PROBE))
+            probe.write(bytes(65536))  # a full disk may still have room for a name
 
 
 def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
@@ -150,7 +144,7 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file and the directories above; at any moment it is the old one or the new one."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        discard_partial(path.parent, glob.escape(path.name), _ABANDONED)
+        discard_partial(path.parent, glob.escape(path.name), 3600.0)  # no writer takes an hour
         archive.write_whole(path, content)
 
 
@@ -203,10 +197,9 @@ def locked(directory: Path) -> Iterator[None]:
     """
     path = directory / LOCK
     refuse_links(directory)
-    with contextlib.ExitStack() as stack:
-        with explained("open", path):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            file = stack.enter_context(os.fdopen(descriptor, "r+b", buffering=0))
+    with explained("open", path):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    with os.fdopen(descriptor, "r+b", buffering=0) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

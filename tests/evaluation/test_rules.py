@@ -11,7 +11,6 @@ from small_runs import tiny_maesn, tiny_settings
 from maesn import api, cli
 from maesn.envs import point
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.naming import from_text
 from maesn.evaluation.rules import (
     FixedAgents,
     GradientRule,
@@ -22,6 +21,7 @@ from maesn.evaluation.rules import (
     VimeBonus,
     default_rule,
 )
+from maesn.evaluation.running import from_text
 from maesn.learners import (
     METHODS,
     BonusFastLearner,

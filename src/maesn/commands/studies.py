@@ -7,8 +7,7 @@ import tyro
 
 from maesn.commands.options import command
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.naming import from_text
-from maesn.evaluation.running import AnyEvaluation
+from maesn.evaluation.running import AnyEvaluation, from_text
 from maesn.report.comparison import summary_tables
 from maesn.report.tables import print_tables
 from maesn.runs.config import RunSettings

@@ -20,7 +20,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
-from maesn.storage import RunError, write_whole
+from maesn.storage import RunError, refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
@@ -43,11 +43,10 @@ def render(
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
     The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation.
+    The files are an animated GIF, and a PNG of the last states.
 
     Args:
-        run: Directory of the run, whose last checkpoint is adapted, or the name of a policy that
-            comes with the library (`maesn list`). A directory of that name in the current folder
-            wins; without one, files go to `maesn-NAME` there, a run directory like any other.
+        run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         evaluation: tasks, rule, budgets, seed.
         task: Index of the task in its set.
         after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
@@ -56,16 +55,17 @@ def render(
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.
 
-    Returns:
-        The files that were written: an animated GIF, and a PNG of the last states.
-
     Raises:
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
     run, asked = running.open_run(run, family), evaluation
-    updates = _updates(sorted(set(after)), asked)
+    if not after:
+        raise RunError("`after` must be at least one number of episodes.")
+    with refusals():
+        asked.check_reached("after", after)
     each = asked.budget.per_update
+    updates = [count // each for count in sorted(set(after))]
     if not 1 <= shown <= each:
         raise RunError(f"`shown` must be from 1 to `episodes_per_update`, {each}, got {shown}.")
     with running.new_tasks(run, asked) as (world, learner):
@@ -83,22 +83,10 @@ def render(
     folder = run.directory / "render" if out is None else Path(out)
     period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
-    still = contact_sheet(title, rows)
-    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": still}
+    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": contact_sheet(title, rows)}
     for path, content in written.items():
         write_whole(path, content)
     return list(written)
-
-
-def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
-    """Return the numbers of updates that lie behind numbers of episodes, ascending."""
-    each, most = evaluation.budget.per_update, evaluation.budget.episodes
-    if not after or after[0] < 0 or after[-1] > most or any(count % each for count in after):
-        raise RunError(
-            "`after` must be numbers of episodes, multiples of `episodes_per_update`, "
-            f"{each}, from 0 to `episodes`, {most}, got {list(after)}."
-        )
-    return [count // each for count in after]
 
 
 class Filmed(NamedTuple):
@@ -194,19 +182,14 @@ def draw(
             caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
             return Cell(caption, episode.solved, pictures)
 
-        return [
-            Row(
-                _title(playback, num_played),
-                [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)],
+        rows = []
+        for playback in played:
+            done = f"after {playback.update * num_played} episodes"
+            title = (
+                f"{done if playback.update else 'before adaptation'}: mean return "
+                f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
+                "reach the goal"
             )
-            for playback in played
-        ]
-
-
-def _title(playback: Playback, num_played: int) -> str:
-    done = f"after {playback.update * num_played} episodes"
-    return (
-        f"{done if playback.update else 'before adaptation'}: mean return "
-        f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
-        "reach the goal"
-    )
+            cells = [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)]
+            rows.append(Row(title, cells))
+        return rows

@@ -1,6 +1,7 @@
 """A trained run in new tasks, from what a user names to curves and their record.
 
-The types of arguments say as well how the command line reads them.
+The types of arguments say as well how the command line reads them: rules as text, such as
+`gradient step_scale=2`, or a class of your own.
 """
 
 import dataclasses
@@ -18,17 +19,68 @@ from maesn.context import Latent
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.naming import from_text
-from maesn.evaluation.rules import AbstractRule, AbstractWrapper, Trained
+from maesn.evaluation.rules import (
+    AbstractRule,
+    AbstractWrapper,
+    GradientRule,
+    MemoryRule,
+    NoAdaptation,
+    ThenReinforce,
+    ThenTrpo,
+    Trained,
+    VimeBonus,
+)
+from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
 from maesn.runs.run import Run
-from maesn.runs.sources import working_copy
+from maesn.runs.serialization import fields_to_json, replaced, values_of_words
+from maesn.runs.sources import imported, working_copy
 from maesn.search.stored import find_prior
 from maesn.storage import RunError, refusals, refuse_links
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
+
+KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
+    "rule": {
+        "gradient": GradientRule,
+        "search": SearchRule,
+        "memory": MemoryRule,
+        "none": NoAdaptation,
+    },
+    "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
+    "bonus": {"vime": VimeBonus},
+}
+"""Option of the command line -> the rules or wrappers that come with the library, by name."""
+
+
+def from_text(option: str, text: str) -> Any:
+    """Return the rule or wrapper that a text names: `NAME [SETTING=VALUE ...]`.
+
+    NAME is one of `KNOWN[option]`, or `module:name` of a class of your own, which is imported. A
+    setting of a setting is written with a dot, as in `curiosity.weight=0.001`.
+    """
+    name, *words = text.split() or [""]
+    known = KNOWN[option]
+    found = imported(name, option) if ":" in name else known.get(name)
+    kind = AbstractRule if option == "rule" else AbstractWrapper
+    if found is None:
+        raise RunError(
+            f"`{option}` must be one of {', '.join(known)}, or `module:name` of your own, got "
+            f"`{name}`."
+        )
+    if not (isinstance(found, type) and issubclass(found, kind)):
+        raise RunError(f"`{name}` must be a class that extends `maesn.{kind.__name__}`.")
+    with refusals(f"`{option}` cannot be `{text}`: "):
+        usual, values = found(), values_of_words(words)
+        try:
+            return replaced(usual, values)
+        except KeyError as error:
+            raise ValueError(
+                f"it has no setting `{error.args[0]}`; write NAME=VALUE with one of "
+                f"{', '.join(fields_to_json(usual))}."
+            ) from error
 
 
 def _read(
@@ -128,11 +180,7 @@ def new_tasks(
 def evaluate(
     run: Run, evaluation: Evaluation, start: Path | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
-    """Adapt the latest checkpoint of a run to new tasks; see `maesn.adapt`.
-
-    Returns:
-        The outcome, and the record of what decides it.
-    """
+    """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record."""
     budget = evaluation.budget
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(

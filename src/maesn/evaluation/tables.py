@@ -50,12 +50,8 @@ def adaptation_record(
 ) -> dict[str, Any]:
     """Return all that decides the curves of an adaptation, as JSON values.
 
-    Args:
-        who: adapts.
-        world: where, to all of its tasks.
-        engine: by which name the world's engine was asked for.
-        evaluation: rule and budgets.
-        first_update: number of updates that lay before.
+    `engine` is the name by which the world's engine was asked for, and `first_update` the number of
+    updates that lay before.
     """
     return {
         "learner": who.learner,
@@ -81,7 +77,7 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
     adaptation goes on. Behind the reward stand rule and wrappers, the number of tasks, the sparse
     radius and the engine, each where it is not the usual one: tables of different kinds never share
-    a file, and so never a figure. A file of tasks that cannot be read is a `RunError`.
+    a file, and so never a figure.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
