@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.api import adapt as adapt
     from maesn.api import export as export
     from maesn.api import plot as plot
+    from maesn.api import prior as prior
     from maesn.api import resume as resume
     from maesn.api import train as train
     from maesn.context import BiasContext as BiasContext
@@ -40,6 +41,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.evaluation.rules import ThenTrpo as ThenTrpo
     from maesn.evaluation.rules import Trained as Trained
     from maesn.evaluation.rules import VimeBonus as VimeBonus
+    from maesn.evaluation.search import SearchRule as SearchRule
     from maesn.experience.agent import Agents as Agents
     from maesn.experience.episodes import Collect as Collect
     from maesn.experience.episodes import Episodes as Episodes
@@ -81,6 +83,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import Recurrent as Recurrent
     from maesn.runs.config import RunSettings as RunSettings
     from maesn.runs.run import Run as Run
+    from maesn.search.prior import PriorSettings as PriorSettings
     from maesn.storage import RunError as RunError
     from maesn.studies.ablation import Ablation as Ablation
     from maesn.studies.ablation import ablate as ablate
@@ -99,6 +102,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "adapt",
         "export",
         "plot",
+        "prior",
         "resume",
         "train",
     ),
@@ -132,6 +136,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
         "Trained",
         "VimeBonus",
     ),
+    "maesn.evaluation.search": ("SearchRule",),
     "maesn.experience.agent": ("Agents",),
     "maesn.experience.episodes": (
         "Collect",
@@ -181,6 +186,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     ),
     "maesn.runs.config": ("RunSettings",),
     "maesn.runs.run": ("Run",),
+    "maesn.search.prior": ("PriorSettings",),
     "maesn.storage": ("RunError",),
     "maesn.studies.ablation": (
         "Ablation",

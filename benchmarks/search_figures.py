@@ -1,0 +1,154 @@
+"""Draw what a search believes and does in one task, and what it returns beside other rules.
+
+    python benchmarks/search_figures.py wheeled --out docs/figures
+
+draws `search-beliefs.png` and `search-trajectories.png` of one test task of a policy that comes
+with the library. With tables of `maesn adapt` by name, as in `--tables "latent search" A.csv
+"policy gradient" B.csv`, it also draws `search-returns.png`.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import new_tasks
+from maesn.evaluation.search import SearchRule
+from maesn.report.reading import read_adaptation
+from maesn.runs.run import Run
+from maesn.runtime.search import LatentSearch
+from maesn.worlds.collector import Collector
+
+SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn
+TRAJECTORIES = 8
+EDGE = 7.0  # of the latents that are drawn, in standard deviations of the prior
+POINTS = 71  # along each axis
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What is drawn."""
+
+    run: tyro.conf.Positional[str]
+    """A run, or the name of a policy that comes with the library."""
+    out: Path = Path("figures")
+    """Directory of the figures."""
+    task: int = 5
+    """Of the test tasks."""
+    seed: int = 0
+    """Of the episodes."""
+    tables: dict[str, Path] = dataclasses.field(default_factory=dict)
+    """Tables of `maesn adapt`, by the name of their line."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Searched:
+    """A search in one task: what it knew before each episode, and where the episodes went."""
+
+    searches: list[LatentSearch]
+    played: list[np.ndarray]
+    paths: list[np.ndarray]
+    goal: np.ndarray
+    radius: float
+
+
+def search(settings: Settings) -> Searched:
+    """Play a search in one task."""
+    run = Run.open(settings.run)
+    evaluation = Evaluation(rule=SearchRule(draws=0), seed=settings.seed)
+    searches, played, paths = [], [], []
+    with new_tasks(run, evaluation) as (world, learner):
+        collect, slot = Collector(world, 1), jnp.asarray([settings.task])
+        keys = jax.random.split(jax.random.key(settings.seed), 1)
+        state: Any = learner.init(keys)
+        for episode in range(max(SHOWN) + 1):
+            searches.append(state.searches[0])
+            played.append(state.searches[0].latent(state.chosen[0]))
+            episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
+            episodes = collect(episode_keys, learner.agents(state), slot)
+            paths.append(np.asarray(jax.vmap(world.env.position)(episodes.observation[0, 0])))
+            state = learner.update(state, episodes)
+        goal = np.asarray(world.env.goal(world.tasks[settings.task]))
+        return Searched(searches, played, paths, goal, world.env.sparse_radius)
+
+
+def draw_beliefs(found: Searched) -> Figure:
+    """Draw the posterior mean over a latent space of two dimensions, and what was played."""
+    axis = np.linspace(-EDGE, EDGE, POINTS)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    figure, panels = plt.subplots(
+        1, len(SHOWN), figsize=(11, 2.7), sharey=True, layout="constrained"
+    )
+    means = []
+    for count in SHOWN:
+        one = found.searches[count]
+        more = one.posterior.extended(one.model, one.points, one.model.points(grid))
+        means.append(more.mean[len(one.points) :].reshape(POINTS, POINTS))
+    limits = (min(map(np.min, means)), max(map(np.max, means)))
+    for panel, count, mean in zip(panels, SHOWN, means, strict=True):
+        image = panel.pcolormesh(axis, axis, mean, vmin=limits[0], vmax=limits[1], rasterized=True)
+        if count:
+            panel.plot(*np.stack(found.played[:count]).T, "o", color="white", ms=4, mec="black")
+        one = found.searches[count]
+        panel.plot(*one.latent(one.best), "*", color="red", ms=9, mec="white")
+        panel.set(
+            title=f"after {count} episode{'s' * (count != 1)}", xlabel="$z_1$", aspect="equal"
+        )
+    panels[0].set_ylabel("$z_2$")
+    figure.colorbar(image, ax=panels, label="excess return", pad=0.01)
+    return figure
+
+
+def draw_trajectories(found: Searched) -> Figure:
+    """Draw where the first episodes went."""
+    figure, axes = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
+    axes.add_patch(Circle(tuple(found.goal), found.radius, color="tab:green", alpha=0.25))
+    axes.plot(*found.goal, "*", color="tab:green", ms=12)
+    colours = plt.get_cmap("viridis")(np.linspace(0, 0.95, TRAJECTORIES))
+    for number, (path, colour) in enumerate(zip(found.paths, colours, strict=False), start=1):
+        axes.plot(*path.T, color=colour)
+        axes.annotate(str(number), path[-1], color=colour, weight="bold")
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="the first eight episodes")
+    return figure
+
+
+def draw_returns(tables: dict[str, Path]) -> Figure:
+    """Draw mean return over the episodes in the new task, on a logarithmic axis from 1."""
+    figure, axes = plt.subplots(figsize=(5.2, 3.4), layout="constrained")
+    for name, path in tables.items():
+        table = read_adaptation(path)
+        mean = table.mean_return.mean(axis=0)
+        error = table.mean_return.std(axis=0, ddof=1) / np.sqrt(table.num_tasks)
+        # What is known before any episode stands left of the first.
+        episodes = np.maximum(table.episodes, 0.5)
+        line = axes.plot(episodes, mean, "o-", ms=3, label=name)[0]
+        axes.fill_between(episodes, mean - error, mean + error, color=line.get_color(), alpha=0.2)
+    axes.set(xscale="log", xlabel="episodes in the new task", ylabel="return")
+    axes.set_xticks([0.5, 1, 5, 20, 100, 500], ["0", "1", "5", "20", "100", "500"])
+    axes.legend(frameon=False)
+    return figure
+
+
+def main(settings: Settings) -> None:
+    """Draw the figures."""
+    settings.out.mkdir(parents=True, exist_ok=True)
+    found = search(settings)
+    figures = {"beliefs": draw_beliefs(found), "trajectories": draw_trajectories(found)}
+    if settings.tables:
+        figures["returns"] = draw_returns(settings.tables)
+    for name, figure in figures.items():
+        path = settings.out / f"search-{name}.png"
+        figure.savefig(path, dpi=110)
+        print(path)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
