@@ -7,21 +7,25 @@ as `module:name`.
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import Positional
-from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.record import identity_of_run
 from maesn.evaluation.rules import AbstractRule, GradientRule
 from maesn.evaluation.search import SearchRule
-from maesn.evaluation.tables import Adapted, adaptation_file, adapted_latent, write_outcome
+from maesn.evaluation.tables import (
+    Adapted,
+    adaptation_file,
+    identity_of_run,
+    read_latents,
+    write_outcome,
+)
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
@@ -37,18 +41,6 @@ from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, check_writable, read_json
 from maesn.worlds.budget import warn_of_duration
-
-Flag: TypeAlias = Annotated[
-    bool,
-    PrimitiveConstructorSpec(
-        nargs=0,
-        metavar="",
-        instance_from_str=lambda _: True,
-        is_instance=lambda value: isinstance(value, bool),
-        str_from_instance=lambda _: [],
-    ),
-]
-"""False, unless the command line names it; it takes no value there."""
 
 
 def train(
@@ -120,17 +112,13 @@ def adapt(
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
     Args:
-        run: Directory of the run, or the name of a policy that comes with the library (`maesn
-            list`). A directory of that name in the current folder wins; without one, files go to
-            `maesn-NAME` there, a run directory like any other.
+        run: Directory of the run, or the name of a policy that comes with the library, of which a
+            copy is made, `maesn-NAME` in the current folder, unless a directory has its name.
         evaluation: tasks, reward, rule, budgets, seed.
         out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
         start: Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from.
         family: The run's family as `module:name`, if it is your own.
         settings: single settings of the evaluation by name, as in `episodes=100`.
-
-    Returns:
-        The outcome, and the paths of the table and of the adapted latents beside it.
 
     Raises:
         RunError: a setting cannot be used, or not together with another one.
@@ -158,19 +146,15 @@ def prior(
     """Play an archive of latents in the training tasks: the prior of the rule `search`.
 
     It takes seconds to minutes, once after training; `adapt --rule search` does the same where it
-    is missing. An earlier one for the same reward is replaced.
+    is missing. The file is `DIR/priors/REWARD-RADIUS.safetensors`; an earlier one is replaced.
 
     Args:
         run: Directory of the run, or the name of a policy that comes with the library, of which a
             copy is made, `maesn-NAME` in the current folder.
         settings: of the archive.
         reward: Reward of the new tasks.
-        sparse_radius: Metres around the goal in which sparse reward tells the distance in the new
-            tasks; None: the run's own.
+        sparse_radius: Of the new tasks, in metres; None: the run's own.
         family: The run's family as `module:name`, if it is your own.
-
-    Returns:
-        The file, `DIR/priors/REWARD-RADIUS.safetensors`.
 
     Raises:
         RunError: the run has no latent, or a setting cannot be used.
@@ -191,7 +175,7 @@ def export(
     latents: running.OptionalPath = None,
     task: int | None = None,
     rule: running.AnyRule = None,
-    overwrite: Flag = False,
+    overwrite: running.Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -199,8 +183,8 @@ def export(
     sizes go on as those of `maesn adapt --start` would.
 
     Args:
-        run: Directory of the run, or the name of a policy that comes with the library (`maesn
-            list`). A directory of that name in the current folder wins.
+        run: Directory of the run, or the name of a policy that comes with the library, unless a
+            directory has its name.
         path: File to write, `.npz`.
         family: The run's family as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
@@ -220,13 +204,11 @@ def export(
             "Python `overwrite=True`)."
         )
     opened = Run.open(run, family=family)
-    checkpoint = opened.latest()
+    method, checkpoint = opened.settings.method, opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
-    method, iteration = opened.settings.method, checkpoint.iteration
-    description: dict[str, Any] = {"method": method, "iteration": iteration}
-    start = None
-    if latents is not None or task is not None:
-        start = _adapted_start(opened, latents, task)
+    description: dict[str, Any] = {"method": method, "iteration": checkpoint.iteration}
+    start = _adapted_start(opened, latents, task)
+    if task is not None:
         description["task"] = task
     search = _search(opened, rule, start)
     try:
@@ -241,22 +223,17 @@ def plot(
     out: running.OptionalPath = None,
     family: running.AnyFamily = None,
 ) -> list[Path]:
-    """Draw the paper's figures from one or several runs.
+    """Draw the paper's figures from one or several runs, as PNG and PDF.
 
     Episodes of exploration are played first, and adaptation to the test tasks on sparse reward
     where no table of it is there yet. A table that is there is drawn as it is: after more
     training, `adapt` renews it.
 
     Args:
-        runs: Directories of the runs, or names of policies that come with the library (`maesn
-            list`); several are compared in one figure. A directory of that name in the current
-            folder wins; without one, files go to `maesn-NAME` there, a run directory like any
-            other.
+        runs: Directories of the runs, or names of policies as for `maesn adapt`; several are
+            compared in one figure.
         out: Where the figures go; None: `figures` in the first run's directory.
         family: The runs' family as `module:name`, if it is your own.
-
-    Returns:
-        The files that were written, PNG and PDF.
 
     Raises:
         RunError: no run is named, or one cannot be used.
@@ -273,8 +250,12 @@ def plot(
     return plot_run_directories(directories, Path(out or directories[0] / "figures"))
 
 
-def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tuple[Latent, int]:
+def _adapted_start(
+    run: Run, latents: str | Path | None, task: int | None
+) -> tuple[Latent, int] | None:
     """Return the latent that an adaptation of the run has found, and the updates behind it."""
+    if latents is None and task is None:
+        return None
     if latents is None or task is None:
         raise RunError(
             "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
@@ -286,7 +267,13 @@ def _adapted_start(run: Run, latents: str | Path | None, task: int | None) -> tu
             f"`{latents}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."
         )
-    return adapted_latent(Path(latents), task)
+    found, updates = read_latents(Path(latents))
+    if not 0 <= task < len(found.mean):
+        raise RunError(
+            f"`task` must be an index from 0 to {len(found.mean) - 1}, the tasks of `{latents}`, "
+            f"got {task}."
+        )
+    return Latent(found.mean[task], found.log_std[task]), updates
 
 
 def _search(

@@ -118,7 +118,11 @@ def _notes(error: BaseException | None) -> list[str]:
 
 def _explained(error: Exception) -> tuple[str, int]:
     """Return an error as a sentence, and the exit code that belongs to it."""
-    if isinstance(error, _user_errors()):
+    from maesn.physics import EngineError, RenderingError
+    from maesn.storage import RunError
+    from maesn.worlds import EpisodeError
+
+    if isinstance(error, RunError | EngineError | RenderingError | EpisodeError):
         return str(error), USAGE_ERROR
     if isinstance(error, OSError):
         named = f": `{str(error.filename)[:200]}`" if error.filename else ""
@@ -127,15 +131,6 @@ def _explained(error: Exception) -> tuple[str, int]:
     said = (str(error).splitlines() or ["no more is said"])[0]
     at = f"{where.filename}, line {where.lineno}"
     return f"{type(error).__name__} in {at}: {said} ({TRACEBACK}=1 shows how it came to it)", FAULT
-
-
-def _user_errors() -> tuple[type[Exception], ...]:
-    """Return the errors whose message is all that a user needs."""
-    from maesn.physics import EngineError, RenderingError
-    from maesn.storage import RunError
-    from maesn.worlds import EpisodeError
-
-    return RunError, EngineError, RenderingError, EpisodeError
 
 
 def _help() -> str:

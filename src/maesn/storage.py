@@ -26,12 +26,6 @@ logger = logging.getLogger(__name__)
 # Stands in a directory while a process works in it, which it names. It stays if that is killed.
 LOCK = ".maesn-lock"
 
-# Seconds that no writer needs for one file.
-_ABANDONED = 3600.0
-
-# Bytes that must fit on a disk before work begins.
-_PROBE = 65536
-
 _ADVICE = {
     errno.ENOSPC: "free some space there, or choose another directory",
     errno.EDQUOT: "free some space there, or choose another directory",
@@ -74,15 +68,9 @@ def refusals(before: str = "") -> Iterator[None]:
 def new_directory(directory: Path, files: Sequence[str]) -> Iterator[None]:
     """Make a directory, new or empty, for the block to fill; undo that if the block fails.
 
-    Nothing is removed but what the block can have made. What a process has left here that was
-    killed over the same is written again.
-
-    Args:
-        directory: where the block writes.
-        files: paths in it that the block may write. The last one makes the directory whole.
-
-    Raises:
-        RunError: the directory holds other files, or another process is at work in it.
+    `files` are the paths in it that the block may write; the last one makes it whole. Nothing else
+    is removed. What a process has left here that was killed over the same is written again. Other
+    files in it, or another process at work in it, are a `RunError`.
     """
     existed = directory.exists()
     try:
@@ -92,8 +80,10 @@ def new_directory(directory: Path, files: Sequence[str]) -> Iterator[None]:
                 _check_vacant(directory, [])
         with locked(directory):
             _check_vacant(directory, [LOCK, *files[:-1]])
-            with explained("fill", directory), _undoing(directory, files):
+            with explained("fill", directory), contextlib.ExitStack() as failed:
+                failed.callback(_remove, directory, files)
                 yield
+                failed.pop_all()
     finally:
         if not existed:
             with contextlib.suppress(OSError):  # it is not empty
@@ -115,7 +105,7 @@ def check_writable(path: Path) -> None:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "Is a directory")
         with tempfile.TemporaryFile(dir=path.parent) as probe:
-            probe.write(bytes(_PROBE))
+            probe.write(bytes(65536))  # a full disk may still have room for a name
 
 
 def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
@@ -130,19 +120,14 @@ def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
             )
 
 
-@contextlib.contextmanager
-def _undoing(directory: Path, files: Sequence[str]) -> Iterator[None]:
-    """If the block fails, remove these files, and the folders that they leave empty."""
-    try:
-        yield
-    except BaseException:
-        paths = [directory / name for name in files]
-        for path in paths:
-            path.unlink(missing_ok=True)
-        for folder in {path.parent for path in paths} - {directory}:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise
+def _remove(directory: Path, files: Sequence[str]) -> None:
+    """Remove these files, and the folders that they leave empty."""
+    paths = [directory / name for name in files]
+    for path in paths:
+        path.unlink(missing_ok=True)
+    for folder in {path.parent for path in paths} - {directory}:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def refuse_links(directory: Path) -> None:
@@ -159,7 +144,7 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file and the directories above; at any moment it is the old one or the new one."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        discard_partial(path.parent, glob.escape(path.name), _ABANDONED)
+        discard_partial(path.parent, glob.escape(path.name), 3600.0)  # no writer takes an hour
         archive.write_whole(path, content)
 
 
@@ -208,24 +193,22 @@ def read_arrays(
 def locked(directory: Path) -> Iterator[None]:
     """Let no other process work in a directory, until the block or this process ends in any way.
 
-    Raises:
-        RunError: another process has the lock; the message names it. Or there are links in it.
+    If another one does, or there are links in it, that is a `RunError`.
     """
     path = directory / LOCK
     refuse_links(directory)
-    with contextlib.ExitStack() as stack:
-        with explained("open", path):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            file = stack.enter_context(os.fdopen(descriptor, "r+b", buffering=0))
+    with explained("open", path):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    with os.fdopen(descriptor, "r+b", buffering=0) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise RunError(_occupied(directory, file.read())) from error
+            raise _occupied(directory, file.read()) from error
         except OSError:
             warning = "The file system of `%s` has no locks: let no other process work in it."
             logger.warning(warning, directory)
         if not _is_at(path, file.fileno()):  # its last owner has just removed it
-            raise RunError(_occupied(directory, b""))
+            raise _occupied(directory)
         with contextlib.suppress(OSError):  # a lock that names nobody is one as well
             file.truncate()
             file.write(f"process {os.getpid()} on {platform.node()}".encode())
@@ -236,9 +219,9 @@ def locked(directory: Path) -> Iterator[None]:
                 path.unlink()
 
 
-def _occupied(directory: Path, owner: bytes) -> str:
+def _occupied(directory: Path, owner: bytes = b"") -> RunError:
     named = owner[:200].decode(errors="replace") or "another process"
-    return (
+    return RunError(
         f"{named} is at work in `{directory}`: wait for it, stop it, or choose another directory."
     )
 

@@ -51,15 +51,16 @@ def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_p
 def test_the_states_belong_to_the_returns(run: Run, played: list[Playback]) -> None:
     goal = np.asarray(run.task_set("test")[TASK])
     for playback in played:
-        qpos = playback.readings["qpos"]
+        qpos = np.stack([episode.states["qpos"] for episode in playback.episodes], axis=1)
         assert qpos.shape == (41, SHOWN, 2)
-        np.testing.assert_array_equal(playback.num_steps, 40)
         distance = np.linalg.norm(qpos[1:] - goal, axis=-1)
         goal_part = np.where(distance > 0.5, -np.linalg.norm(goal), -distance).sum(0)
         # A step of u moves the point by 0.1 u, and costs 0.05 u^2.
         cost = 0.05 * np.sum((np.diff(qpos, axis=0) / 0.1) ** 2, axis=(0, 2))
-        np.testing.assert_allclose(playback.returns, goal_part - cost, rtol=1e-4)
-        np.testing.assert_array_equal(playback.solved, (distance <= 0.5).any(0))
+        returns = [episode.total_return for episode in playback.episodes]
+        np.testing.assert_allclose(returns, goal_part - cost, rtol=1e-4)
+        solved = [episode.solved for episode in playback.episodes]
+        np.testing.assert_array_equal(solved, (distance <= 0.5).any(0))
 
 
 class Drawn:
@@ -91,11 +92,13 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
 def test_an_episode_is_drawn_state_by_state_with_its_way(
     played: list[Playback], drawn: list[Drawn], run: Run
 ) -> None:
-    stage = film._Stage(Point(), run.task_set("test")[TASK], played, stride=15)
-    row = stage.row(played[1], PLAYED)
+    first, row = film.draw(Point(), run.task_set("test")[TASK], played, 15, PLAYED)
+    assert first.title.startswith("before adaptation: mean return ")
     assert row.title.startswith(f"after {2 * PLAYED} episodes: mean return ")
     assert [len(cell.pictures) for cell in row.cells] == [4] * SHOWN  # steps 0, 15, 30 and 40
-    states = played[1].readings["qpos"]
+    episodes = [episode for playback in played for episode in playback.episodes]
+    states = np.stack([episode.states["qpos"] for episode in episodes], axis=1)
+    assert len(drawn[0].calls) == 4 * 2 * SHOWN
     for index, (qpos, trail) in enumerate(drawn[0].calls):
         episode, picture = divmod(index, 4)
         now = [0, 15, 30, 40][picture]
@@ -111,10 +114,12 @@ def test_an_episode_is_drawn_state_by_state_with_its_way(
 def test_an_episode_that_ended_stands_still_where_it_was_sound(
     played: list[Playback], drawn: list[Drawn], run: Run
 ) -> None:
-    readings = {name: value.copy() for name, value in played[0].readings.items()}
+    whole = [episode.states for episode in played[0].episodes]
+    readings = {name: np.stack([one[name] for one in whole], axis=1) for name in whole[0]}
     readings["qpos"][8:] = np.nan
-    ended = played[0]._replace(readings=readings, num_steps=np.array([8, 7]))
-    film._Stage(Point(), run.task_set("test")[TASK], [ended], stride=5).row(ended, PLAYED)
+    cut = [film._lived(readings, episode, steps) for episode, steps in enumerate([8, 7])]
+    ended = played[0]._replace(episodes=[film.Filmed(states, 0.0, False) for states in cut])
+    film.draw(Point(), run.task_set("test")[TASK], [ended], 5, PLAYED)
     for index, (qpos, trail) in enumerate(drawn[0].calls):
         episode, picture = divmod(index, 9)
         np.testing.assert_array_equal(qpos, readings["qpos"][min(5 * picture, 7), episode])

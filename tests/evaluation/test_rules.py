@@ -11,7 +11,6 @@ from small_runs import tiny_maesn, tiny_settings
 from maesn import api, cli
 from maesn.envs import point
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
 from maesn.evaluation.rules import (
     FixedAgents,
     GradientRule,
@@ -22,6 +21,7 @@ from maesn.evaluation.rules import (
     VimeBonus,
     default_rule,
 )
+from maesn.evaluation.running import from_text
 from maesn.learners import (
     METHODS,
     BonusFastLearner,
@@ -71,7 +71,7 @@ def test_other_step_sizes(trained: Path, few: str) -> None:
     asked = {"tasks": few, "episodes": 9, "episodes_per_update": 3}
     rules = [None, "gradient step_scale=2", "gradient full_steps=3"]
     done = [
-        api.adapt(trained, rule=None if rule is None else rule_from_text(rule), **asked)
+        api.adapt(trained, rule=None if rule is None else from_text("rule", rule), **asked)
         for rule in rules
     ]
     assert len({one.table for one in done}) == 3
@@ -105,7 +105,7 @@ def test_a_rule_that_does_not_fit_the_method_is_refused(
 ) -> None:
     run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=4), tiny_settings(method=name))
     with pytest.raises(RunError, match=f"`{name}` cannot be adapted like this: .*{reason}"):
-        api.adapt(run, tasks=few, rule=rule_from_text(rule))
+        api.adapt(run, tasks=few, rule=from_text("rule", rule))
 
 
 def test_each_method_has_a_rule_of_its_own(trained: Path) -> None:
@@ -201,11 +201,11 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
 
 
 def test_rules_as_text() -> None:
-    assert rule_from_text("gradient") == GradientRule()
-    assert rule_from_text("gradient step_scale=2 full_steps=3") == GradientRule(2.0, 3)
-    assert then_from_text("trpo max_kl=0.02 after=100") == ThenTrpo(0.02, 100)
-    assert then_from_text("reinforce") == ThenReinforce()
-    assert bonus_from_text("vime curiosity.weight=0.5") == VimeBonus(CuriosityBonus(0.5))
+    assert from_text("rule", "gradient") == GradientRule()
+    assert from_text("rule", "gradient step_scale=2 full_steps=3") == GradientRule(2.0, 3)
+    assert from_text("then", "trpo max_kl=0.02 after=100") == ThenTrpo(0.02, 100)
+    assert from_text("then", "reinforce") == ThenReinforce()
+    assert from_text("bonus", "vime curiosity.weight=0.5") == VimeBonus(CuriosityBonus(0.5))
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,7 @@ def test_rules_as_text() -> None:
 )
 def test_mistakes_in_the_text_of_a_rule_get_a_sentence(text: str, message: str) -> None:
     with pytest.raises(RunError) as refused:
-        rule_from_text(text)
+        from_text("rule", text)
     assert message in str(refused.value)
 
 

@@ -149,7 +149,7 @@ def test_settings_of_a_run_come_back_equal(radius: float | None) -> None:
     [
         ({"iterations": -1}, "`iterations` must be at least 0, got -1"),
         ({"seed": -1}, "`seed` must be at least 0"),
-        ({"seed": 2**32}, "`seed` must be below"),
+        ({"seed": 2**32}, "`seed` must be at most"),
         ({"episodes_per_task": 0}, "`episodes_per_task` must be at least 1"),
         ({"checkpoint_every": 0}, "`checkpoint_every` must be at least 1"),
         ({"num_threads": -2}, "`num_threads` must be at least 0"),

@@ -98,25 +98,14 @@ def test_a_constant_that_is_added_to_every_return_of_a_task_changes_no_choice() 
         assert searched(search, target, 15, shift=shift)[1] == chosen
 
 
-def test_thompson_sampling_draws_from_the_posterior() -> None:
-    settings = SearchSettings("thompson", draws=0)
-    search, _ = searched(search_of(peaks_prior(latents=6), settings), np.asarray([0.0, 3.0]), 3)
-    generator = np.random.default_rng(5)
-    drawn = np.stack([search.scores(generator) for _ in range(4000)])
-    std = np.maximum(search.posterior.std, 1e-3)
-    assert (abs(drawn.mean(axis=0) - search.posterior.mean) / (std / np.sqrt(4000)) < 4.5).all()
-    assert (abs(drawn.std(axis=0) / std - 1) < 4.5 / np.sqrt(2 * 4000)).all()
-
-
 def test_posterior_intervals_cover_what_is_true() -> None:
-    """Over tasks and latents, nine in ten 90 % intervals hold the truth, within four sigmas."""
+    """More than nine in ten 90 % intervals do: most latents return the same in most tasks."""
     inside = []
     for index, target in enumerate(targets(40, seed=6)):
         search, _ = searched(search_of(), target, 5, -20.0, index)
         error = abs(search.posterior.mean - peak(PRIOR.latents, target))
         inside.append((error < 1.645 * search.posterior.std).mean())
-    share, error = np.mean(inside), np.std(inside, ddof=1) / np.sqrt(len(inside))
-    assert abs(share - 0.9) < 4 * error + 0.05  # the tasks are not quite Gaussian
+    assert np.mean(inside) - 4 * np.std(inside, ddof=1) / np.sqrt(len(inside)) > 0.9
 
 
 def test_no_latent_beyond_the_bound_is_chosen() -> None:
@@ -125,7 +114,7 @@ def test_no_latent_beyond_the_bound_is_chosen() -> None:
     for point in (*chosen, search.best):
         assert np.linalg.norm(search.latent(point)) <= 2.0
     none = replace(search, max_norm=1e-6)
-    assert none.best == np.argmin(np.linalg.norm(none.points.latents, axis=1))
+    assert none.best == np.argmin(np.linalg.norm(none.points, axis=1))
 
 
 @pytest.mark.parametrize(

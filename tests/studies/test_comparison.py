@@ -310,7 +310,7 @@ def test_a_method_follows_the_rule_that_is_chosen_for_it(
         ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is given the task"),
         ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
         ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
-        ("{1} --seed 4294967296 --out {0}", "`seed` must be below 2^32"),
+        ("{1} --seed 4294967296 --out {0}", "`seed` must be at most 4294967295"),
         (
             "{1} --scratch-seeds 0 0 --out {0}",
             "`seeds` (--scratch-seeds) must be different numbers",

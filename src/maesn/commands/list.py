@@ -1,11 +1,12 @@
 """`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
-from maesn.evaluation.naming import BONUSES, RULES, THEN
+from maesn.evaluation.running import KNOWN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
 from maesn.runs.serialization import TAG, fields_to_json, leaves
@@ -15,27 +16,24 @@ from maesn.runs.sources import TRAINED, policy_names
 @command
 def list() -> None:  # noqa: A001
     """List methods, rules, families of tasks, and policies that come with the library."""
-    print("methods:")
-    for name, preset in PRESETS.items():
-        print(f"  {name:16s}{_first_line(preset.__doc__)}")
-    print(f"  {'NAME' + BONUS_SUFFIX:16s}Any of these, with a bonus for what it finds out in it.")
-    print("from scratch, for `maesn compare --scratch`:")
-    for name, make in SCRATCH.items():
-        print(f"  {name:16s}{_first_line(make.__doc__)}")
-    for option, rules in (("rule", RULES), ("then", THEN), ("bonus", BONUSES)):
-        print(f"for `--{option}`:")
-        for name, rule in rules.items():
-            print(f"  {name:16s}{_first_line(rule.__doc__)}{_settings(rule())}")
-    print("families:")
-    for name, family in FAMILIES.items():
-        print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
-    print("trained policies, for `maesn adapt NAME`:")
-    for name in policy_names():
-        settings = read_config(TRAINED / name).settings
-        print(f"  {name:16s}{settings.method}, {settings.iterations} meta-iterations")
-    print("probes, with known optimum:")
-    for name, family in PROBES.items():
-        print(f"  {name:16s}{_first_line(family.make_env.__doc__)}")
+    any_of_these = "Any of these, with a bonus for what it finds out in it."
+    _show("methods", _first_lines(PRESETS) | {f"NAME{BONUS_SUFFIX}": any_of_these})
+    _show("from scratch, for `maesn compare --scratch`", _first_lines(SCRATCH))
+    for option, rules in KNOWN.items():
+        settings = {name: _settings(rule()) for name, rule in rules.items()}
+        described = _first_lines(rules)
+        _show(f"for `--{option}`", {name: described[name] + settings[name] for name in rules})
+    _show("families", _first_lines({name: one.make_env for name, one in FAMILIES.items()}))
+    trained = {name: read_config(TRAINED / name).settings for name in policy_names()}
+    _show(
+        "trained policies, for `maesn adapt NAME`",
+        {name: f"{one.method}, {one.iterations} meta-iterations" for name, one in trained.items()},
+    )
+    _show("probes, with known optimum", _first_lines({n: p.make_env for n, p in PROBES.items()}))
+
+
+def _show(title: str, texts: Mapping[str, str]) -> None:
+    print(f"{title}:", *(f"  {name:16s}{text}" for name, text in texts.items()), sep="\n")
 
 
 def _settings(rule: Any) -> str:
@@ -44,5 +42,6 @@ def _settings(rule: Any) -> str:
     return "".join(f"\n{'':18s}{name}={json.dumps(value)}" for name, value in shown.items())
 
 
-def _first_line(text: str | None) -> str:
-    return (text or "").strip().splitlines()[0]
+def _first_lines(described: Mapping[str, Any]) -> dict[str, str]:
+    """Return the first lines of docstrings."""
+    return {name: one.__doc__.strip().splitlines()[0] for name, one in described.items()}

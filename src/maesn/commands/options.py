@@ -48,11 +48,7 @@ def command(
 
 
 def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:
-    """Build the options of a command from its arguments; exits with code 2 if they are wrong.
-
-    `kind` is a dataclass or function whose fields or parameters are the options, and `name` that of
-    the command, for the help.
-    """
+    """Build the dataclass `kind`, or call it, with a command's options; exit with 2 if wrong."""
     with refusals():  # of a setting that cannot be; tyro reports those of nested ones
         return tyro.cli(
             kind, prog=f"maesn {name}", args=arguments, config=_CONFIGURATION, default=default

@@ -81,7 +81,12 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     with refusals():
         settings = RunSettings(iterations=iterations, seed=seed)
     if (run / CONFIG).exists():
-        _check_same(Run.open(run), settings)
+        begun = Run.open(run).settings
+        if (begun.method, begun.family, begun.seed) != ("maesn", settings.family, seed):
+            raise RunError(
+                f"`{run}` holds a run of {begun.method} on {begun.family} with seed {begun.seed}, "
+                f"not of maesn on {settings.family} with seed {seed}: give another `--run`."
+            )
         api.resume(run, iterations)
     else:
         api.train(recommended("maesn", settings.family), settings, run)
@@ -93,14 +98,3 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     print_side_by_side(tables, "Return in 100 new tasks, by episodes in each of them")
     print("3. figures")
     _print_all(api.plot([run]))
-
-
-def _check_same(run: Run, settings: RunSettings) -> None:
-    """Refuse to go on with a run that is not this demo's."""
-    found = (run.settings.method, run.settings.family, run.settings.seed)
-    wanted = ("maesn", settings.family, settings.seed)
-    if found != wanted:
-        raise RunError(
-            f"`{run.directory}` holds a run of {found[0]} on {found[1]} with seed {found[2]}, not "
-            f"of {wanted[0]} on {wanted[1]} with seed {wanted[2]}: give another `--run`."
-        )

@@ -7,8 +7,7 @@ import tyro
 
 from maesn.commands.options import command
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.naming import rule_from_text
-from maesn.evaluation.running import AnyEvaluation
+from maesn.evaluation.running import AnyEvaluation, from_text
 from maesn.report.comparison import summary_tables
 from maesn.report.tables import print_tables
 from maesn.runs.config import RunSettings
@@ -52,7 +51,7 @@ def compare(
     """
     if evaluation.rule is not None:
         raise RunError("say of which method, as in `--rules maesn gradient`, instead of `--rule`.")
-    of_methods = {method: rule_from_text(text) for method, text in rules.items()}
+    of_methods = {method: from_text("rule", text) for method, text in rules.items()}
     done = compare_runs(
         runs,
         out=out,

@@ -78,10 +78,9 @@ def _defaults(method: str, family: str, source: Source) -> Options:
 def _say_what_suits(method: str, options: Options) -> None:
     """Print the defaults that are the family's own and were not overridden."""
     family = options.run_settings.family
-    suited, published = (_defaults(method, family, s) for s in ("recommended", "reference"))
+    suited, usual = (_defaults(method, family, s) for s in ("recommended", "reference"))
     own, chosen = (
-        differing(one.run_settings, published.run_settings)
-        | differing(one.learner, published.learner)
+        differing(one.run_settings, usual.run_settings) | differing(one.learner, usual.learner)
         for one in (suited, options)
     )
     kept = [f"{name} {value}" for name, value in own.items() if chosen.get(name) == value]
@@ -101,13 +100,12 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
-            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out about the world as "
-            "well.\n"
+            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.\n"
             "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
             "the method on that family."
         )
         sys.exit(0)
-    method = arguments[0]
+    method, *rest = arguments
     if method in learners.SCRATCH:
         raise RunError(
             f"`{method}` is not meta-trained: it learns each task from scratch, as in "
@@ -117,4 +115,4 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
         near = difflib.get_close_matches(method, learners.METHODS, n=1)
         hint = f" Did you mean `{near[0]}`?" if near else ""
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
-    return method, arguments[1:]
+    return method, rest

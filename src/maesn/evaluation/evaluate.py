@@ -24,10 +24,7 @@ _DEPLOYED = 0xFFFFFFFE
 def tasks_at_once(
     max_simulations: int | None, episodes_per_update: int, most: int = CHUNK_SIZE
 ) -> int:
-    """Return how many tasks to adapt to at once, at most as many as memory allows.
-
-    `max_simulations` is the number of episodes that a world can hold; None for any number.
-    """
+    """Return how many tasks to adapt to at once in a world of at most `max_simulations`."""
     if max_simulations is None:
         return most
     return min(max(max_simulations // episodes_per_update, 1), most)
@@ -146,10 +143,8 @@ def _adapt_chunk(
         keys = _task_keys(seed, update, slots)
         fresh = None
         if deploy is not None and update in judged:
-            deploy_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(
-                keys, np.uint32(_DEPLOYED)
-            )
-            fresh = measure(play(deploy, "deploy", deploy_keys, update))
+            others = jax.vmap(jax.random.fold_in, (0, None))(keys, np.uint32(_DEPLOYED))
+            fresh = measure(play(deploy, "deploy", others, update))
         explored = play(collect, "explore", keys, update)
         column = measure(explored)
         if deploy is not None and fresh is None:
@@ -194,11 +189,7 @@ def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:
 
 
 def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
-    """Yield the curves as rows of a table, first those of `explore`.
-
-    `episodes` is the number of episodes per task that the agent has learned from by then. Measures
-    have the precision that they were computed in.
-    """
+    """Yield the curves as rows of a table, first those of `explore`."""
     for purpose, curves in (("explore", outcome.explored), ("deploy", outcome.deployed)):
         if curves is None:
             continue

@@ -1,7 +1,7 @@
 """What is done in new tasks: which tasks, under which rule, for how many episodes."""
 
 import dataclasses
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 from typing import Annotated, Any
 
 import tyro
@@ -80,17 +80,18 @@ class Evaluation:
                 f"`episodes` must be a multiple of `episodes_per_update`, got {budget.episodes} "
                 f"and {budget.per_update}."
             )
-        reached = range(0, budget.episodes + 1, budget.per_update)
-        if not set(self.deploy_after) <= set(reached):
+        self.check_reached("deploy_after", self.deploy_after)
+        for one in self._chosen:
+            one.check_budget(budget.episodes, budget.per_update)
+
+    def check_reached(self, name: str, counts: Sequence[int]) -> None:
+        """Refuse by ValueError numbers of episodes after which there is no update."""
+        budget = self.budget
+        if not set(counts) <= set(range(0, budget.episodes + 1, budget.per_update)):
             raise ValueError(
-                "`deploy_after` must be numbers of episodes, multiples of `episodes_per_update`, "
-                f"{budget.per_update}, up to `episodes`, {budget.episodes}, got "
-                f"{list(self.deploy_after)}."
+                f"`{name}` must be numbers of episodes, multiples of `episodes_per_update`, "
+                f"{budget.per_update}, from 0 to `episodes`, {budget.episodes}, got {list(counts)}."
             )
-        if self.rule is not None:
-            self.rule.check_budget(budget.episodes, budget.per_update)
-        for wrapper in self.wrappers:
-            wrapper.check_budget(budget.episodes, budget.per_update)
 
     def changed(self, **settings: Any) -> "Evaluation":
         """Return the evaluation with some settings changed; `RunError` if they cannot be."""
@@ -115,8 +116,7 @@ class Evaluation:
     @property
     def label(self) -> str:
         """What figures add to a method's name; empty for the method as it is."""
-        parts = [] if self.rule is None else [self.rule.label]
-        return "; ".join(filter(None, [*parts, *(one.label for one in self.wrappers)]))
+        return "; ".join(one.label for one in self._chosen if one.label)
 
     @property
     def suffix(self) -> str:
@@ -129,9 +129,13 @@ class Evaluation:
     @property
     def rule_text(self) -> str:
         """Rule and wrappers with all their settings, for the record; empty for the method's own."""
-        rule = self.rule if self.rule is not None and self.rule.label else None
-        chosen = [*self.wrappers] if rule is None else [rule, *self.wrappers]
-        return " ".join(map(written_out, chosen))
+        shown = [one for one in self._chosen if one is not self.rule or one.label]
+        return " ".join(map(written_out, shown))
+
+    @property
+    def _chosen(self) -> list[AbstractRule | AbstractWrapper]:
+        """Rule and wrappers, as far as they are given."""
+        return [one for one in (self.rule, *self.wrappers) if one is not None]
 
     def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
         """Return what learns in new tasks; `RunError` if `method`, rule and budgets do not fit."""
@@ -147,8 +151,7 @@ class Evaluation:
 
     def _check_fit(self, learner: AbstractFastLearner[Any]) -> None:
         """Refuse budgets that the learner can do nothing with."""
-        capabilities = learner.capabilities
-        budget = self.budget
+        capabilities, budget = learner.capabilities, self.budget
         if budget.episodes:
             capabilities.check_episodes(budget.per_update)
         trials = capabilities.trial_episodes is not None

@@ -37,18 +37,13 @@ class Exploration(NamedTuple):
     prior_latents: Float[np.ndarray, "episode z"]
     """The z of those episodes."""
     fixed_paths: Paths | None
-    """z held at the prior's mean, so that only the noise of the actions is left; None for a
-    method without a latent."""
+    """z held at the prior's mean: the noise of the actions alone. None without a latent."""
 
 
 def explore(
     learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1, seed: int = 0
 ) -> Exploration:
-    """Play from the start in new tasks, once drawing z and once holding it at its mean.
-
-    The first `num_tasks` tasks of the collector's world are played, again if there are fewer. One
-    is enough if all tasks look the same to the agent.
-    """
+    """Play in the first tasks of a world, once drawing z and once holding it at its mean."""
     keys = jax.random.split(jax.random.key(seed), num_tasks)
     agents = learner.agents(learner.init(keys))
     paths, latents = _play(agents, collect, keys)

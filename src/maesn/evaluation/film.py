@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
@@ -21,7 +20,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
 from maesn.report.filmstrip import Cell, Row, contact_sheet, film
-from maesn.storage import RunError, write_whole
+from maesn.storage import RunError, refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
@@ -44,11 +43,10 @@ def render(
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
     The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation.
+    The files are an animated GIF, and a PNG of the last states.
 
     Args:
-        run: Directory of the run, whose last checkpoint is adapted, or the name of a policy that
-            comes with the library (`maesn list`). A directory of that name in the current folder
-            wins; without one, files go to `maesn-NAME` there, a run directory like any other.
+        run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         evaluation: tasks, rule, budgets, seed.
         task: Index of the task in its set.
         after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
@@ -57,16 +55,17 @@ def render(
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.
 
-    Returns:
-        The files that were written: an animated GIF, and a PNG of the last states.
-
     Raises:
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
     run, asked = running.open_run(run, family), evaluation
-    updates = _updates(sorted(set(after)), asked)
+    if not after:
+        raise RunError("`after` must be at least one number of episodes.")
+    with refusals():
+        asked.check_reached("after", after)
     each = asked.budget.per_update
+    updates = [count // each for count in sorted(set(after))]
     if not 1 <= shown <= each:
         raise RunError(f"`shown` must be from 1 to `episodes_per_update`, {each}, got {shown}.")
     with running.new_tasks(run, asked) as (world, learner):
@@ -78,29 +77,26 @@ def render(
         played = record_adaptation(learner, world, asked, task, updates, shown)
         goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
-    with closing(_Stage(env, goal, played, stride)) as stage:
-        rows = [stage.row(playback, each) for playback in played]
+    rows = draw(env, goal, played, stride, each)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
     period = 1000.0 * stride * env.control_period
     moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
-    still = contact_sheet(title, rows)
-    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": still}
+    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": contact_sheet(title, rows)}
     for path, content in written.items():
         write_whole(path, content)
     return list(written)
 
 
-def _updates(after: Sequence[int], evaluation: Evaluation) -> list[int]:
-    """Return the numbers of updates that lie behind numbers of episodes, ascending."""
-    each, most = evaluation.budget.per_update, evaluation.budget.episodes
-    if not after or after[0] < 0 or after[-1] > most or any(count % each for count in after):
-        raise RunError(
-            "`after` must be numbers of episodes, multiples of `episodes_per_update`, "
-            f"{each}, from 0 to `episodes`, {most}, got {list(after)}."
-        )
-    return [count // each for count in after]
+class Filmed(NamedTuple):
+    """An episode."""
+
+    states: HostReadings
+    """`[time, ...]` each, up to the one that ended it if that can be drawn."""
+    total_return: float
+    solved: bool
+    """Whether it reaches the goal region at some time."""
 
 
 class Playback(NamedTuple):
@@ -111,13 +107,7 @@ class Playback(NamedTuple):
     """Over all episodes that were played, not only those that are kept here."""
     success_rate: float
     """Share of all episodes that reach the goal region at some time."""
-    readings: HostReadings
-    """States of the episodes that are kept, `[time_plus_1, episode, ...]` each."""
-    num_steps: Int[np.ndarray, " episode"]
-    """Steps until an episode ended; the states behind are garbage."""
-    returns: Float[np.ndarray, " episode"]
-    solved: Bool[np.ndarray, " episode"]
-    """Whether the episode reaches the goal region at some time."""
+    episodes: list[Filmed]
 
 
 def record_adaptation(
@@ -132,13 +122,12 @@ def record_adaptation(
 
     After each of these numbers of `updates`, ascending, the first `shown` episodes are kept.
     """
-    kept: list[tuple[Any, ...]] = []
+    kept: list[list[Filmed]] = []
 
     def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
-        # With one task at a time, its episodes are the simulations.
         if stage in updates:
-            states = jax.tree.map(lambda x: np.asarray(x[:, :shown]), readings)
-            kept.append((states, *_of_each(episodes, shown)))
+            # With one task at a time, its episodes are the simulations.
+            kept.append([_filmed(episodes, readings, episode) for episode in range(shown)])
 
     each = evaluation.budget.per_update
     curves = adapt(
@@ -150,69 +139,57 @@ def record_adaptation(
     ).explored
     returns, rates = curves.mean_return[0], curves.success_rate[0]
     return [
-        Playback(update, float(returns[update]), float(rates[update]), *what)
-        for update, what in zip(updates, kept, strict=True)
+        Playback(update, float(returns[update]), float(rates[update]), filmed)
+        for update, filmed in zip(updates, kept, strict=True)
     ]
 
 
-def _of_each(episodes: Episodes, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return number of steps, return and success of the first episodes of the only task."""
-    valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
-    returns = np.asarray(episodes.undiscounted_return[0])
-    return valid.sum(-1)[:count], returns[:count], (valid & solved).any(-1)[:count]
+def _filmed(episodes: Episodes, readings: Readings | HostReadings, episode: int) -> Filmed:
+    """Return one episode of the only task."""
+    valid, solved = (np.asarray(x[0, episode]) for x in (episodes.valid, episodes.solved))
+    total_return = float(episodes.undiscounted_return[0, episode])
+    return Filmed(
+        _lived(readings, episode, int(valid.sum())), total_return, bool((valid & solved).any())
+    )
 
 
-class _Stage:
-    """Draws the episodes of one task, all from the same place."""
-
-    def __init__(self, env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> None:
-        self._env = env
-        self._task = task
-        self._stride = stride
-        lived = [self._lived(one, episode) for one in played for episode in _episodes(one)]
-        drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
-        seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
-        goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
-        self._scene = Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)
-
-    def row(self, playback: Playback, num_played: int) -> Row:
-        """Draw all episodes of one number of updates."""
-        cells = [self._cell(playback, episode) for episode in _episodes(playback)]
-        done = f"after {playback.update * num_played} episodes"
-        return Row(
-            f"{done if playback.update else 'before adaptation'}: mean return "
-            f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
-            "reach the goal",
-            cells,
-        )
-
-    def close(self) -> None:
-        """Give the memory of the drawing library back."""
-        self._scene.close()
-
-    def _cell(self, playback: Playback, episode: int) -> Cell:
-        states = self._lived(playback, episode)
-        path = places(self._env, states)
-        times = [*range(0, self._env.horizon, self._stride), self._env.horizon]
-
-        def picture(time: int) -> np.ndarray:
-            now = {name: value[time] for name, value in states.items()}
-            trail = np.concatenate([path[: time : self._stride], path[time : time + 1]])
-            return self._scene.draw(now, self._task, trail)
-
-        # An episode that has ended stands still.
-        pictures = [picture(min(time, len(path) - 1)) for time in times]
-        reached = bool(playback.solved[episode])
-        caption = f"episode {episode + 1}: return {playback.returns[episode]:.1f}"
-        return Cell(f"{caption}, goal reached" if reached else caption, reached, pictures)
-
-    def _lived(self, playback: Playback, episode: int) -> HostReadings:
-        """Return the states of one episode, up to the one that ended it if that can be drawn."""
-        last = int(playback.num_steps[episode])
-        states = {name: value[: last + 1, episode] for name, value in playback.readings.items()}
-        blown_up = not all(np.isfinite(value[last]).all() for value in states.values())
-        return {name: value[:last] for name, value in states.items()} if blown_up else states
+def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
+    """Return the states of one episode, without the last one if the physics blew up there."""
+    states = {name: np.asarray(x)[: num_steps + 1, episode] for name, x in readings.items()}
+    blown_up = not all(np.isfinite(value[num_steps]).all() for value in states.values())
+    return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
 
 
-def _episodes(playback: Playback) -> range:
-    return range(len(playback.num_steps))
+def draw(
+    env: AnyEnv, task: Any, played: Sequence[Playback], stride: int, num_played: int
+) -> list[Row]:
+    """Draw the episodes of one task, one picture every `stride` steps, all from the same place."""
+    lived = [episode.states for playback in played for episode in playback.episodes]
+    drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
+    seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
+    goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
+    times = [*range(0, env.horizon, stride), env.horizon]
+    with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
+
+        def cell(number: int, episode: Filmed) -> Cell:
+            path, pictures = places(env, episode.states), []
+            for time in times:
+                now = min(time, len(path) - 1)  # an episode that has ended stands still
+                states = {name: value[now] for name, value in episode.states.items()}
+                trail = np.concatenate([path[:now:stride], path[now : now + 1]])
+                pictures.append(scene.draw(states, task, trail))
+            reached = ", goal reached" if episode.solved else ""
+            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            return Cell(caption, episode.solved, pictures)
+
+        rows = []
+        for playback in played:
+            done = f"after {playback.update * num_played} episodes"
+            title = (
+                f"{done if playback.update else 'before adaptation'}: mean return "
+                f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
+                "reach the goal"
+            )
+            cells = [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)]
+            rows.append(Row(title, cells))
+        return rows

@@ -1,66 +1,118 @@
 """A trained run in new tasks, from what a user names to curves and their record.
 
-The types of arguments say as well how the command line reads them.
+The types of arguments say as well how the command line reads them: rules as text, such as
+`gradient step_scale=2`, or a class of your own.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import jax
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
+from maesn.context import Latent
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.naming import bonus_from_text, rule_from_text, then_from_text
-from maesn.evaluation.record import adaptation_record, identity_of_run
-from maesn.evaluation.rules import AbstractRule, Trained
-from maesn.evaluation.tables import read_latents
+from maesn.evaluation.rules import (
+    AbstractRule,
+    AbstractWrapper,
+    GradientRule,
+    MemoryRule,
+    NoAdaptation,
+    ThenReinforce,
+    ThenTrpo,
+    Trained,
+    VimeBonus,
+)
+from maesn.evaluation.search import SearchRule
+from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
 from maesn.runs.run import Run
-from maesn.runs.sources import working_copy
+from maesn.runs.serialization import fields_to_json, replaced, values_of_words
+from maesn.runs.sources import imported, working_copy
 from maesn.search.stored import find_prior
 from maesn.storage import RunError, refusals, refuse_links
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
+KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
+    "rule": {
+        "gradient": GradientRule,
+        "search": SearchRule,
+        "memory": MemoryRule,
+        "none": NoAdaptation,
+    },
+    "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
+    "bonus": {"vime": VimeBonus},
+}
+"""Option of the command line -> the rules or wrappers that come with the library, by name."""
 
-def _word(metavar: str) -> PrimitiveConstructorSpec[Any]:
-    """Say that an argument is one word of the command line."""
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=lambda words: words[0],
-        is_instance=lambda _: True,
-        str_from_instance=lambda value: [str(value)],
+
+def from_text(option: str, text: str) -> Any:
+    """Return the rule or wrapper that a text names: `NAME [SETTING=VALUE ...]`.
+
+    NAME is one of `KNOWN[option]`, or `module:name` of a class of your own, which is imported. A
+    setting of a setting is written with a dot, as in `curiosity.weight=0.001`.
+    """
+    name, *words = text.split() or [""]
+    known = KNOWN[option]
+    found = imported(name, option) if ":" in name else known.get(name)
+    kind = AbstractRule if option == "rule" else AbstractWrapper
+    if found is None:
+        raise RunError(
+            f"`{option}` must be one of {', '.join(known)}, or `module:name` of your own, got "
+            f"`{name}`."
+        )
+    if not (isinstance(found, type) and issubclass(found, kind)):
+        raise RunError(f"`{name}` must be a class that extends `maesn.{kind.__name__}`.")
+    with refusals(f"`{option}` cannot be `{text}`: "):
+        usual, values = found(), values_of_words(words)
+        try:
+            return replaced(usual, values)
+        except KeyError as error:
+            raise ValueError(
+                f"it has no setting `{error.args[0]}`; write NAME=VALUE with one of "
+                f"{', '.join(fields_to_json(usual))}."
+            ) from error
+
+
+def _read(
+    number: int | Literal["*"],
+    metavar: str,
+    read: Callable[[list[str]], Any] = lambda words: words[0],
+    written: Callable[[Any], list[str]] = lambda value: [str(value)],
+) -> PrimitiveConstructorSpec[Any]:
+    """Say how many words of the command line an argument is, and how they are read."""
+    return PrimitiveConstructorSpec(number, metavar, read, lambda _: True, written)
+
+
+def _named(option: str) -> PrimitiveConstructorSpec[Any]:
+    """Say that an argument is the name of a rule or a wrapper, and its settings."""
+    return _read(
+        "*",
+        option.upper(),
+        lambda words: from_text(option, " ".join(words)) if words else None,
+        lambda chosen: [] if chosen is None else [chosen.label],
     )
 
 
-AnyRun: TypeAlias = Annotated[str | Path | Run, _word("RUN")]
+AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
-AnyPath: TypeAlias = Annotated[str | Path, _word("PATH")]
-OptionalPath: TypeAlias = Annotated[str | Path | None, _word("PATH")]
-AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _word("MODULE:NAME")]
+AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
+OptionalPath: TypeAlias = Annotated[str | Path | None, _read(1, "PATH")]
+AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME")]
 """A user's own family or its `module:name`; None for one that comes with the library."""
-
-
-AnyRule: TypeAlias = Annotated[
-    AbstractRule | None,
-    PrimitiveConstructorSpec(
-        nargs="*",
-        metavar="RULE",
-        instance_from_str=lambda words: rule_from_text(" ".join(words)) if words else None,
-        is_instance=lambda _: True,
-        str_from_instance=lambda rule: [] if rule is None else [rule.label],
-    ),
-]
+AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
+Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
+"""False, unless the command line names it; it takes no value there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,9 +125,9 @@ class _Options(Evaluation):
 
 def evaluation_from_text(
     options: Annotated[_Options, tyro.conf.arg(name="")],
-    rule: tuple[str, ...] = (),
-    then: tuple[str, ...] = (),
-    bonus: tuple[str, ...] = (),
+    rule: AnyRule = None,
+    then: Annotated[AbstractWrapper | None, _named("then")] = None,
+    bonus: Annotated[AbstractWrapper | None, _named("bonus")] = None,
 ) -> Evaluation:
     """Return an evaluation with rule and wrappers that are given as words.
 
@@ -89,11 +141,9 @@ def evaluation_from_text(
         bonus: A bonus on the rewards that are learned from, as in `--bonus vime
             curiosity.weight=0.001`.
     """
-    wrappers = [then_from_text(" ".join(then))] if then else []
-    wrappers += [bonus_from_text(" ".join(bonus))] if bonus else []
-    chosen = rule_from_text(" ".join(rule)) if rule else None
+    wrappers = tuple(one for one in (then, bonus) if one is not None)
     with refusals():
-        return Evaluation(**vars(options) | {"rule": chosen, "wrappers": tuple(wrappers)})
+        return Evaluation(**vars(options) | {"rule": rule, "wrappers": wrappers})
 
 
 AnyEvaluation: TypeAlias = Annotated[
@@ -130,11 +180,7 @@ def new_tasks(
 def evaluate(
     run: Run, evaluation: Evaluation, start: Path | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
-    """Adapt the latest checkpoint of a run to new tasks; see `maesn.adapt`.
-
-    Returns:
-        The outcome, and the record of what decides it.
-    """
+    """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record."""
     budget = evaluation.budget
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(
@@ -159,12 +205,18 @@ def evaluate(
 
 
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:
-    if not learner.capabilities.resumes:
+    # A start at the prior has no use for keys.
+    state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
+    wanted = learner.agents(state).context
+    if not (learner.capabilities.resumes and isinstance(wanted, Latent)):
         raise RunError(
             f"`{path}` cannot be a start: the latents in it are not all that this method learns in "
             "a task."
         )
-    # A start at the prior has no use for keys.
-    state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
-    latents, updates = read_latents(path, learner.agents(state).context)
+    latents, updates = read_latents(path)
+    if latents.mean.shape != wanted.mean.shape:
+        raise RunError(
+            f"`{path}` holds latents of the shape [task, z] = {list(latents.mean.shape)}, but "
+            f"{list(wanted.mean.shape)} are to be adapted: give the task set and the run of before."
+        )
     return SavedContexts(latents, updates)

@@ -23,7 +23,7 @@ class SearchRule(AbstractRule):
 
     acquisition: AcquisitionName = _USUAL.acquisition
     """Which latent is played next: `ucb`, the upper confidence bound, or `thompson`, the best of a
-    draw from the posterior."""
+    training task that is drawn by how probable it is that the new task is like it."""
     exploration: float = _USUAL.exploration
     """Weight of the posterior's standard deviation in the upper confidence bound."""
     draws: int = _USUAL.draws
@@ -33,7 +33,7 @@ class SearchRule(AbstractRule):
     residual: float = _USUAL.residual
     """Variance of what no training task shows, as a share of the variance over training tasks."""
     length_scale: float = _USUAL.length_scale
-    """Distance in z over which that varies."""
+    """Distance in z over which returns vary."""
     prior: str = ""
     """File of the prior, as `maesn prior` writes it; empty: the run's own, made where missing."""
     any_reward: bool = False

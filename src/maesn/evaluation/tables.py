@@ -1,4 +1,7 @@
-"""The files that adaptation leaves: tables of curves, and the latents beside them."""
+"""The files that adaptation leaves: tables of curves, and beside them latents and a record.
+
+The record says what decides the curves: two that agree in it are the same curves.
+"""
 
 import csv
 import io
@@ -9,20 +12,62 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from maesn.context import AbstractContext, Latent
-from maesn.envs import NAMED_SETS
+from maesn.context import Latent
+from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.report.reading import LATENTS, RECORD, TableName
 from maesn.runs.checkpoint import digest_of_arrays
-from maesn.storage import (
-    RunError,
-    explained,
-    read_arrays,
-    write_arrays,
-    write_json,
-    write_whole,
-)
+from maesn.runs.run import Run
+from maesn.runs.serialization import digest
+from maesn.storage import RunError, explained, read_arrays, write_arrays, write_json, write_whole
+from maesn.worlds import AbstractWorld, EngineName, engine_of
+
+_NONE = np.empty(0)
+
+
+class Identity(NamedTuple):
+    """What a fast learner is."""
+
+    learner: str
+    """Which one, with its settings."""
+    weights: str = ""
+    """Digest of what it has learned before; empty for nothing."""
+
+
+def identity_of_run(run: Run) -> Identity:
+    """Return what the latest checkpoint of a run is."""
+    learner = f"{run.settings.method} {digest(run.learner)}"
+    return Identity(learner, digest_of_arrays(run.latest_state()))
+
+
+def adaptation_record(
+    who: Identity,
+    world: AbstractWorld,
+    engine: EngineName,
+    evaluation: Evaluation,
+    first_update: int = 0,
+) -> dict[str, Any]:
+    """Return all that decides the curves of an adaptation, as JSON values.
+
+    `engine` is the name by which the world's engine was asked for, and `first_update` the number of
+    updates that lay before.
+    """
+    return {
+        "learner": who.learner,
+        "weights": who.weights,
+        "rule": evaluation.rule_text,
+        "world": describe_env(world.env),
+        "engine": engine_of(world.env, engine),
+        "task_digest": world.tasks.digest(),
+        "episodes_per_update": evaluation.budget.per_update,
+        "deploy_episodes": evaluation.budget.deploy,
+        "deploy_after": list(evaluation.deploy_after),
+        "seed": evaluation.seed,
+        "num_tasks": evaluation.count(world.tasks),
+        "episodes": evaluation.budget.episodes,
+        "first_update": first_update,
+    }
 
 
 def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
@@ -33,12 +78,11 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     adaptation goes on. Behind the reward stand rule and wrappers, the number of tasks, the sparse
     radius and the engine, each where it is not the usual one: tables of different kinds never share
     a file, and so never a figure.
-
-    Raises:
-        RunError: the file of tasks cannot be read.
     """
-    tasks = evaluation.tasks
-    name = tasks if tasks in NAMED_SETS else _name_of_file(Path(tasks))
+    name = evaluation.tasks
+    if name not in NAMED_SETS:
+        held = read_arrays(Path(name), "give an .npz file of tasks")
+        name = f"file-{Path(name).stem}-{digest_of_arrays(held)[:6]}"
     start = f"from-{first_update}-" if first_update else ""
     parts = {
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
@@ -49,11 +93,6 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     return TableName(start + name, evaluation.reward, changed).path(directory)
 
 
-def _name_of_file(path: Path) -> str:
-    held = read_arrays(path, "give an .npz file of tasks")
-    return f"file-{path.stem}-{digest_of_arrays(held)[:6]}"
-
-
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write rows of the same columns, at least one, as a `.csv` file."""
     first, *others = rows
@@ -61,8 +100,6 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
     writer.writeheader()
     writer.writerows([first, *others])
-    with explained("write", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, text.getvalue().encode())
 
 
@@ -82,16 +119,7 @@ class Adapted(NamedTuple):
 
 
 def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
-    """Write curves as a `.csv` file; beside it adapted latents, and how both were made.
-
-    Args:
-        table: path of the curves.
-        outcome: what to write.
-        record: how it was made, as JSON values.
-
-    Returns:
-        What was written, and where.
-    """
+    """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
     # In this order: a record never stands beside curves that it does not belong to.
     with explained("replace", table.with_suffix(RECORD)):
         table.with_suffix(RECORD).unlink(missing_ok=True)
@@ -108,62 +136,16 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
     return Adapted(outcome, table, table.with_suffix(LATENTS))
 
 
-def read_latents(path: Path, like: AbstractContext) -> tuple[Latent, int]:
-    """Read the last latents that an adaptation has saved, and the number of updates behind them.
+def read_latents(path: Path) -> tuple[Latent, int]:
+    """Read the last latents of an adaptation, `[task, z]`, and the number of updates behind them.
 
-    Args:
-        path: of the file.
-        like: contexts of the method and the tasks that are to go on from it.
-
-    Raises:
-        RunError: the file cannot be read, or belongs to another method or other tasks.
+    A file that cannot be read or is something else is a `RunError`.
     """
-    if not isinstance(like, Latent):
-        raise RunError(
-            f"`{path}` cannot be a start: this run's method has no latents that are adapted."
-        )
-    mean, log_std, first = _latents(path)
-    if mean[:, -1].shape != like.mean.shape:
-        raise RunError(
-            f"`{path}` holds latents of the shape [task, z] = {list(mean[:, -1].shape)}, but "
-            f"{list(like.mean.shape)} are to be adapted: give the task set and the run of before."
-        )
-    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
-    return last, first + mean.shape[1] - 1
-
-
-def adapted_latent(path: Path, task: int) -> tuple[Latent, int]:
-    """Read the last latent that an adaptation has saved of one task, and the updates behind it.
-
-    Args:
-        path: of the file.
-        task: index of the task in the set that was adapted to.
-
-    Raises:
-        RunError: the file cannot be read or lacks the task.
-    """
-    mean, log_std, first = _latents(path)
-    num_tasks, columns, _ = mean.shape
-    if not 0 <= task < num_tasks:
-        raise RunError(
-            f"`task` must be an index from 0 to {num_tasks - 1}, the tasks of `{path}`, got {task}."
-        )
-    last = Latent(jnp.asarray(mean[task, -1]), jnp.asarray(log_std[task, -1]))
-    return last, first + columns - 1
-
-
-def _latents(path: Path) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return mean and log standard deviation, `[task, update, z]`, and the first update's number.
-
-    Raises:
-        RunError: the file cannot be read or is something else.
-    """
-    try:
-        arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
-        mean, log_std = arrays["mean"], arrays["log_std"]
-        first = int(arrays["first_update"])
-    except (ArithmeticError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.") from error
-    if mean.ndim != 3 or not mean.size or mean.shape != log_std.shape:
+    arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
+    mean, log_std, first = (arrays.get(name, _NONE) for name in ("mean", "log_std", "first_update"))
+    kinds = mean.dtype.kind + log_std.dtype.kind + first.dtype.kind
+    shaped = mean.ndim == 3 and mean.size and mean.shape == log_std.shape and first.shape == ()
+    if not shaped or kinds != "ffi":
         raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    return mean, log_std, first
+    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
+    return last, int(first) + mean.shape[1] - 1

@@ -40,10 +40,9 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
 def _changed(run: Run, changes: Mapping[str, Any]) -> RunConfig:
     """Return the configuration with other values; raises ValueError where they are refused."""
     own = {name: value for name, value in changes.items() if name in CHANGEABLE}
-    others = {name: value for name, value in changes.items() if name not in CHANGEABLE}
     settings = replaced(run.settings, own)
     try:
-        learner = replaced(run.learner, others)
+        learner = replaced(run.learner, {n: v for n, v in changes.items() if n not in own})
     except KeyError as error:
         raise RunError(_refusal(error.args[0])) from error
     learner.check_batch(settings.episodes_per_task)

@@ -10,8 +10,7 @@ inside the file and not beside it: one rename then replaces both.
 import contextlib
 import hashlib
 import json
-import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -25,8 +24,6 @@ from maesn.runtime.archive import refuse_special
 from maesn.storage import RunError, explained, write_whole
 
 Tree = TypeVar("Tree")
-
-logger = logging.getLogger(__name__)
 
 CHECKSUM = "sha256"
 
@@ -96,37 +93,28 @@ def read_checkpoint(path: Path) -> Tensors:
 
 
 def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
-    """Return a tree like another one, with values by the names of `named_leaves` that fit it.
-
-    If they do not, the message of the `MismatchError` names their `source`.
-    """
+    """Return a tree like another one, with values by name; `MismatchError` if they do not fit."""
     expected = named_leaves(like)
     for name in sorted(expected.keys() | values.keys()):
         wanted, found = _describe(expected.get(name)), _describe(values.get(name))
         if wanted != found:
-            raise MismatchError(
-                f"`{source}` does not fit this learner: tensor `{name}` should be {wanted}, "
-                f"but is {found}."
-            )
+            what = f"tensor `{name}` should be {wanted}, but is {found}"
+            raise MismatchError(f"`{source}` does not fit this learner: {what}.")
     return jax.tree.unflatten(
         jax.tree.structure(like), [jnp.asarray(values[name]) for name in expected]
     )
 
 
 def checked(source: Path | str, state: Any, metadata: Mapping[str, str]) -> Checkpoint:
-    """Return a restored checkpoint; `CheckpointError` if its numbers cannot be gone on from.
-
-    A checksum says that a file is as it was written, not that what was written makes sense.
-    """
+    """Return a restored checkpoint; `CheckpointError` if its numbers cannot be gone on from."""
+    # A checksum says that a file is as it was written, not that what was written makes sense.
     for name, leaf in named_leaves(state).items():
         if not np.isfinite(np.asarray(leaf)).all():
             raise CheckpointError(f"`{source}` is damaged: tensor `{name}` is not finite.")
     counts = [metadata.get(name, "nothing") for name in ("iteration", "environment_steps")]
     if not all(count.isdecimal() and len(count) < 20 for count in counts):
-        raise CheckpointError(
-            f"`{source}` is damaged: it must state its iterations and environment steps as "
-            f"numbers, got {counts}."
-        )
+        what = f"it must state its iterations and environment steps as numbers, got {counts}"
+        raise CheckpointError(f"`{source}` is damaged: {what}.")
     return Checkpoint(state, *map(int, counts))
 
 
@@ -137,30 +125,12 @@ def checkpoint_paths(directory: Path) -> list[Path]:
     return sorted(numbered, key=_number)
 
 
-def latest_sound(directory: Path, load: Callable[[Path], Checkpoint]) -> Checkpoint:
-    """Return the latest checkpoint that is not damaged, saying so if a later one is."""
-    damage: list[str] = []
-    for path in reversed(checkpoint_paths(directory)):
-        try:
-            checkpoint = load(path)
-        except CheckpointError as error:
-            damage.append(str(error))
-            continue
-        for sentence in damage:
-            logger.warning("%s Using `%s` instead.", sentence, path)
-        return checkpoint
-    nothing = f"`{directory}` holds no sound checkpoint: restore one."
-    raise CheckpointError(" ".join([nothing, *damage]))
-
-
 def prune(path: Path, keep: int) -> None:
     """Delete the checkpoints before one that is sound, but for those that are worth keeping.
 
     These are the latest `keep`, this one included, the untrained one, and the first one of each
-    power of ten: of iterations 1 to 9, 10 to 99, 100 to 999, ...
-
-    Raises:
-        CheckpointError: this one is damaged; nothing is deleted.
+    power of ten: of iterations 1 to 9, 10 to 99, 100 to 999, ... Nothing is deleted if this one is
+    damaged, which is a `CheckpointError`.
     """
     read_checkpoint(path)
     paths = checkpoint_paths(path.parent)

@@ -46,9 +46,9 @@ def exported_policy(
 
     Args:
         learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
-        env: the environment that it acts in, for the sizes and the map from actions to controls.
-        description: whatever should be known of the policy on the robot, such as the run and its
-            iteration. Family, horizon and control period are added.
+        env: the environment that it acts in.
+        description: what should be known of the policy on the robot, beside family, horizon and
+            control period.
         start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
             it, which the step sizes go on from; None for the prior.
         search: with what prior and how a robot searches; None to follow the policy gradient.

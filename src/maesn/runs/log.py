@@ -111,11 +111,9 @@ def _iteration(line: bytes) -> int | None:
 
 
 class EventLog:
-    """Events for TensorBoard, written at once and in this thread.
+    """Events for TensorBoard, written at once and in this thread."""
 
-    If the thread of `tensorboardX.SummaryWriter` dies of a full disk, the next event waits for
-    ever.
-    """
+    # Once a full disk has ended the thread of `tensorboardX.SummaryWriter`, it waits for ever.
 
     def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
         self._directory = directory
@@ -180,10 +178,7 @@ class RunLog(NamedTuple):
 
 @contextlib.contextmanager
 def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterator[RunLog]:
-    """Open the log files of a run, and forget what was written of iterations after this one.
-
-    Only one process may do so at a time.
-    """
+    """Open the log files of a run, and forget what was written of iterations after this one."""
     events = directory / TENSORBOARD
     with (
         contextlib.closing(JsonLines(directory / METRICS)) as metrics,

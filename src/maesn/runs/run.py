@@ -5,6 +5,7 @@
 
 import contextlib
 import dataclasses
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ from maesn.storage import (
 )
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
 
+logger = logging.getLogger(__name__)
+
 CHECKPOINTS = "checkpoints"
 
 # An "iteration" that no run reaches: its key makes the untrained state. A split of the seed's key
@@ -69,8 +72,7 @@ class Run:
     def alone(self) -> Iterator[None]:
         """Let no other process work in the run, until the block or this process ends in any way.
 
-        Raises:
-            RunError: another process does, or has changed the run since it was opened.
+        It is a `RunError` if another one does, or has changed the run since it was opened.
         """
         with locked(self.directory):
             if read_config(self.directory).digest() != self.config.digest():
@@ -95,10 +97,7 @@ class Run:
 
         Arguments are those of `maesn.train`. What tasks share comes from the run `init_from`, such
         as policy and step sizes; what belongs to single tasks, such as the latents, begins afresh,
-        and so does the count of iterations.
-
-        Raises:
-            RunError: directory or settings cannot be used, or the other run does not fit.
+        and so does the count of iterations. What cannot be used, or does not fit, is a `RunError`.
         """
         named = settings.family if family is None else family.name
         family = sources.resolve_family(named) if family is None else family
@@ -129,9 +128,9 @@ class Run:
     def open(cls, source: "str | Path | Run", family: str | TaskFamily | None = None) -> "Run":
         """Open a run. Nothing that stands in its directory is executed.
 
-        `source` is a directory, the name of a policy that comes with the library unless there is a
-        directory of that name, or a run, which is read again. `family` is the run's own family, if
-        it does not come with the library: itself, or `module:name`.
+        `source` is a directory, else the name of a policy that comes with the library, or a run,
+        which is read again. `family` is that of the run, itself or `module:name`, if it does not
+        come with the library.
         """
         if isinstance(source, Run):
             family = source.family if family is None else family
@@ -145,21 +144,14 @@ class Run:
     def env(
         self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None
     ) -> AnyEnv:
-        """Return the run's environment as it was recorded, whatever the family's defaults are now.
-
-        Reward and sparse radius, in metres, are those of training if they are None.
-        """
+        """Return the environment as it was recorded, or with another reward or radius in metres."""
         asked = {"reward_kind": reward_kind, "sparse_radius": sparse_radius}
         changed = {name: value for name, value in asked.items() if value is not None}
         with refusals():
             return rebuild_env(self.family, self.config.world, **changed)
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
-        """Return tasks of the run's family.
-
-        `name` is `training` for what this run trains on, `validation`, `test`, `ood` or `final` for
-        those sets of the family, or the path of an `.npz` file.
-        """
+        """Return tasks of the family: `training` is what this run trains on; see `RunSettings`."""
         return self.training_tasks if name == "training" else sources.find_tasks(name, self.family)
 
     def world(
@@ -172,9 +164,8 @@ class Run:
     ) -> AbstractWorld:
         """Return a world to play in. None stands for what the run itself trains with.
 
-        Raises:
-            EngineError: the engine is not installed.
-            RunError: the engine lacks something that the family needs; also as for `env`.
+        It is an `EngineError` if the engine is not installed, and a `RunError` if it lacks
+        something that the family needs.
         """
         tasks = self.training_tasks if tasks is None else tasks
         threads = self.settings.num_threads if num_threads is None else num_threads
@@ -198,8 +189,7 @@ class Run:
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.
 
-        A number that was not finite is None. `pandas.DataFrame(run.metrics())` is a table. A file
-        that is missing or damaged is a `RunError`.
+        A number that was not finite is None. A missing or damaged file is a `RunError`.
         """
         return read_json_lines(self.directory / METRICS)
 
@@ -244,7 +234,18 @@ class Run:
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
-        return checkpoint.latest_sound(self.directory / CHECKPOINTS, self.load)
+        damage: list[str] = []
+        for path in reversed(self.checkpoints()):
+            try:
+                found = self.load(path)
+            except checkpoint.CheckpointError as error:
+                damage.append(str(error))
+                continue
+            for sentence in damage:
+                logger.warning("%s Using `%s` instead.", sentence, path)
+            return found
+        nothing = f"`{self.directory / CHECKPOINTS}` holds no sound checkpoint: restore one."
+        raise checkpoint.CheckpointError(" ".join([nothing, *damage]))
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""

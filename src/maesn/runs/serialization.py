@@ -66,9 +66,8 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
     """Return settings as JSON values, each object with its tag."""
     tag = type(module).__name__
     if REGISTRY.get(tag) is not type(module):
-        raise ValueError(
-            f"settings of type `{tag}` cannot be stored: only {', '.join(REGISTRY)} can."
-        )
+        known = ", ".join(REGISTRY)
+        raise ValueError(f"settings of type `{tag}` cannot be stored: only {known} can.")
     return {TAG: tag, **fields_to_json(module)}
 
 
@@ -173,11 +172,7 @@ def _encode(value: Any, hint: Any) -> Any:
 
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
-    """Return a JSON value as what a field, `Class.field`, declares.
-
-    That is a number, string, `Literal`, `Any`, homogeneous tuple, dictionary, dataclass or
-    settings, or one of these or None.
-    """
+    """Return a JSON value as what a field, `Class.field`, declares."""
     wanted = _required(hint)
     if wanted is Any or (value is None and wanted is not hint):
         return value

@@ -20,7 +20,8 @@ def ending_by_signals() -> Iterator[None]:
     handled = [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
 
     def end(number: int, _: Any) -> None:
-        _reset(*handled, signal.SIGINT)
+        for one in (*handled, signal.SIGINT):
+            signal.signal(one, signal.SIG_DFL)
         raise SystemExit(128 + number)
 
     for number in handled:
@@ -28,9 +29,5 @@ def ending_by_signals() -> Iterator[None]:
     try:
         yield
     finally:
-        _reset(*handled)
-
-
-def _reset(*numbers: signal.Signals) -> None:
-    for number in numbers:
-        signal.signal(number, signal.SIG_DFL)
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)

@@ -202,10 +202,7 @@ def working_copy(run: str | Path) -> Path:
 
 
 def _content(directory: Path) -> dict[str, bytes]:
-    """Return what makes a run the one that it is, not what commands have left beside it.
-
-    Nothing if there is none, or one that was never whole.
-    """
+    """Return the files that make a run what it is; nothing if it was never whole."""
     config = directory / "config.json"
     if not config.exists():
         return {}

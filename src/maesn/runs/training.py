@@ -24,8 +24,8 @@ from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
-from maesn.settings import LARGEST_COUNT
-from maesn.storage import RunError
+from maesn.settings import check_number
+from maesn.storage import RunError, refusals
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -54,8 +54,7 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     written every `checkpoint_every` iterations and at any end but that of the process.
 
     `iterations` is the number of meta-iterations in total; None for that of the run's settings.
-    `keep` is how many of the latest checkpoints stay, beside the first of each power of ten; 0 for
-    all of them.
+    `keep` is how many of the latest checkpoints stay; see `maesn.runs.checkpoint.prune`; 0: all.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it.
@@ -63,12 +62,9 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
-    if not 0 <= total <= LARGEST_COUNT:
-        raise RunError(
-            f"`iterations` is a total and must be from 0 to {LARGEST_COUNT}, got {total}."
-        )
-    if keep < 0:
-        raise RunError(f"`keep` must be at least 0, got {keep}.")
+    with refusals():
+        check_number("iterations", total, 0)
+        check_number("keep", keep, 0)
     with contextlib.ExitStack() as stack:
         stack.enter_context(run.alone())
         start = run.latest()
@@ -179,10 +175,7 @@ def _compare_versions(run: Run) -> None:
 
 
 def train_live(
-    run: Run,
-    iterations: int | None = None,
-    keep: int = KEEP,
-    console: Console | None = None,
+    run: Run, iterations: int | None = None, keep: int = KEEP, console: Console | None = None
 ) -> Progress | None:
     """Train and show how it goes: one live line on a terminal, else one line per iteration.
 

@@ -122,7 +122,7 @@ class Explorer:
         search = self._state.search
         if search is None:
             raise RuntimeError("`beliefs` are those of a search: export with the rule `search`.")
-        return Beliefs(search.points.latents.copy(), search.posterior.mean, search.posterior.std)
+        return Beliefs(search.points.copy(), search.posterior.mean, search.posterior.std)
 
     @property
     def update(self) -> int:

@@ -1,25 +1,26 @@
-"""A Gaussian process over latents: what a new task may return, as training tasks have shown it.
+"""What a new task may return for a latent, as training tasks have shown it.
 
-In a new task, an episode with latent z returns
+A new task is like one of the training tasks, up to a residual. With latent z an episode returns
 
-    y = f(z) + l c + noise,     f ~ GP(m, K),     c ~ N(offset_mean, offset_std^2),
+    y = f(z) + l c + noise,     f ~ sum_i GP(x_i, R) / T,     c ~ N(offset_mean, offset_std^2),
 
-where c is what an episode of full length returns that never comes near the goal, and l is how long
-the episode lasted, as a share of the horizon. `docs/methods/latent_search.md` has the equations.
+where x_i is the excess return of training task i, c is what an episode of full length returns that
+never comes near the goal, and l is how long the episode lasted, as a share of the horizon.
+`docs/methods/latent_search.md` has the equations.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 
-# A return this many standard deviations away from what was expected counts as an outlier: it is
-# taken for a reading with so much noise that it is just this far away.
+# A return this many standard deviations away from what every task leads to expect is an outlier: it
+# is taken for a reading with so much noise that it is just this far away.
 OUTLIER = 4.0
-# Added to the kernel matrix that interpolates between latents, so that duplicates do not make it
-# singular.
-_JITTER = 1e-2
+# Of the noise of the archive's returns, as a share of their variance: duplicates must not make the
+# kernel matrix singular.
+_LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,89 +67,58 @@ class ReturnPrior:
             raise ValueError(f"`offset_std` must be at least 0, got {self.offset_std}.")
 
 
-@dataclass(frozen=True)
-class Points:
-    """Latents, and how each interpolates the archive.
-
-    Attributes:
-        latents: `[point, z]`.
-        weights: of the archive's latents, `[point, latent]`.
-    """
-
-    latents: FloatArray
-    weights: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.latents)
-
-    def joined(self, other: "Points") -> "Points":
-        """Return these points and then the others."""
-        return Points(
-            np.concatenate([self.latents, other.latents]),
-            np.concatenate([self.weights, other.weights]),
-        )
-
-    def __getitem__(self, index: int) -> "Points":
-        return Points(self.latents[index : index + 1], self.weights[index : index + 1])
-
-
 class ReturnModel:
-    """The Gaussian process of a prior, at any latents.
+    """The mixture of Gaussian processes of a prior, at any latents.
 
-    Between the archive's latents, mean and covariance over training tasks are interpolated:
-    with w(z) = k(z, Z) k(Z, Z)^-1 and k the stationary kernel,
+    The excess of a training task is a smooth function of the latent of which the archive shows
+    noisy values. With the stationary kernel k, their mean x, variance s^2 and noise d_j,
 
-        m(z) = w(z) m,     K(z, z') = w(z) S w(z')^T + residual k(z, z'),
-
-    where S is the covariance of X over training tasks, its diagonal less the Monte-Carlo variance
-    of X, and negative eigenvalues set to 0.
+        x_i(z) = x + s^2 k(z, Z) [s^2 k(Z, Z) + diag(d)]^-1 (X_i - x).
 
     Args:
         prior: of the policy.
-        residual: variance of what no training task shows, as a share of the mean variance over
+        residual: variance of R, what no training task shows, as a share of the mean variance over
             training tasks.
-        length_scale: distance in z over which that varies.
+        length_scale: distance in z over which both vary.
     """
 
     def __init__(self, prior: ReturnPrior, residual: float, length_scale: float) -> None:
         self.prior = prior
+        self.archive = prior.latents
         self._length_scale = length_scale
-        centred = prior.excess - prior.excess.mean(axis=0)
-        sampled = centred.T @ centred / (len(centred) - 1)
-        self._covariance = positive(sampled - np.diag(prior.noise / prior.episodes))
-        self._residual = residual * float(np.diag(self._covariance).mean())
-        gram = matern(prior.latents, prior.latents, length_scale)
-        self._inverse = np.linalg.inv(gram + _JITTER * np.eye(len(gram)))
-        self._mean = prior.excess.mean(axis=0)
-        self.archive = Points(prior.latents, np.eye(len(prior.latents)))
+        self._average = float(prior.excess.mean())
+        centred = prior.excess - self._average
+        spread = float((centred**2).mean())
+        noise = np.maximum(prior.noise / prior.episodes, _LEAST_NOISE * spread)
+        signal = max(spread - float(noise.mean()), _LEAST_NOISE * spread)
+        gram = signal * self._kernel(self.archive, self.archive) + np.diag(noise)
+        self._weights = (
+            signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
+        )
+        variance = float(self.task_means(self.archive).var(axis=0, ddof=1).mean())
+        self._residual = residual * variance
 
-    def points(self, latents: FloatArray) -> Points:
-        """Return latents `[point, z]` as points."""
-        kernel = matern(latents, self.prior.latents, self._length_scale)
-        return Points(latents, kernel @ self._inverse)
+    @property
+    def num_tasks(self) -> int:
+        """T, the number of training tasks."""
+        return len(self.prior.excess)
 
-    def mean(self, points: Points) -> FloatArray:
-        """Return m(z), `[point]`."""
-        # What is far from every latent of the archive returns what latents return on average.
-        average = self._mean.mean()
-        return average + points.weights @ (self._mean - average)
+    def task_means(self, latents: FloatArray) -> FloatArray:
+        """Return x_i(z), the excess in each training task, `[task, point]`."""
+        return self._average + (self._kernel(latents, self.archive) @ self._weights).T
 
-    def noise(self, points: Points) -> FloatArray:
-        """Return the variance of one episode's return, `[point]`."""
-        average = self.prior.noise.mean()
-        interpolated = average + points.weights @ (self.prior.noise - average)
-        return np.maximum(interpolated, self.prior.noise.min())
+    def noise(self, latents: FloatArray) -> FloatArray:
+        """Return the variance of one episode's return, that of near latents, `[point]`."""
+        kernel = self._kernel(latents, self.archive) + np.finfo(np.float64).tiny
+        near: FloatArray = kernel @ self.prior.noise / kernel.sum(axis=1)
+        return near
 
-    def covariance(self, first: Points, second: Points) -> FloatArray:
-        """Return K(z, z'), `[first, second]`."""
-        kernel = matern(first.latents, second.latents, self._length_scale)
-        shared = first.weights @ self._covariance @ second.weights.T
-        return shared + self._residual * kernel
+    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return R(z, z'), `[first, second]`."""
+        return self._residual * self._kernel(first, second)
 
-    def variance(self, points: Points) -> FloatArray:
-        """Return K(z, z), `[point]`."""
-        shared = ((points.weights @ self._covariance) * points.weights).sum(axis=1)
-        return shared + self._residual
+    def _kernel(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        return matern(first, second, self._length_scale)
 
 
 @dataclass(frozen=True)
@@ -168,91 +138,108 @@ class Reading:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known of f at some points, and of c, after some readings.
+    """What is known of f at some latents after some readings.
 
-    Rows of the inverse Cholesky factor times the covariances are kept, one for each reading, so
-    that a reading costs no more than a row.
+    All components of the mixture have one covariance. Of it, rows of the inverse Cholesky factor
+    times the covariances are kept, one for each reading, so that a reading costs no more than a
+    row.
 
     Attributes:
-        mean: of f, `[point]`.
-        variance: of f, `[point]`.
-        offset_mean: of c.
-        offset_variance: of c.
+        points: the latents, `[point, z]`.
+        task_mean: mean of f if the new task is like training task i, `[task, point]`.
+        task_offset: mean of c likewise, `[task]`.
+        variance: of f in each of these cases, `[point]`.
         rows: `[reading, point]`.
         offset_rows: the same of c, `[reading]`.
         readings: those that it is conditioned on.
         scales: standard deviation that was expected of each reading, `[reading]`.
-        innovations: each reading less what was expected, in these standard deviations, `[reading]`.
+        innovations: each reading less what was expected, in these standard deviations,
+            `[reading, task]`.
     """
 
-    mean: FloatArray
+    points: FloatArray
+    task_mean: FloatArray
+    task_offset: FloatArray
     variance: FloatArray
-    offset_mean: float
-    offset_variance: float
     rows: FloatArray
-    offset_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
-    readings: tuple[Reading, ...] = ()
-    scales: FloatArray = field(default_factory=lambda: np.zeros(0))
-    innovations: FloatArray = field(default_factory=lambda: np.zeros(0))
+    offset_rows: FloatArray
+    readings: tuple[Reading, ...]
+    scales: FloatArray
+    innovations: FloatArray
 
     @staticmethod
-    def of_prior(model: ReturnModel, points: Points) -> "Posterior":
-        """Return what is known before any reading."""
+    def of_prior(model: ReturnModel, points: FloatArray) -> "Posterior":
+        """Return what is known at some latents before any reading."""
         return Posterior(
-            model.mean(points),
-            model.variance(points),
-            model.prior.offset_mean,
-            model.prior.offset_std**2,
-            np.zeros((0, len(points))),
+            points,
+            model.task_means(points),
+            np.full(model.num_tasks, model.prior.offset_mean),
+            model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points)),
+            rows=np.zeros((0, len(points))),
+            offset_rows=np.zeros(0),
+            readings=(),
+            scales=np.zeros(0),
+            innovations=np.zeros((0, model.num_tasks)),
         )
+
+    @property
+    def task_weights(self) -> FloatArray:
+        """How probable it is that the new task is like each training task, `[task]`."""
+        log_weights = -0.5 * (self.innovations**2).sum(axis=0)
+        weights = np.exp(log_weights - log_weights.max())
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean of f, `[point]`."""
+        return np.asarray(self.task_weights @ self.task_mean)
 
     @property
     def std(self) -> FloatArray:
         """Standard deviation of f, `[point]`."""
-        return np.sqrt(np.maximum(self.variance, 0.0))
+        between = self.task_weights @ (self.task_mean - self.mean) ** 2
+        return np.sqrt(between + np.maximum(self.variance, 0.0))
 
-    def conditioned(self, model: ReturnModel, points: Points, reading: Reading) -> "Posterior":
+    def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         j, share = reading.point, reading.length
+        point = self.points[j : j + 1]
         seen = self.rows[:, j] + share * self.offset_rows
-        covariance = model.covariance(points[j], points)[0] - seen @ self.rows
+        covariance = model.covariance(point, self.points)[0] - seen @ self.rows
         offset = share * model.prior.offset_std**2 - float(seen @ self.offset_rows)
-        spread = float(covariance[j]) + share * offset + float(model.noise(points[j])[0])
-        spread = max(spread, np.finfo(np.float64).tiny)
-        surprise = reading.episode_return - (self.mean[j] + share * self.offset_mean)
-        scale = max(np.sqrt(spread), abs(surprise) / OUTLIER)
-        innovation = surprise / scale
-        row, offset_row = covariance / scale, offset / scale
+        spread = float(covariance[j]) + share * offset + float(model.noise(point)[0])
+        surprise = reading.episode_return - (self.task_mean[:, j] + share * self.task_offset)
+        least = np.finfo(np.float64).tiny
+        scale = max(float(np.sqrt(max(spread, least))), float(np.abs(surprise).min()) / OUTLIER)
+        innovation, row, offset_row = surprise / scale, covariance / scale, offset / scale
         return replace(
             self,
-            mean=self.mean + row * innovation,
+            task_mean=self.task_mean + np.outer(innovation, row),
+            task_offset=self.task_offset + innovation * offset_row,
             variance=self.variance - row**2,
-            offset_mean=self.offset_mean + offset_row * innovation,
-            offset_variance=self.offset_variance - offset_row**2,
             rows=np.vstack([self.rows, row]),
             offset_rows=np.append(self.offset_rows, offset_row),
             readings=(*self.readings, reading),
             scales=np.append(self.scales, scale),
-            innovations=np.append(self.innovations, innovation),
+            innovations=np.vstack([self.innovations, innovation]),
         )
 
-    def extended(self, model: ReturnModel, points: Points, more: Points) -> "Posterior":
-        """Return the posterior at the points and at some more.
-
-        Args:
-            model: of the returns.
-            points: those of this posterior.
-            more: the others.
-        """
+    def extended(self, model: ReturnModel, more: FloatArray) -> "Posterior":
+        """Return the posterior at its latents and at some more."""
         rows = np.zeros((len(self.readings), len(more)))
         for index, reading in enumerate(self.readings):
+            point = self.points[reading.point : reading.point + 1]
             seen = self.rows[:index, reading.point] + reading.length * self.offset_rows[:index]
-            covariance = model.covariance(points[reading.point], more)[0] - seen @ rows[:index]
+            covariance = model.covariance(point, more)[0] - seen @ rows[:index]
             rows[index] = covariance / self.scales[index]
+        before = Posterior.of_prior(model, more)
+        task_mean = before.task_mean + self.innovations.T @ rows
+        variance = before.variance - (rows**2).sum(axis=0)
         return replace(
             self,
-            mean=np.append(self.mean, model.mean(more) + self.innovations @ rows),
-            variance=np.append(self.variance, model.variance(more) - (rows**2).sum(axis=0)),
+            points=np.concatenate([self.points, more]),
+            task_mean=np.hstack([self.task_mean, task_mean]),
+            variance=np.append(self.variance, variance),
             rows=np.hstack([self.rows, rows]),
         )
 
@@ -266,9 +253,3 @@ def matern(first: FloatArray, second: FloatArray, length_scale: float) -> FloatA
     distance = np.linalg.norm(first[:, None] - second[None], axis=-1)
     scaled = np.sqrt(5.0) * distance / length_scale
     return (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
-
-
-def positive(matrix: FloatArray) -> FloatArray:
-    """Return the nearest symmetric matrix without negative eigenvalues."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
-from maesn.runtime.return_model import Points, Posterior, Reading, ReturnModel, ReturnPrior
+from maesn.runtime.return_model import Posterior, Reading, ReturnModel, ReturnPrior
 
 # Of the best point, before latents around it are drawn: by then the archive has shown its best.
 PLAYS = 2
@@ -22,14 +22,15 @@ class SearchSettings:
 
     Attributes:
         acquisition: `ucb`, the upper confidence bound: the largest mean + exploration * std. Or
-            `thompson`: the largest value of a function that is drawn from the posterior.
+            `thompson`: the best latent of a training task that is drawn by how probable it is that
+            the new task is like it.
         exploration: weight of the standard deviation in the upper confidence bound.
         draws: latents that are drawn around the best one in every round, once it has been played;
             0 stays with the archive.
         draw_std: their standard deviation around it, in units of z.
         residual: variance of what no training task shows, as a share of the mean variance over
             training tasks.
-        length_scale: distance in z over which that varies.
+        length_scale: distance in z over which returns vary.
 
     Raises:
         ValueError: a setting is out of its range.
@@ -39,7 +40,7 @@ class SearchSettings:
     exploration: float = 2.0
     draws: int = 8
     draw_std: float = 0.2
-    residual: float = 0.03
+    residual: float = 0.1
     length_scale: float = 1.0
 
     def __post_init__(self) -> None:
@@ -65,15 +66,13 @@ class LatentSearch:
     Attributes:
         model: of the returns; shared by all tasks.
         settings: how it chooses.
-        points: the archive, and the latents that were drawn around the best ones and played.
-        posterior: of the returns at these points.
+        posterior: of the returns, at the archive and at the latents that were added to it.
         added_after: number of readings before each point that the archive does not have.
         max_norm: Euclidean norm of z beyond which no point is chosen.
     """
 
     model: ReturnModel
     settings: SearchSettings
-    points: Points
     posterior: Posterior
     added_after: tuple[int, ...] = ()
     max_norm: float = np.inf
@@ -81,8 +80,12 @@ class LatentSearch:
     @staticmethod
     def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
         """Return a search that has not played yet."""
-        points = model.archive
-        return LatentSearch(model, settings, points, Posterior.of_prior(model, points))
+        return LatentSearch(model, settings, Posterior.of_prior(model, model.archive))
+
+    @property
+    def points(self) -> FloatArray:
+        """The latents that can be chosen, `[point, z]`."""
+        return self.posterior.points
 
     @property
     def best(self) -> int:
@@ -91,7 +94,7 @@ class LatentSearch:
 
     def latent(self, point: int) -> FloatArray:
         """Return z of a point, `[z]`."""
-        return self.points.latents[point]
+        return self.points[point]
 
     def proposed(self, generator: np.random.Generator) -> "tuple[LatentSearch, int]":
         """Choose the point to play next.
@@ -102,22 +105,23 @@ class LatentSearch:
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
-        chosen = self.highest(self.scores(generator))
+        task = generator.choice(self.model.num_tasks, p=self.posterior.task_weights)
+        chosen = self.highest(self.scores(task))
         if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = wider.highest(wider.scores(generator))
+        refined = wider.highest(wider.scores(task))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
 
     def with_latent(self, z: FloatArray) -> "LatentSearch":
         """Return the search with one more point."""
-        return self._with_points(self.model.points(z[None]))
+        return self._with_points(z[None])
 
     def index(self, z: FloatArray) -> int:
         """Return the index of a point; raises `ValueError` if z is no point of this search."""
-        found = np.flatnonzero((self.points.latents == z).all(axis=1))
+        found = np.flatnonzero((self.points == z).all(axis=1))
         if not len(found):
             raise ValueError(f"`z` {z} is no point of this search.")
         return int(found[0])
@@ -126,20 +130,24 @@ class LatentSearch:
         """Return the search after some episodes."""
         posterior = self.posterior
         for reading in readings:
-            posterior = posterior.conditioned(self.model, self.points, reading)
+            posterior = posterior.conditioned(self.model, reading)
         return replace(self, posterior=posterior)
 
     def highest(self, scores: FloatArray) -> int:
         """Return the index of the highest score within `max_norm`, or of the nearest point."""
-        norms = np.linalg.norm(self.points.latents, axis=1)
+        norms = np.linalg.norm(self.points, axis=1)
         if norms.min() > self.max_norm:
             return int(np.argmin(norms))
         return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
 
-    def scores(self, generator: np.random.Generator) -> FloatArray:
-        """Return what the acquisition rule gives each point, `[point]`."""
+    def scores(self, task: int) -> FloatArray:
+        """Return what the acquisition rule gives each point, `[point]`.
+
+        Args:
+            task: the training task that was drawn.
+        """
         if self.settings.acquisition == "thompson":
-            return self._sample(generator)
+            return self.posterior.task_mean[task]
         return self.posterior.mean + self.settings.exploration * self.posterior.std
 
     def arrays(self) -> Arrays:
@@ -147,7 +155,7 @@ class LatentSearch:
         readings = self.posterior.readings
         archive = len(self.model.archive)
         return {
-            "search.added": self.points.latents[archive:],
+            "search.added": self.points[archive:],
             "search.added_after": np.asarray(self.added_after, np.float64),
             "search.points": np.asarray([one.point for one in readings], np.float64),
             "search.returns": np.asarray([one.episode_return for one in readings]),
@@ -160,7 +168,7 @@ class LatentSearch:
         Raises:
             ValueError: the arrays do not fit this search.
         """
-        size = self.points.latents.shape[1]
+        size = self.points.shape[1]
         added = take(arrays, "search.added", -1, size)
         after = take(arrays, "search.added_after", len(added)).tolist()
         points = take(arrays, "search.points", -1)
@@ -177,41 +185,18 @@ class LatentSearch:
                 search = search.after([Reading(point, returns[count], lengths[count])])
         return search
 
-    def _sample(self, generator: np.random.Generator) -> FloatArray:
-        """Draw f from the posterior: a draw from the prior, conditioned on the readings.
-
-        Matheron's rule: what the readings change about a function is linear in what they differ
-        from it, so a draw from the prior that is corrected by the readings, less noise, is a draw
-        from the posterior.
-        """
-        model, posterior = self.model, self.posterior
-        covariance = model.covariance(self.points, self.points)
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        sample = model.mean(self.points) + root @ generator.standard_normal(len(values))
-        prior = model.prior
-        offset = prior.offset_mean + prior.offset_std * generator.standard_normal()
-        noise = np.sqrt(model.noise(self.points))
-        for index, reading in enumerate(posterior.readings):
-            expected = sample[reading.point] + reading.length * offset
-            drawn = expected + noise[reading.point] * generator.standard_normal()
-            correction = (reading.episode_return - drawn) / posterior.scales[index]
-            sample = sample + posterior.rows[index] * correction
-            offset += posterior.offset_rows[index] * correction
-        return sample
-
     def _with_draws(self, generator: np.random.Generator) -> "LatentSearch":
-        shape = (self.settings.draws, self.points.latents.shape[1])
+        shape = (self.settings.draws, self.points.shape[1])
         around = self.settings.draw_std * generator.standard_normal(shape)
-        return self._with_points(self.model.points(self.latent(self.best) + around))
+        return self._with_points(self.latent(self.best) + around)
 
     def _plays(self, point: int) -> int:
         return sum(reading.point == point for reading in self.posterior.readings)
 
-    def _with_points(self, more: Points) -> "LatentSearch":
+    def _with_points(self, more: FloatArray) -> "LatentSearch":
+        added_after = [len(self.posterior.readings)] * len(more)
         return replace(
             self,
-            points=self.points.joined(more),
-            posterior=self.posterior.extended(self.model, self.points, more),
-            added_after=(*self.added_after, *[len(self.posterior.readings)] * len(more)),
+            posterior=self.posterior.extended(self.model, more),
+            added_after=(*self.added_after, *added_after),
         )

@@ -9,9 +9,8 @@ import tyro
 
 from maesn.envs import AnyEnv
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.record import Identity, identity_of_run
 from maesn.evaluation.rules import Trained
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.tables import Identity, adaptation_file, identity_of_run
 from maesn.learners import (
     SCRATCH,
     AbstractFastLearner,

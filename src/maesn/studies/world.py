@@ -7,7 +7,7 @@ from typing import Any
 
 from maesn.envs import AnyEnv, Variant
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.record import Identity, adaptation_record
+from maesn.evaluation.tables import Identity, adaptation_record
 from maesn.runs.config import RunSettings, check_policy, check_sizes, make_env
 from maesn.runs.run import Run
 from maesn.runs.sources import find_tasks, resolve_family
