@@ -45,7 +45,7 @@ def main() -> int:
         for kind, found in campaign(chosen, material, options.seed, options.scale, options.index):
             print(line(kind.name, found), flush=True)
             wrong += found.wrong
-            print(*found.wrong, sep="\n\n", file=sys.stderr, flush=True)
+            sys.stderr.writelines(f"{sentence}\n\n" for sentence in found.wrong)
     minutes, share = (time.monotonic() - start) / 60, f"{options.scale:g} of a full campaign"
     print(f"\nmaesn {maesn.__version__}, seed {options.seed}, {share}, {minutes:.0f} minutes")
     return int(bool(wrong))
