@@ -1,6 +1,7 @@
 """Adaptation tables: what is written is read, and what is wrong is said."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,3 +201,9 @@ def test_a_missing_or_unreadable_table_is_refused(tmp_path: Path) -> None:
     for path in (missing, binary, tmp_path):
         with pytest.raises(RunError, match=r"Expected a table at .*maesn adapt"):
             read_adaptation(path)
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "test-sparse.csv")
+    with pytest.raises(RunError, match="it is a pipe or a device"):
+        read_adaptation(tmp_path / "test-sparse.csv")

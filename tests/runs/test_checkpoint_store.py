@@ -153,3 +153,24 @@ def test_the_only_good_checkpoint_is_never_deleted(tmp_path: Path) -> None:
     prune(run.directory / "checkpoints" / "iteration-000035.safetensors", 1)
     assert numbers(run) == [20, 35, 40, 50]
     assert run.latest().iteration == 35
+
+
+def test_counts_that_contradict_each_other_are_damage(tmp_path: Path) -> None:
+    """Else the log is searched for the lines of as many iterations as the file says."""
+    run, (path,) = filled(tmp_path, 7)
+    values, metadata = read_checkpoint(path)
+    count = str(10**11 - 1)
+    save_checkpoint(path, values, {**without_checksum(metadata), "iteration": count})
+    with pytest.raises(CheckpointError, match=f"states {count} iterations, .* has counted 7"):
+        run.load(path)
+
+
+def without_checksum(metadata: dict[str, str]) -> dict[str, str]:
+    return {name: value for name, value in metadata.items() if name != "sha256"}
+
+
+def test_a_link_to_itself_is_no_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "iteration-000001.safetensors"
+    path.symlink_to(path)
+    with pytest.raises(CheckpointError, match="is no readable checkpoint"):
+        read_checkpoint(path)

@@ -19,6 +19,7 @@ from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import read_prior
+from maesn.storage import RunError
 
 SMALL = ["--draws", "10", "--episodes", "2", "--simulations", "20"]
 FILE = "priors/sparse-0.5.safetensors"
@@ -166,3 +167,10 @@ def test_python_takes_the_rule_as_an_object(trained: Path, few: str, tmp_path: P
         trained, rule=SearchRule(), tasks=few, episodes=2, deploy_episodes=1, out=tmp_path / "t.csv"
     )
     assert done.curves.mean_return.shape == (3, 3)
+
+
+def test_a_prior_whose_numbers_are_nested_too_deeply_is_refused(tmp_path: Path) -> None:
+    path, names = tmp_path / "prior.safetensors", ("latents", "excess", "noise")
+    save_checkpoint(path, dict.fromkeys(names, np.zeros((2, 2))), {"numbers": "[" * 10**5})
+    with pytest.raises(RunError, match=r"is no prior that .* nested too deeply"):
+        read_prior(path)
