@@ -29,7 +29,7 @@ from maesn.worlds.collector import Collector
 
 SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn
 TRAJECTORIES = 8
-EDGE = 7.0  # of the latents that are drawn, in standard deviations of the prior
+EDGE = 8.0  # of the latents that are drawn, in standard deviations of the prior
 POINTS = 71  # along each axis
 
 
@@ -90,7 +90,7 @@ def draw_beliefs(found: Searched) -> Figure:
     means = []
     for count in SHOWN:
         one = found.searches[count]
-        more = one.posterior.extended(one.model, one.points, one.model.points(grid))
+        more = one.posterior.extended(one.model, grid)
         means.append(more.mean[len(one.points) :].reshape(POINTS, POINTS))
     limits = (min(map(np.min, means)), max(map(np.max, means)))
     for panel, count, mean in zip(panels, SHOWN, means, strict=True):
