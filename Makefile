@@ -29,7 +29,7 @@ test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benc
 	@$(BIN)/python -m pytest --quiet --tb=short -m "long or not long" tests/long
 	@$(BIN)/python -m pytest --quiet --tb=short -m long tests
 
-test-faults: $(TEST_READY) ## Attack the library for half an hour: kills, damaged files, full disks, wrong words
+test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong words
 	@PYTHONPATH=tests $(BIN)/python -m faults $(FAULTS)
 
 soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end

@@ -190,6 +190,24 @@ def test_an_update_that_is_not_finite_is_refused(policy: Path) -> None:
     assert contents(explorer) == before
 
 
+def test_an_update_to_a_latent_that_draws_infinity_is_refused(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=9)
+    for number in range(4):
+        explorer.begin_episode(z=[50.0 * (1 + number % 2), 0.0])  # steps like its square
+        explorer.act(OBSERVATION)
+        explorer.end_episode([float(number % 2)])
+    before = contents(explorer)
+    with pytest.raises(RuntimeError, match="not finite, or too large: the latent must have a mean"):
+        explorer.adapt()
+    assert contents(explorer) == before
+
+
+@pytest.mark.parametrize(("mean", "log_std"), [(1e101, 0.0), (0.0, 800.0), (0.0, -800.0)])
+def test_latents_that_nothing_can_be_drawn_from_are_refused(mean: float, log_std: float) -> None:
+    with pytest.raises(ValueError, match="the latent must have a mean of at most 1e"):
+        Latent(np.full(2, mean), np.full(2, log_std))
+
+
 def test_after_a_refusal_the_episode_goes_on(policy: Path) -> None:
     explorer = Explorer.load(policy, seed=10)
     begin(explorer, 2)

@@ -6,6 +6,9 @@ import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 
+LARGEST_LATENT = 1e100
+"""The squares of larger numbers, summed over many draws, are beyond double precision."""
+
 
 @dataclass(frozen=True)
 class Latent:
@@ -14,10 +17,23 @@ class Latent:
     Attributes:
         mean: `[latent]`.
         log_std: logarithm of the standard deviation, `[latent]`.
+
+    Raises:
+        ValueError: what is drawn from it, or the next update, would not be finite.
     """
 
     mean: FloatArray
     log_std: FloatArray
+
+    def __post_init__(self) -> None:
+        with np.errstate(over="ignore"):
+            std = self.std
+        fits = (np.abs(self.mean) <= LARGEST_LATENT) & (std > 0) & (std <= LARGEST_LATENT)
+        if not fits.all():
+            raise ValueError(
+                f"the latent must have a mean of at most {LARGEST_LATENT:g} in size and a standard "
+                f"deviation above 0 and up to that, got {self.mean} and {std}."
+            )
 
     @property
     def std(self) -> FloatArray:

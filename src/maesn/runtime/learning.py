@@ -90,10 +90,10 @@ def _moved(state: ExplorerState, rule: LearningRule) -> Latent:
         rule.ridge,
     )
     drawn = np.stack([episode.latent for episode in state.episodes])
-    moved = rule.step(state.latent, drawn, advantage, state.update)
-    if not np.isfinite([moved.mean, moved.log_std]).all():
+    try:
+        return rule.step(state.latent, drawn, advantage, state.update)
+    except ValueError as error:
         raise RuntimeError(
-            f"the update of the latent is not finite (mean {moved.mean}, log std "
-            f"{moved.log_std}); the latent and the {len(state.episodes)} episodes are kept."
-        )
-    return moved
+            f"the update of the latent is not finite, or too large: {error} The latent before and "
+            f"the {len(state.episodes)} episodes are kept."
+        ) from error
