@@ -21,8 +21,8 @@ from matplotlib.patches import Circle
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
-from maesn.evaluation.search import SearchRule
 from maesn.report.reading import read_adaptation
+from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
 from maesn.worlds.collector import Collector

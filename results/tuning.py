@@ -22,9 +22,9 @@ import numpy as np
 import tyro
 
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.rules import GradientRule
 from maesn.report.adaptation_table import Line
 from maesn.report.tables import markdown_row
+from maesn.rules import GradientRule
 from maesn.studies.comparison import Changes, compare
 from maesn.studies.lines import Scratch
 from maesn.studies.world import WorldSettings

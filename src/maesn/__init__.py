@@ -32,16 +32,6 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.envs.foreign import gymnasium_family as gymnasium_family
     from maesn.evaluation.evaluation import Evaluation as Evaluation
     from maesn.evaluation.film import render as render
-    from maesn.evaluation.rules import AbstractRule as AbstractRule
-    from maesn.evaluation.rules import AbstractWrapper as AbstractWrapper
-    from maesn.evaluation.rules import GradientRule as GradientRule
-    from maesn.evaluation.rules import MemoryRule as MemoryRule
-    from maesn.evaluation.rules import NoAdaptation as NoAdaptation
-    from maesn.evaluation.rules import ThenReinforce as ThenReinforce
-    from maesn.evaluation.rules import ThenTrpo as ThenTrpo
-    from maesn.evaluation.rules import Trained as Trained
-    from maesn.evaluation.rules import VimeBonus as VimeBonus
-    from maesn.evaluation.search import SearchRule as SearchRule
     from maesn.experience.agent import Agents as Agents
     from maesn.experience.episodes import Collect as Collect
     from maesn.experience.episodes import Episodes as Episodes
@@ -81,6 +71,16 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import CategoricalMLP as CategoricalMLP
     from maesn.policies import GaussianMLP as GaussianMLP
     from maesn.policies import Recurrent as Recurrent
+    from maesn.rules import AbstractRule as AbstractRule
+    from maesn.rules import AbstractWrapper as AbstractWrapper
+    from maesn.rules import GradientRule as GradientRule
+    from maesn.rules import MemoryRule as MemoryRule
+    from maesn.rules import NoAdaptation as NoAdaptation
+    from maesn.rules import SearchRule as SearchRule
+    from maesn.rules import ThenReinforce as ThenReinforce
+    from maesn.rules import ThenTrpo as ThenTrpo
+    from maesn.rules import Trained as Trained
+    from maesn.rules import VimeBonus as VimeBonus
     from maesn.runs.config import RunSettings as RunSettings
     from maesn.runs.run import Run as Run
     from maesn.search.prior import PriorSettings as PriorSettings
@@ -125,18 +125,18 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.envs.foreign": ("gymnasium_family",),
     "maesn.evaluation.evaluation": ("Evaluation",),
     "maesn.evaluation.film": ("render",),
-    "maesn.evaluation.rules": (
+    "maesn.rules": (
         "AbstractRule",
         "AbstractWrapper",
         "GradientRule",
         "MemoryRule",
         "NoAdaptation",
+        "SearchRule",
         "ThenReinforce",
         "ThenTrpo",
         "Trained",
         "VimeBonus",
     ),
-    "maesn.evaluation.search": ("SearchRule",),
     "maesn.experience.agent": ("Agents",),
     "maesn.experience.episodes": (
         "Collect",

@@ -17,8 +17,6 @@ from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.rules import AbstractRule, GradientRule
-from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import (
     Adapted,
     adaptation_file,
@@ -29,6 +27,7 @@ from maesn.evaluation.tables import (
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
+from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy

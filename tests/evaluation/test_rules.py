@@ -11,16 +11,6 @@ from small_runs import tiny_maesn, tiny_settings
 from maesn import api, cli
 from maesn.envs import point
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.rules import (
-    FixedAgents,
-    GradientRule,
-    NoAdaptation,
-    ThenReinforce,
-    ThenTrpo,
-    Trained,
-    VimeBonus,
-    default_rule,
-)
 from maesn.evaluation.running import from_text
 from maesn.learners import (
     METHODS,
@@ -31,6 +21,16 @@ from maesn.learners import (
     GradientFastLearner,
 )
 from maesn.policies import GaussianMLP
+from maesn.rules import (
+    FixedAgents,
+    GradientRule,
+    NoAdaptation,
+    ThenReinforce,
+    ThenTrpo,
+    Trained,
+    VimeBonus,
+    default_rule,
+)
 from maesn.runs.run import Run
 from maesn.storage import RunError
 

@@ -12,9 +12,9 @@ from small_runs import Drift, create, create_tiny, finish, goals, outcome
 
 from maesn import api
 from maesn.evaluation import running
-from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import Adapted
 from maesn.report.reading import RECORD
+from maesn.rules import SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.run import Run
 from maesn.runtime import Explorer, Safeguards

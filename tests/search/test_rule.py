@@ -11,9 +11,9 @@ from small_runs import tiny_maesn, tiny_settings
 import maesn
 from maesn import api, cli
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.search import SearchRule
 from maesn.learners import latent_space, maml
 from maesn.policies import GaussianMLP
+from maesn.rules import SearchRule
 from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runtime import Explorer

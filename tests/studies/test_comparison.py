@@ -14,13 +14,13 @@ from small_runs import create, finish, tiny_maesn
 from maesn import api, cli
 from maesn.evaluation import evaluate
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.rules import GradientRule
 from maesn.learners import ProximalStep, RecurrentValue, oracle, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import GaussianMLP, Recurrent
 from maesn.policies.usual import USUAL
 from maesn.report.reading import read_adaptation
 from maesn.report.style import METHOD_STYLES
+from maesn.rules import GradientRule
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError

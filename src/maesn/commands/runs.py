@@ -8,11 +8,11 @@ from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation.film import render as render_run
 from maesn.evaluation.running import AnyFamily
-from maesn.evaluation.search import SearchRule
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
 from maesn.report import print_adaptation_summary
 from maesn.report.tables import print_side_by_side
+from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words

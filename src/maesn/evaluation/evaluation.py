@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import tyro
 
 from maesn.envs import AnyEnv, RewardKind
-from maesn.evaluation.rules import (
+from maesn.learners import AbstractFastLearner
+from maesn.rules import (
     GRADIENT_BUDGET,
     AbstractRule,
     AbstractWrapper,
@@ -15,7 +16,6 @@ from maesn.evaluation.rules import (
     Trained,
     default_rule,
 )
-from maesn.learners import AbstractFastLearner
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals

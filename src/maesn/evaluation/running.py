@@ -19,20 +19,20 @@ from maesn.context import Latent
 from maesn.envs import TaskFamily
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.rules import (
+from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
+from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.rules import (
     AbstractRule,
     AbstractWrapper,
     GradientRule,
     MemoryRule,
     NoAdaptation,
+    SearchRule,
     ThenReinforce,
     ThenTrpo,
     Trained,
     VimeBonus,
 )
-from maesn.evaluation.search import SearchRule
-from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
-from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.serialization import fields_to_json, replaced, values_of_words

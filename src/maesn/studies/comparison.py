@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.rules import AbstractRule, AbstractWrapper
 from maesn.evaluation.tables import write_rows
 from maesn.report.adaptation_table import Line
 from maesn.report.comparison import Comparison, summary_tables, tidy_rows
@@ -19,6 +18,7 @@ from maesn.report.runs import read_run
 from maesn.report.series import group_series
 from maesn.report.style import METHOD_STYLES, save_figure
 from maesn.report.tables import write_tables
+from maesn.rules import AbstractRule, AbstractWrapper
 from maesn.runs.run import Run
 from maesn.storage import RunError, explained
 from maesn.studies.curves import Say, curves_of

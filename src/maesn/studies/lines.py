@@ -9,7 +9,6 @@ import tyro
 
 from maesn.envs import AnyEnv
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.rules import Trained
 from maesn.evaluation.tables import Identity, adaptation_file, identity_of_run
 from maesn.learners import (
     SCRATCH,
@@ -24,6 +23,7 @@ from maesn.learners.scratch.policy_gradient import TRPO
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import USUAL
 from maesn.report.style import DARK_GREY, METHOD_STYLES, MethodStyle
+from maesn.rules import Trained
 from maesn.runs.run import Run
 from maesn.storage import RunError, refusals
 from maesn.studies.curves import SeededLearner

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from maesn import api, cli
-from maesn.evaluation.rules import (
-    VimeBonus,
-)
 from maesn.learners import (
     BonusMetaLearner,
 )
 from maesn.policies import GaussianMLP
+from maesn.rules import (
+    VimeBonus,
+)
 from maesn.runs.run import Run
 from maesn.storage import RunError
 

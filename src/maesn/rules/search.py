@@ -4,8 +4,8 @@ import dataclasses
 from typing import Any, ClassVar
 
 from maesn.envs import AnyEnv
-from maesn.evaluation.rules import AbstractRule, Budget, Trained
 from maesn.learners import AbstractFastLearner
+from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.runtime.search import AcquisitionName, SearchSettings
 from maesn.search import SearchFastLearner, latent_learner
 

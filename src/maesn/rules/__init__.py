@@ -1,0 +1,17 @@
+"""Rules: what happens in a new task."""
+
+from maesn.rules.base import GRADIENT_BUDGET as GRADIENT_BUDGET
+from maesn.rules.base import AbstractRule as AbstractRule
+from maesn.rules.base import AbstractWrapper as AbstractWrapper
+from maesn.rules.base import Budget as Budget
+from maesn.rules.base import Trained as Trained
+from maesn.rules.prescribed import FixedAgents as FixedAgents
+from maesn.rules.prescribed import GradientRule as GradientRule
+from maesn.rules.prescribed import MemoryRule as MemoryRule
+from maesn.rules.prescribed import NoAdaptation as NoAdaptation
+from maesn.rules.prescribed import default_rule as default_rule
+from maesn.rules.search import SearchRule as SearchRule
+from maesn.rules.wrappers import AbstractThen as AbstractThen
+from maesn.rules.wrappers import ThenReinforce as ThenReinforce
+from maesn.rules.wrappers import ThenTrpo as ThenTrpo
+from maesn.rules.wrappers import VimeBonus as VimeBonus

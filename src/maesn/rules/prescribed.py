@@ -1,0 +1,121 @@
+"""Rules that a method prescribes: follow the gradient, go on remembering, or learn nothing."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from maesn.axes import TaskKeys
+from maesn.envs import AnyEnv
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.learners import (
+    AbstractFastLearner,
+    Capabilities,
+    GradientFastLearner,
+    Purpose,
+    SavedContexts,
+    inside,
+)
+from maesn.rules.base import AbstractRule, Trained
+
+
+class GradientRule(AbstractRule):
+    """The method's own policy gradient, with its own schedule of steps.
+
+    Section "Using the Latent Spaces for Exploration". In a new task latents start at the prior.
+    """
+
+    step_scale: float = 1.0
+    """Multiplies the sizes of all steps."""
+    full_steps: int | None = None
+    """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
+    usually 1/2); None: as the run's settings say."""
+
+    def __check_init__(self) -> None:
+        if not 0 < self.step_scale < math.inf:
+            raise ValueError(f"`step_scale` must be positive and finite, got {self.step_scale}.")
+        if self.full_steps is not None and self.full_steps < 1:
+            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
+
+    @property
+    def label(self) -> str:
+        parts = {
+            f"steps × {self.step_scale:g}": self.step_scale != 1,
+            f"{self.full_steps} full steps": self.full_steps is not None,
+        }
+        return "; ".join(text for text, is_so in parts.items() if is_so)
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        return inside(trained.fast_learner(), self._paced)
+
+    def _paced(self, learner: AbstractFastLearner[Any]) -> GradientFastLearner:
+        if not isinstance(learner, GradientFastLearner):
+            raise ValueError(
+                f"the rule `gradient` needs a method that follows a gradient in new tasks, but "
+                f"this one has a `{type(learner).__name__}`: leave the rule out."
+            )
+        if not learner.capabilities.learns_from_reward:
+            raise ValueError(
+                "the rule `gradient` needs a method that changes something in a new task, but this "
+                "one does not: leave the rule out."
+            )
+        schedule = learner.schedule
+        number = schedule.full_steps if self.full_steps is None else self.full_steps
+        scale = schedule.scale * self.step_scale
+        return replace(learner, schedule=replace(schedule, scale=scale, full_steps=number))
+
+
+class MemoryRule(AbstractRule):
+    """Go on remembering: what RL2 does in a new task."""
+
+    @property
+    def label(self) -> str:
+        return ""
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        learner = trained.fast_learner()
+        if learner.capabilities.trial_episodes is None:
+            raise ValueError(
+                "the rule `memory` needs a policy that remembers earlier episodes, such as that of "
+                "`rl2`: leave the rule out."
+            )
+        return learner
+
+
+class NoAdaptation(AbstractRule):
+    """Learn nothing: the agents play on as they started."""
+
+    @property
+    def label(self) -> str:
+        return "no adaptation"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        return FixedAgents(trained.fast_learner())
+
+
+class FixedAgents(AbstractFastLearner[Any]):
+    """The agents of a learner before its first update, for ever."""
+
+    learner: AbstractFastLearner[Any]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(learns_from_reward=False)
+
+    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> Any:
+        return self.learner.init(keys, saved)
+
+    def agents(self, state: Any, purpose: Purpose = "explore") -> Agents:
+        return self.learner.agents(state, purpose)
+
+    def update(self, state: Any, episodes: Episodes) -> Any:
+        """Learn nothing."""
+        return state
+
+
+def default_rule(trained: Trained) -> AbstractRule:
+    """Return the rule that the method itself prescribes."""
+    capabilities = trained.fast_learner().capabilities
+    if capabilities.trial_episodes is not None:
+        return MemoryRule()
+    return GradientRule() if capabilities.learns_from_reward else NoAdaptation()

@@ -1,0 +1,102 @@
+"""What can be added to a rule: fine-tuning of the policy's weights, or a bonus on the rewards."""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+
+from maesn.envs import AnyEnv
+from maesn.learners import (
+    AbstractFastLearner,
+    BonusFastLearner,
+    FineTuning,
+    GradientStep,
+    PolicyImprovement,
+    inside,
+)
+from maesn.learners.scratch.policy_gradient import TRPO
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.rules.base import AbstractWrapper
+
+
+class AbstractThen(AbstractWrapper):
+    """After some episodes the contexts stay, and the policy's weights follow their gradient.
+
+    This is what the paper's claim about asymptotic performance compares: MAESN, then TRPO.
+    """
+
+    after: eqx.AbstractVar[int]
+    """Episodes per task that the rule itself learns from."""
+
+    @property
+    @abstractmethod
+    def improvement(self) -> PolicyImprovement:
+        """How the weights follow their experience."""
+
+    def __check_init__(self) -> None:
+        if self.after < 0:
+            raise ValueError(f"`after` must be at least 0, got {self.after}.")
+
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        if self.after >= episodes:
+            raise ValueError(
+                f"`episodes` must be more than `after`, got {episodes} and {self.after}: no "
+                "episode would be left to fine-tune the policy with."
+            )
+        if self.after % episodes_per_update:
+            raise ValueError(
+                "`after` must be a multiple of `episodes_per_update`, got "
+                f"{self.after} and {episodes_per_update}."
+            )
+
+    def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
+        # Inside of a bonus, so that the weights learn from the bonus as well.
+        return inside(learner, lambda one: FineTuning(one, self.improvement, self.after))
+
+
+class ThenTrpo(AbstractThen):
+    """Fine-tuning by TRPO."""
+
+    max_kl: float = TRPO.trust_region.max_kl
+    """Bound on the mean KL divergence of an update."""
+    after: int = 500
+
+    @property
+    def improvement(self) -> PolicyImprovement:
+        return PolicyImprovement(TRPO.sized(self.max_kl))
+
+    @property
+    def label(self) -> str:
+        return f"{self.after} episodes, then TRPO"
+
+
+class ThenReinforce(AbstractThen):
+    """Fine-tuning by REINFORCE."""
+
+    step_size: float = GradientStep().step_size
+    """Of every update."""
+    after: int = 500
+
+    @property
+    def improvement(self) -> PolicyImprovement:
+        return PolicyImprovement(GradientStep().sized(self.step_size))
+
+    @property
+    def label(self) -> str:
+        return f"{self.after} episodes, then REINFORCE"
+
+
+class VimeBonus(AbstractWrapper):
+    """A bonus for what is found out of the dynamics, by VIME."""
+
+    curiosity: CuriosityBonus = CuriosityBonus()
+    """How large it is, and how it is computed."""
+
+    @property
+    def label(self) -> str:
+        return "bonus by VIME"
+
+    def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
+        if learner.capabilities.has_bonus:
+            raise ValueError("it has a curiosity bonus already: leave `bonus` out.")
+        return BonusFastLearner(learner, self.curiosity, env.observation_size, env.action_size)
