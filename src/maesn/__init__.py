@@ -85,12 +85,14 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.runs.run import Run as Run
     from maesn.search.prior import PriorSettings as PriorSettings
     from maesn.storage import RunError as RunError
-    from maesn.studies.ablation import Ablation as Ablation
-    from maesn.studies.ablation import ablate as ablate
-    from maesn.studies.comparison import Changes as Changes
     from maesn.studies.comparison import compare as compare
-    from maesn.studies.lines import Scratch as Scratch
-    from maesn.studies.world import WorldSettings as WorldSettings
+    from maesn.studies.spec import EvaluationSpec as EvaluationSpec
+    from maesn.studies.spec import FigureSpec as FigureSpec
+    from maesn.studies.spec import LineSpec as LineSpec
+    from maesn.studies.spec import RunSpec as RunSpec
+    from maesn.studies.spec import ScratchSpec as ScratchSpec
+    from maesn.studies.spec import StudySpec as StudySpec
+    from maesn.studies.study import Study as Study
     from maesn.worlds import EpisodeError as EpisodeError
     from maesn.worlds import make_world as make_world
     from maesn.worlds.collector import Collector as Collector
@@ -188,16 +190,16 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.runs.run": ("Run",),
     "maesn.search.prior": ("PriorSettings",),
     "maesn.storage": ("RunError",),
-    "maesn.studies.ablation": (
-        "Ablation",
-        "ablate",
+    "maesn.studies.comparison": ("compare",),
+    "maesn.studies.spec": (
+        "EvaluationSpec",
+        "FigureSpec",
+        "LineSpec",
+        "RunSpec",
+        "ScratchSpec",
+        "StudySpec",
     ),
-    "maesn.studies.comparison": (
-        "Changes",
-        "compare",
-    ),
-    "maesn.studies.lines": ("Scratch",),
-    "maesn.studies.world": ("WorldSettings",),
+    "maesn.studies.study": ("Study",),
     "maesn.worlds": (
         "EpisodeError",
         "make_world",

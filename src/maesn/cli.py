@@ -18,7 +18,7 @@ COMMANDS = {
     "adapt": "adapt a trained policy to new tasks, and tabulate how it does",
     "prior": "play an archive of latents in the training tasks, for the rule `search`",
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
-    "ablation": "train MAESN and MAML with parts left out, and compare them",
+    "study": "train, adapt and compare what a file says; go on with it, show how far it is",
     "plot": "draw the paper's figures from one or several runs",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",
@@ -27,7 +27,7 @@ COMMANDS = {
 }
 
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
-_FILES = {"train": "train", "list": "list", "compare": "studies", "ablation": "studies"}
+_FILES = {"train": "train", "list": "list", "compare": "studies", "study": "studies"}
 
 # Shows the traceback of an error behind its sentence.
 TRACEBACK = "MAESN_TRACEBACK"

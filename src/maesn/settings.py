@@ -1,5 +1,6 @@
 """How settings are checked."""
 
+import math
 from typing import Any, get_args
 
 LARGEST_COUNT = 2**31 - 1  # of JAX's integers
@@ -18,6 +19,14 @@ def check_number(name: str, value: int | None, least: int, most: int = LARGEST_C
         raise ValueError(f"`{name}` must be at least {least}, got {value}.")
     if value is not None and value > most:
         raise ValueError(f"`{name}` must be at most {most}, got {value}.")
+
+
+def check_positive(settings: Any, *names: str) -> None:
+    """Refuse by ValueError a setting that is not positive and finite; None is never refused."""
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and not 0 < value < math.inf:
+            raise ValueError(f"`{name}` must be positive and finite, got {value}.")
 
 
 def check_numbers(settings: Any, **least: int) -> None:

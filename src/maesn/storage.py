@@ -4,16 +4,18 @@ Whatever goes wrong here, such as a full disk or damaged content, is a `RunError
 """
 
 import contextlib
+import csv
 import errno
 import fcntl
 import glob
+import io
 import json
 import logging
 import os
 import platform
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +155,16 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     with refusals(f"`{path}` must hold finite numbers, but: "):
         text = json.dumps(document, indent=2, allow_nan=False)
     write_whole(path, (text + "\n").encode())
+
+
+def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows of the same columns, at least one, as a `.csv` file; see `write_whole`."""
+    first, *others = rows
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows([first, *others])
+    write_whole(path, text.getvalue().encode())
 
 
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:

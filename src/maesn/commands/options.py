@@ -17,11 +17,14 @@ _CONFIGURATION = (tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff)
 
 
 def command(
-    function: Callable[..., Any], show: Callable[[Any], None] | None = None
+    function: Callable[..., Any],
+    show: Callable[[Any], None] | None = None,
+    name: str | None = None,
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
 
-    Its name is that of the command, its parameters are the options, its docstring is the help.
+    Its name is that of the command unless `name` says another. Its parameters are the options, its
+    docstring is the help.
     """
 
     @functools.wraps(function)
@@ -38,7 +41,7 @@ def command(
     bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
 
     def main(arguments: list[str]) -> None:
-        run = parse(bound, function.__name__, arguments)
+        run = parse(bound, name or function.__name__, arguments)
         enable_compilation_cache()
         result = run()
         if show is not None:

@@ -1,22 +1,69 @@
-"""Commands that compare: methods on the same tasks, and MAESN with parts left out."""
+"""Commands that compare: studies, and runs that exist."""
 
 from pathlib import Path
-from typing import Annotated, Any
-
 import tyro
 
 from maesn.commands.options import command
-from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import AnyEvaluation, from_text
-from maesn.report.comparison import summary_tables
-from maesn.report.tables import print_tables
-from maesn.runs.config import RunSettings
-from maesn.storage import RunError, refusals
-from maesn.studies.ablation import Ablation, ablate, radius_label
-from maesn.studies.comparison import NO_SCRATCH, SAME_AS_RUNS, USUAL, Changes
+from maesn.evaluation.evaluation import USUAL
+from maesn.evaluation.running import AnyEvaluation, Flag
+from maesn.report.tables import TextTable, print_tables
+from maesn.storage import RunError
 from maesn.studies.comparison import compare as compare_runs
-from maesn.studies.lines import Scratch
-from maesn.studies.world import WorldSettings
+from maesn.studies.execution import Execution
+from maesn.studies.executors import ExecutorName
+from maesn.studies.reading import shipped_studies
+from maesn.studies.study import Results, Study
+
+
+def _run(
+    file: tyro.conf.Positional[str],
+    *,
+    out: Path = Path("studies"),
+    executor: ExecutorName = "local",
+    workers: int | None = None,
+    retries: int = 2,
+    only: str | None = None,
+    dry_run: Flag = False,
+) -> None:
+    """Compute a study: train, adapt, compare. What was interrupted goes on with the same command.
+
+    Args:
+        file: A .toml file, or the name of a study that comes with the library.
+        out: Directory of jobs and results; studies there share jobs.
+        executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
+        workers: Jobs at a time; None: as many as there are CPUs for.
+        retries: How often a job that failed by accident is tried again.
+        only: The one job to compute, as a job of an array does.
+        dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
+    """
+    study = Study.load(file)
+    if dry_run:
+        _list(study.execution(out), workers or 1)
+        return
+    done = study.run(out, executor=executor, workers=workers, retries=retries, only=only, say=print)
+    print_tables(done.tables)
+    _check(done)
+
+
+def _status(
+    file: tyro.conf.Positional[str], *, out: Path = Path("studies"), workers: int = 1
+) -> None:
+    """Show how the jobs of a study are: done, running, waiting or failed, and the time left.
+
+    Args:
+        file: As for `maesn study run`.
+        out: Its directory.
+        workers: Jobs at a time, for the estimate.
+    """
+    execution = Study.load(file).execution(out)
+    states = execution.status()
+    table = TextTable(
+        "Jobs",
+        ("job", "status", ""),
+        tuple((name, *state) for name, state in states.items()),
+        (_left(execution, workers),),
+    )
+    print_tables([table])
 
 
 @command
@@ -24,83 +71,84 @@ def compare(
     runs: tyro.conf.Positional[tuple[Path, ...]] = (),
     *,
     out: Path = Path("comparison"),
-    run_episodes: int | None = None,
+    scratch: tuple[str, ...] = (),
     oracle: Path | None = None,
-    twice: tuple[str, ...] = (),
-    rules: dict[str, str] = {},  # noqa: B006
-    world: Annotated[WorldSettings, tyro.conf.arg(name="")] = SAME_AS_RUNS,
+    family: str | None = None,
+    workers: int | None = None,
     evaluation: AnyEvaluation = USUAL,
-    scratch: Annotated[Scratch, tyro.conf.arg(name="")] = NO_SCRATCH,
 ) -> None:
     """Adapt trained runs and methods from scratch to the same tasks, and compare them.
 
-    With `--then` or `--bonus`, every run that can be given it takes part a second time with it.
+    With `--then` or `--bonus`, every run that can be given it takes part a second time with it. For
+    anything else write a study (`maesn study run`).
 
     Args:
         runs: Directories of trained runs; those that differ in their seed alone become one line.
-        out: Directory of figure, tables and curves; a comparison that was interrupted goes on
-            there.
-        run_episodes: Episodes per task of trained runs to which nothing is added; None: as many as
-            the others. Their steps halve, so there is little to see after twenty updates. Of `rl2`
-            an update is an episode.
-        oracle: Directory of a run of the preset `oracle`, the ceiling of the score; None: no score.
-        twice: Methods of which the runs take part a second time, as in `maesn maml`; none: all that
-            can.
-        rules: METHOD RULE ...: the rule of all runs of a method, as in `--rules maml "gradient
-            step_scale=2"`.
+        out: Directory of figure, tables and jobs; what was interrupted goes on there.
+        scratch: Methods that begin anew in every task: trpo, reinforce (alias vpg), vime.
+            NAME:COUNT adapts to the first COUNT tasks alone, as in vime:30.
+        oracle: Directory of a run of the preset `oracle`, the upper end of the score.
+        family: Of the tasks, where there are no runs; or `module:name` of the runs' own.
+        workers: Tasks at a time, in chunks; None: as many as there are CPUs for.
     """
-    if evaluation.rule is not None:
-        raise RunError("say of which method, as in `--rules maesn gradient`, instead of `--rule`.")
-    of_methods = {method: from_text("rule", text) for method, text in rules.items()}
     done = compare_runs(
         runs,
         out=out,
-        evaluation=evaluation.changed(wrappers=()),
-        run_episodes=run_episodes,
+        evaluation=evaluation,
         scratch=scratch,
-        world=world,
         oracle=oracle,
-        changes=Changes(evaluation.wrappers, twice, of_methods),
+        family=family,
+        workers=workers,
         say=print,
     )
-    print_tables(summary_tables(done))
+    print_tables(done.tables)
+    _check(done)
 
 
-@command
-def ablation(
-    *,
-    out: Path = Path("runs/ablation"),
-    family: str = "wheeled",
-    iterations: int = 300,
-    meta_batch_size: int = 20,
-    episodes_per_task: int = 20,
-    training_seed: int = 0,
-    only: tuple[str, ...] = (),
-    radii: tuple[float, ...] = (),
-    oracle: Path | None = None,
-    evaluation: Annotated[Evaluation, tyro.conf.arg(name="")] = USUAL,
-) -> None:
-    """Train MAESN and MAML with parts left out, adapt them to unseen sparse tasks, compare them.
+_ACTIONS = {
+    "run": command(_run, name="study run"),
+    "status": command(_status, name="study status"),
+}
 
-    Args:
-        out: Directory of runs, figures and tables; an ablation that was interrupted goes on there.
-        family: Family of tasks.
-        iterations: Meta-iterations of every run.
-        meta_batch_size: Training tasks per meta-iteration.
-        episodes_per_task: Episodes that are played of each task before, and again after, an inner
-            update.
-        training_seed: Of the training. Seeds that were trained before under the same `--out` join
-            the figure.
-        oracle: Directory of a run of the preset `oracle`, the ceiling of the score; None: no score.
-        only: Names of some lines of the figure; none for all.
-        radii: Sparse radii of the new tasks, in metres; a figure for each. Left out: on `wheeled`
-            0.8 and 1, as in the published figure; elsewhere the family's own.
-    """
-    counts: dict[str, Any] = {"iterations": iterations, "episodes_per_task": episodes_per_task}
-    with refusals():
-        settings = RunSettings(family=family, seed=training_seed, **counts)
-        asked = Ablation(settings, only, {"meta_batch_size": meta_batch_size})
-    done = ablate(asked, out, evaluation=evaluation, radii=radii, oracle=oracle, say=print)
-    for radius, comparison in done.items():
-        print(f"Sparse reward, {radius_label(radius)}")
-        print_tables(summary_tables(comparison))
+
+def study(arguments: list[str]) -> None:
+    """Run `maesn study run` or `maesn study status`."""
+    action, *rest = arguments or [""]
+    if action in ("-h", "--help"):
+        print(
+            "usage: maesn study {run,status} FILE [OPTIONS]\n\n"
+            "FILE is a .toml file that says what is trained, evaluated and compared, or the name of\n"
+            f"a study that comes with the library: {', '.join(shipped_studies())}."
+        )
+        return
+    if action not in _ACTIONS:
+        raise RunError("say `maesn study run FILE` or `maesn study status FILE`.")
+    _ACTIONS[action](rest)
+
+
+def _list(execution: Execution, workers: int) -> None:
+    """Print the jobs and what they take."""
+    jobs = execution.jobs.values()
+    rows = tuple((job.name, f"{job.steps:,}", ", ".join(job.needs)) for job in jobs)
+    table = TextTable(
+        f"{len(rows)} jobs",
+        ("job", "environment steps", "needs"),
+        (*rows, ("all", f"{sum(job.steps for job in jobs):,}", "")),
+        (_left(execution, workers),),
+    )
+    print_tables([table])
+
+
+def _left(execution: Execution, workers: int) -> str:
+    minutes = execution.seconds_left(workers) / 60
+    return f"About {minutes:,.0f} minutes left with {workers} at a time."
+
+
+def _check(done: Results) -> None:
+    """Let the command fail if a job did."""
+    if done.failed:
+        name, error = next(iter(done.failed.items()))
+        raise RunError(
+            f"{len(done.failed)} jobs failed, the first is `{name}`: {error} All that do not "
+            "need them are done; the same command tries them again."
+        )

@@ -5,7 +5,7 @@ The types of arguments say as well how the command line reads them: rules as tex
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -178,30 +178,47 @@ def new_tasks(
 
 
 def evaluate(
-    run: Run, evaluation: Evaluation, start: Path | None = None
+    run: Run,
+    evaluation: Evaluation,
+    start: Path | None = None,
+    tasks: Sequence[int] | None = None,
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
-    """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record."""
-    budget = evaluation.budget
+    """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record.
+
+    `tasks` are indices of some of them; None for all that `evaluation` says.
+    """
     with new_tasks(run, evaluation) as (world, learner):
-        outcome = adapt(
-            learner,
-            Collector(world, budget.per_update),
-            episodes=budget.episodes,
-            deploy=Collector(world, budget.deploy) if budget.deploy else None,
-            deploy_after=evaluation.deploy_after,
-            seed=evaluation.seed,
-            chunk_size=tasks_at_once(
-                world.max_simulations,
-                max(budget.per_update, budget.deploy),
-                evaluation.tasks_at_once,
-            ),
-            saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),
-            tasks=range(evaluation.count(world.tasks)),
-        )
+        saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
+        outcome = play(world, learner, evaluation, saved, tasks)
         engine = evaluation.engine or run.settings.engine
         first = outcome.first_update
         record = adaptation_record(identity_of_run(run), world, engine, evaluation, first)
     return outcome, record | {"trial_episodes": outcome.trial_episodes}
+
+
+def play(
+    world: AbstractWorld,
+    learner: AbstractFastLearner[Any],
+    evaluation: Evaluation,
+    saved: SavedContexts | None = None,
+    tasks: Sequence[int] | None = None,
+) -> AdaptationOutcome:
+    """Adapt a fast learner in a world, with the budgets of an evaluation; see `evaluate`."""
+    budget = evaluation.budget
+    most = evaluation.tasks_at_once
+    return adapt(
+        learner,
+        Collector(world, budget.per_update),
+        episodes=budget.episodes,
+        deploy=Collector(world, budget.deploy) if budget.deploy else None,
+        deploy_after=evaluation.deploy_after,
+        seed=evaluation.seed,
+        chunk_size=tasks_at_once(
+            world.max_simulations, max(budget.per_update, budget.deploy), most
+        ),
+        saved=saved,
+        tasks=range(evaluation.count(world.tasks)) if tasks is None else tasks,
+    )
 
 
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:

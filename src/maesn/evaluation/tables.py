@@ -3,9 +3,7 @@
 The record says what decides the curves: two that agree in it are the same curves.
 """
 
-import csv
-import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +18,14 @@ from maesn.report.reading import LATENTS, RECORD, TableName
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.storage import RunError, explained, read_arrays, write_arrays, write_json, write_whole
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    write_arrays,
+    write_json,
+    write_rows,
+)
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
 _NONE = np.empty(0)
@@ -91,16 +96,6 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
     }
     changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
     return TableName(start + name, evaluation.reward, changed).path(directory)
-
-
-def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows of the same columns, at least one, as a `.csv` file."""
-    first, *others = rows
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([first, *others])
-    write_whole(path, text.getvalue().encode())
 
 
 class Adapted(NamedTuple):

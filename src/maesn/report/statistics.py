@@ -129,6 +129,18 @@ def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interv
     return [interval for block in blocks for interval in _bootstrap(mean, block)]
 
 
+def performance_profile(
+    values: Float[np.ndarray, "seed task"], thresholds: Float[np.ndarray, " threshold"]
+) -> list[Interval]:
+    """Return, for each threshold, the share of all values above it, with its interval.
+
+        F(τ) = 1/(S T) Σ_s Σ_t 1[x_st > τ]
+
+    (Agarwal et al. 2021, "performance profiles", run-score distributions).
+    """
+    return mean_intervals((values[..., None] > thresholds).astype(float))
+
+
 def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) -> list[Interval]:
     """Bootstrap a statistic of every column with the same resamples."""
     num_tasks = [sample.shape[-1] for sample in samples]

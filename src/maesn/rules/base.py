@@ -51,6 +51,8 @@ class AbstractRule(eqx.Module):
 
     budget: ClassVar[Budget] = GRADIENT_BUDGET
     """What is usual where an evaluation leaves numbers of episodes out."""
+    needs_return_prior: ClassVar[bool] = False
+    """Whether the rule asks for `Trained.return_prior`, so that a study makes it before."""
 
     @abstractmethod
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:

@@ -20,6 +20,7 @@ class SearchRule(AbstractRule):
     """
 
     budget: ClassVar[Budget] = Budget(20, 1, 5)
+    needs_return_prior: ClassVar[bool] = True
 
     acquisition: AcquisitionName = _USUAL.acquisition
     """Which latent is played next: `ucb`, the upper confidence bound, or `thompson`, the best of a

@@ -156,7 +156,7 @@ def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Setti
         if wrong:
             raise ValueError(f"`{kind.__name__}` {complaint} `{wrong[0]}`; it has {names}.")
     return kind(
-        **{name: _decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
+        **{name: decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
     )
 
 
@@ -171,7 +171,7 @@ def _encode(value: Any, hint: Any) -> Any:
     return float(value) if _required(hint) is float and value is not None else value
 
 
-def _decode(value: Any, hint: Any, where: str) -> Any:
+def decode(value: Any, hint: Any, where: str) -> Any:
     """Return a JSON value as what a field, `Class.field`, declares."""
     wanted = _required(hint)
     if wanted is Any or (value is None and wanted is not hint):
@@ -179,10 +179,10 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     origin, decoded = get_origin(wanted), value
     if origin is tuple and isinstance(value, list):
         item = get_args(wanted)[0]
-        return tuple(_decode(one, item, f"{where}[{i}]") for i, one in enumerate(value))
+        return tuple(decode(one, item, f"{where}[{i}]") for i, one in enumerate(value))
     if origin is dict and isinstance(value, dict):
         item = get_args(wanted)[1]
-        return {name: _decode(one, item, f"{where}.{name}") for name, one in value.items()}
+        return {name: decode(one, item, f"{where}.{name}") for name, one in value.items()}
     if isinstance(value, dict):
         # Settings have a tag; of another dataclass the field tells the class.
         known = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)

@@ -10,6 +10,7 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.context import Latent
+from maesn.envs import AnyEnv, TaskSet
 from maesn.experience.agent import Agents
 from maesn.learners import GradientFastLearner
 from maesn.runtime.return_model import ReturnPrior
@@ -40,6 +41,11 @@ class PriorSettings:
     """Of the draws and the episodes."""
     simulations: int = 1000
     """Episodes that are played at once; bounds the memory."""
+
+    def steps(self, env: AnyEnv, tasks: TaskSet) -> int:
+        """Return the environment steps that it takes to play the archive."""
+        latents = self.draws + self.adapted * len(tasks)
+        return len(situations(env, tasks)) * latents * self.episodes * env.horizon
 
 
 USUAL = PriorSettings()

@@ -1,1 +1,1 @@
-"""Comparisons of many runs and methods on the same tasks."""
+"""Studies: any comparison as one file, computed job by job."""

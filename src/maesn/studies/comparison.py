@@ -1,56 +1,26 @@
-"""Methods adapted to the same tasks: trained runs, methods from scratch, baselines and oracle."""
+"""Comparisons of runs that exist: a study in memory."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import write_rows
-from maesn.report.adaptation_table import Line
-from maesn.report.comparison import Comparison, summary_tables, tidy_rows
-from maesn.report.figures.adaptation import plot_comparison
-from maesn.report.reading import read_adaptation
+from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.learners import SCRATCH
 from maesn.report.runs import read_run
-from maesn.report.series import group_series
-from maesn.report.style import METHOD_STYLES, save_figure
-from maesn.report.tables import write_tables
-from maesn.rules import AbstractRule, AbstractWrapper
+from maesn.report.series import Series, group_series
+from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.storage import RunError, explained
-from maesn.studies.curves import Say, curves_of
-from maesn.studies.lines import LineSpec, Scratch, baseline_lines, line_of_runs, scratch_lines
-from maesn.studies.world import (
-    ComparisonWorld,
-    WorldSettings,
-    check_world,
-    comparison_world,
-    open_oracle,
-)
+from maesn.storage import RunError
+from maesn.studies.execution import Say
+from maesn.studies.executors import AbstractExecutor, ExecutorName
+from maesn.studies.jobs import TrainedRun
+from maesn.studies.members import Member
+from maesn.studies.reading import Place
+from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
+from maesn.studies.study import Results, Study, silent
 
-TABLE, SUMMARY, FIGURE, CURVES = "table.csv", "summary.md", "comparison", "curves"
-
-
-def silent(sentence: str) -> None:
-    """Print nothing."""
-
-
-class Changes(NamedTuple):
-    """What is changed about whom in the new tasks. By default nothing."""
-
-    wrappers: tuple[AbstractWrapper, ...] = ()
-    """If there are any, runs take part a second time, with these."""
-    twice: Sequence[str] = ()
-    """Runs of which methods do; empty for all that can be given them."""
-    rules: Mapping[str, AbstractRule] = MappingProxyType({})
-    """Rules of all runs of a method, by its name, also where they take part a second time. Methods
-    that are not named follow their own."""
-
-
-SAME_AS_RUNS, NO_SCRATCH, USUAL, UNCHANGED = WorldSettings(), Scratch(), Evaluation(), Changes()
+NAME = "comparison"
 
 
 def compare(
@@ -58,147 +28,131 @@ def compare(
     *,
     out: str | Path,
     evaluation: Evaluation = USUAL,
-    run_episodes: int | None = None,
-    scratch: Scratch = NO_SCRATCH,
-    world: WorldSettings = SAME_AS_RUNS,
+    scratch: Sequence[str] = (),
     oracle: str | Path | None = None,
-    changes: Changes = UNCHANGED,
+    family: str | None = None,
+    executor: ExecutorName | AbstractExecutor = "local",
+    workers: int | None = None,
     say: Say = silent,
-) -> Comparison:
+) -> Results:
     """Adapt methods to the same tasks; write curves, a figure and tables.
 
-    What was adapted before in the same way is not repeated: neither the tables that `adapt` has
-    left in the runs' directories, nor what an earlier, perhaps interrupted comparison has left in
-    `out`.
-
     Args:
-        runs: trained runs or their directories, each with its latest checkpoint. Those that differ
-            in their seed alone become one line.
-        out: directory for all that is written.
-        evaluation: tasks, reward, budgets; a rule and wrappers belong to `changes`.
-        run_episodes: episodes per task of trained runs to which nothing is added; None: as many as
-            the others. Their steps halve, so there is little to see after twenty updates.
-        scratch: methods that have learned nothing before.
-        world: family and variant.
-        oracle: directory of a run of the preset `oracle`; without it there is no score.
-        changes: of how the runs take part, and of which do a second time.
+        runs: trained runs, their directories, or names of policies that come with the library, each
+            with its latest checkpoint. Those that differ in their seed alone become one line. If
+            `evaluation` has wrappers, those that can be given them take part a second time.
+        out: directory for all that is written. What was computed there before is not repeated.
+        evaluation: of all lines; its seed is also that of methods from scratch.
+        scratch: methods that begin anew in every task: NAME, or NAME:COUNT for the first COUNT
+            tasks alone.
+        oracle: run of the preset `oracle`; without it there is no score.
+        family: of the tasks; None for that of the runs. Your own is `module:name`.
+        executor: where it is computed; see `Study.run`.
+        workers: the same.
         say: receives messages of progress.
 
     Raises:
         RunError: a setting, a run or a directory cannot be used.
     """
-    own = world.family if world.family and ":" in world.family else None
-    opened = [one if isinstance(one, Run) else Run.open(one, family=own) for one in runs]
-    ceiling = None if oracle is None else open_oracle(oracle, own)
-    settings = world.settings(opened, evaluation)
-    _check_changes(changes, opened)
-    if ceiling and any(run.settings.method == ceiling.settings.method for run in opened):
+    opened = [one if isinstance(one, Run) else Run.open(one, family) for one in runs]
+    by_path = {run.directory: run for run in opened}
+    members = {
+        series.name: (series, [by_path[one.path] for one in series.runs])
+        for series in group_series([read_run(path) for path in by_path])
+    }
+    own = Common(family, opened)
+    evaluations = {"usual": EvaluationSpec(dataclasses.replace(evaluation, wrappers=()))}
+    lines = [LineSpec(run=name, evaluation=("usual",)) for name in members]
+    if evaluation.wrappers:
+        evaluations["more"] = EvaluationSpec(evaluation)
+        able = [name for name, (_, seeds) in members.items() if _can(name, seeds, evaluation, say)]
+        lines += [LineSpec(run=name, evaluation=("more",)) for name in able]
+    from_scratch = dict(map(_scratch, scratch))
+    lines += [LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch]
+    if not lines:
+        raise RunError("name at least one run directory, or a method with --scratch.")
+    specs = {name: _spec(*member) for name, member in members.items()}
+    if oracle is not None:
+        specs["oracle"] = RunSpec(directories=(str(_oracle(oracle, family, opened)),))
+    spec = StudySpec(
+        name=NAME,
+        file="compare",
+        families=(own.of("family"),),
+        seeds=(evaluation.seed,),
+        variant=own.of("variant"),
+        engine=evaluation.engine or own.of("engine"),
+        evaluation_seed=evaluation.seed,
+        threads=evaluation.num_threads or 1,
+        oracle="" if oracle is None else "oracle",
+        runs=specs,
+        evaluations=evaluations,
+        scratch=from_scratch,
+        lines=tuple(lines),
+    )
+    return Study(spec).run(out, executor=executor, workers=workers, say=say)
+
+
+class Common(NamedTuple):
+    """What the runs of a comparison must have in common."""
+
+    family: str | None
+    runs: Sequence[Run]
+
+    def of(self, name: str) -> Any:
+        """Return a setting of the world: what was given, or that of all runs."""
+        if name == "family" and self.family is not None:
+            return self.family
+        found = {getattr(run.settings, name) for run in self.runs}
+        if len(found) > 1:
+            raise RunError(
+                f"the runs must agree in `{name}` to be compared, got "
+                f"{' and '.join(sorted(found))}: compare fewer runs."
+            )
+        if not found and name == "family":
+            raise RunError("`family` must be given where no run says it: --family NAME.")
+        return next(iter(found), getattr(RunSettings(), name))
+
+
+def _spec(series: Series, runs: Sequence[Run]) -> RunSpec:
+    return RunSpec(label=series.label, directories=tuple(str(run.directory) for run in runs))
+
+
+def _scratch(text: str) -> tuple[str, ScratchSpec]:
+    """Read NAME or NAME:COUNT."""
+    name, colon, count = text.partition(":")
+    if name not in SCRATCH:
+        raise RunError(
+            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
+        )
+    if colon and not (count.isdecimal() and int(count)):
+        raise RunError(
+            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
+        )
+    method = SCRATCH[name].__name__
+    return method, ScratchSpec(method, num_tasks=int(count) if colon else None)
+
+
+def _can(name: str, runs: Sequence[Run], evaluation: Evaluation, say: Say) -> bool:
+    """Whether runs can be given the additions of an evaluation."""
+    try:
+        Member(TrainedRun(), runs[0]).check(evaluation, Place("compare"))
+    except RunError as error:
+        say(f"{name} takes part as it is: {error}")
+        return False
+    return True
+
+
+def _oracle(directory: str | Path, family: str | None, runs: Sequence[Run]) -> Path:
+    """Return the directory of a run whose policy is given the task."""
+    run = Run.open(directory, family)
+    if run.settings.method != "oracle":
+        raise RunError(
+            f"`{run.directory}` must be a run of `oracle`, which is given the task, to be the "
+            f"upper end of a score, but is one of `{run.settings.method}`: train one with `maesn "
+            "train oracle`."
+        )
+    if any(one.settings.method == "oracle" for one in runs):
         raise RunError(
             "an oracle is among the runs, and --oracle names one as well: give one of the two."
         )
-    with closing(comparison_world(settings, evaluation, opened)) as opened_world:
-        check_world([*opened, *([ceiling] if ceiling else [])], opened_world)
-        lines = _lines_of_runs(opened, opened_world, run_episodes, changes, say)
-        lines += scratch_lines(scratch, opened_world)
-        if not lines:
-            raise RunError("name at least one run directory, or a method with --scratch.")
-        return compare_lines(lines, opened_world, Path(out), oracle=ceiling, say=say)
-
-
-def compare_lines(
-    specs: Sequence[LineSpec],
-    world: ComparisonWorld,
-    out: Path,
-    *,
-    oracle: Run | None = None,
-    say: Say = silent,
-) -> Comparison:
-    """Adapt all lines, baselines and oracle; write curves, a figure and tables to `out`."""
-    adapted = partial(_adapted, world=world, directory=out / CURVES, say=say)
-    ceiling = None
-    if oracle is not None:
-        # Its updates change nothing: the start says all.
-        start = dataclasses.replace(world.evaluation, episodes=0)
-        ceiling = adapted(line_of_runs("oracle", METHOD_STYLES["oracle"], [oracle], world, start))
-    comparison = Comparison(
-        lines=tuple(map(adapted, specs)),
-        horizon=world.env.horizon,
-        baselines=tuple(map(adapted, baseline_lines(world))),
-        oracle=ceiling,
-    )
-    with explained("make", out):
-        out.mkdir(parents=True, exist_ok=True)
-    write_rows(out / TABLE, tidy_rows(comparison))
-    write_tables(summary_tables(comparison), out / SUMMARY)
-    for path in (*save_figure(plot_comparison(comparison), out, FIGURE), out / TABLE):
-        say(str(path))
-    return comparison
-
-
-def _check_changes(changes: Changes, runs: Sequence[Run]) -> None:
-    """Refuse changes that would never show."""
-    known = sorted({run.settings.method for run in runs})
-    named: dict[str, Iterable[str]] = {"twice": changes.twice, "rules": changes.rules}
-    for name, methods in named.items():
-        unknown = [method for method in methods if method not in known]
-        if unknown:
-            raise RunError(
-                f"`{name}` must be methods of the runs, "
-                f"{', '.join(known) or 'of which there are none'}; got {', '.join(unknown)}."
-            )
-    if changes.wrappers and not runs:
-        raise RunError(
-            "`then` and `bonus` add to trained runs, of which none take part: name their "
-            "directories, or leave it out."
-        )
-    if changes.twice and not changes.wrappers:
-        raise RunError(
-            "`twice` says which runs take part a second time, but nothing is added to them: say "
-            "what with `then` or `bonus`."
-        )
-
-
-def _lines_of_runs(
-    runs: Sequence[Run],
-    world: ComparisonWorld,
-    run_episodes: int | None,
-    changes: Changes,
-    say: Say,
-) -> list[LineSpec]:
-    by_path = {run.directory: run for run in runs}
-    lines: list[LineSpec] = []
-    for series in group_series([read_run(run.directory) for run in runs]):
-        members = [by_path[one.path] for one in series.runs]
-        method = members[0].settings.method
-        line = partial(line_of_runs, series.name, series.style, members, world)
-        rule = changes.rules.get(method)
-        episodes = world.evaluation.budget.episodes if run_episodes is None else run_episodes
-        lines.append(line(world.evaluation.changed(rule=rule, episodes=episodes)))
-        if not changes.wrappers or (changes.twice and method not in changes.twice):
-            continue
-        second = world.evaluation.changed(rule=rule, wrappers=changes.wrappers)
-        try:
-            lines.append(line(second))
-        except RunError as error:
-            if method in changes.twice:
-                raise
-            say(f"{series.label} takes part as it is: {error}")
-    return lines
-
-
-def _adapted(spec: LineSpec, world: ComparisonWorld, directory: Path, say: Say) -> Line:
-    """Adapt the learners of a line, and read their curves."""
-    evaluation, tables = world.evaluation, []
-    for one in spec.learners:
-        updates = one.record["episodes"] // evaluation.budget.per_update
-        table = read_adaptation(curves_of(one, world, directory, say))
-        tables.append(
-            dataclasses.replace(
-                table.first_part(one.num_tasks, updates),
-                tasks=evaluation.tasks,
-                reward=evaluation.reward,
-                trial_episodes=spec.trial_episodes,
-            )
-        )
-    seeds = tuple(one.seed for one in spec.learners)
-    return Line(spec.name, spec.style, seeds, tuple(tables), spec.training_steps)
+    return run.directory
