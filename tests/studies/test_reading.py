@@ -1,0 +1,171 @@
+"""Files of studies: what they say, and one sentence for each mistake, before anything has run."""
+
+from pathlib import Path
+
+import pytest
+
+from maesn import cli
+from maesn.learners import GradientMetaLearner
+from maesn.rules import SearchRule
+from maesn.runs.config import RunSettings
+from maesn.runs.serialization import fields_to_json, leaves
+from maesn.storage import RunError
+from maesn.studies.members import members
+from maesn.studies.plan import make_plan
+from maesn.studies.reading import read_study, shipped_studies
+from maesn.studies.spec import StudySpec
+
+WHOLE = """
+family = "point"
+seeds = [3, 4]
+
+[runs.plain]
+preset = "maesn"
+iterations = 7
+adaptation.context.learned = false
+[runs.plain.on.point]
+episodes_per_task = 9
+
+[scratch.trpo]
+max_kl = 0.02
+
+[evaluations.search]
+rule = "search exploration=1"
+episodes = 10
+[evaluations.usual]
+num_tasks = 5
+[evaluations.usual.on.point]
+num_tasks = 6
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_becomes_the_settings_that_commands_use(tmp_path: Path) -> None:
+    study = read_study(written(tmp_path, WHOLE))
+    assert (study.name, study.families, study.seeds) == ("mine", ("point",), (3, 4))
+    first, second = members(study, "plain", "point")
+    assert [first.seed, second.seed] == [3, 4]
+    assert isinstance(first.run.settings, RunSettings)
+    assert (first.run.settings.iterations, first.run.settings.episodes_per_task) == (7, 9)
+    assert isinstance(first.run.learner, GradientMetaLearner)
+    assert not first.run.learner.adaptation.context.learned
+    search = study.evaluations["search"].on_family("point")
+    assert search.rule == SearchRule(exploration=1.0)
+    assert search.budget == (10, 1, 5)
+    assert study.evaluations["usual"].on_family("point").num_tasks == 6
+    assert study.scratch["trpo"].max_kl == 0.02
+
+
+def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
+    study = read_study(written(tmp_path, 'family = "wheeled"\n[runs.maesn]'))
+    (member,) = members(study, "maesn", "wheeled")
+    of_run = [
+        name
+        for name in fields_to_json(member.run.settings)
+        if name not in ("method", "family", "variant", "engine", "seed", "num_threads")
+    ]
+    for name, value in leaves(fields_to_json(member.run.learner)).items():
+        if not name.endswith("type") and value is not None:
+            of_run.append(name)
+    said = leaves(fields_to_json(member.run.settings)) | leaves(fields_to_json(member.run.learner))
+    lines = [
+        f"{name} = {str(said[name]).lower() if isinstance(said[name], bool) else repr(said[name])}"
+        for name in of_run
+        if said[name] is not None
+    ]
+    text = 'family = "wheeled"\n[runs.maesn]\n' + "\n".join(lines)
+    (again,) = members(read_study(written(tmp_path, text)), "maesn", "wheeled")
+    assert again.who == member.who  # the same digest
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("family = ", "is not TOML"),
+        ("seeds = [0]", "a study needs families"),
+        ('family = "whelled"\n[runs.maesn]', "`families`: `family` must be"),
+        ('family = "point"', "nothing is compared"),
+        ('family = "point"\nseed = [0]\n[runs.maesn]', "no key `seed`. The nearest one is `seeds`"),
+        ('family = "point"\nseeds = ["a"]\n[runs.maesn]', "`seeds`: `seeds[0]` must be of type int"),
+        ('family = "point"\nthreads = 0\n[runs.maesn]', "`threads` must be at least 1, got 0"),
+        ('family = "point"\n[runs.mason]', "`runs.mason.preset`: there is no method `mason`"),
+        (
+            'family = "point"\n[runs.maesn]\niteration = 3',
+            "`runs.maesn.iteration`: there is no setting `iteration`. The nearest one is `iterations`",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\ntrust_region.max_kl = "a"',
+            "`runs.maesn.trust_region.max_kl`: `TrustRegion.max_kl` must be of type float",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\niterations = -1',
+            "`runs.maesn.iterations`: `iterations` must be at least 0",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[evaluations.a]\nepisode = 5',
+            "`evaluations.a`: there is no key `episode`. The nearest one is `episodes`",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[evaluations.a]\nepisodes = 7',
+            "`evaluations.a`: `episodes` must be a multiple of `episodes_per_update`",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[evaluations.a]\nrule = "serch"',
+            "`evaluations.a.rule`: `rule` must be one of gradient, search",
+        ),
+        (
+            'family = "point"\n[runs.maml]\n[evaluations.a]\nrule = "search"',
+            "`lines.1`: `maml` cannot be adapted like this",
+        ),
+        ('family = "point"\n[scratch.tpro]', "`scratch.tpro.method`: there is no method from scratch"),
+        (
+            'family = "point"\n[runs.maesn]\n[[lines]]\nrun = "maml"',
+            "`lines.1.run`: there is no such name `maml`. The nearest one is `maesn`",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[[lines]]\nevaluation = "usual"',
+            "`lines.1`: a line needs `run` or `scratch`",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[[figures]]\nkind = "pie"',
+            "`figures.1.kind`: `kind` must be of type",
+        ),
+        (
+            'family = "point"\n[runs.maesn.on.ant]\niterations = 3',
+            "`runs.maesn.on`: there is no such name `ant`. The nearest one is `point`",
+        ),
+    ],
+)
+def test_a_mistake_is_one_sentence_with_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, sentence: str
+) -> None:
+    path = written(tmp_path, text)
+    assert cli.run(["study", "run", str(path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"maesn study: `{path}`")
+    assert sentence in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_there_is_no_such_study(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="there is no study `papre`: give a .toml file, or one of"):
+        read_study("papre")
+
+
+@pytest.mark.parametrize("name", sorted(shipped_studies()))
+def test_shipped_studies_can_be_planned(name: str) -> None:
+    study = read_study(name)
+    assert isinstance(study, StudySpec)
+    plan = make_plan(study)
+    assert plan.jobs
+    assert {one.world.family for one in plan.comparisons} == set(study.families)
+    done: set[str] = set()
+    for job in plan.jobs.values():
+        assert set(job.needs) <= done  # each behind those that it needs
+        done.add(job.name)

@@ -1,0 +1,199 @@
+"""Studies from end to end: jobs that are found again, that fail, and that are killed."""
+
+import csv
+import dataclasses
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from maesn.evaluation.evaluation import Evaluation
+from maesn.policies import GaussianMLP
+from maesn.policies.usual import USUAL
+from maesn.storage import RunError
+from maesn.studies.executors import AbstractExecutor, Ended, Here, LocalPool, Ray
+from maesn.studies.jobs import AbstractJob
+from maesn.studies.spec import EvaluationSpec, FigureSpec, RunSpec, ScratchSpec, StudySpec
+from maesn.studies.study import Study
+
+FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
+
+
+
+
+SMALL = StudySpec(
+    name="small",
+    families=("point",),
+    runs={
+        "mine": RunSpec(
+            preset="test_study_presets:small", changes={"iterations": 2, "episodes_per_task": 3}
+        )
+    },
+    evaluations={"few": FEW},
+    figures=(FigureSpec("ends", "dots"), FigureSpec("profiles", "profiles")),
+)
+
+
+@pytest.fixture(autouse=True)
+def presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a user's own module where it can be imported, and let policies from scratch be small."""
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    text = "from small_runs import tiny_maesn\nsmall = tiny_maesn\n"
+    (folder / "test_study_presets.py").write_text(text)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setitem(USUAL, "continuous", GaussianMLP((4,)))
+
+
+@dataclasses.dataclass
+class Watched(AbstractExecutor):
+    """This process, with a note of what is computed; some jobs fail a number of times."""
+
+    failing: dict[str, int] = dataclasses.field(default_factory=dict)
+    final: bool = False
+    slots = 1
+
+    def __post_init__(self) -> None:
+        self.here, self.started, self.ended = Here(), [], []
+
+    def start(self, job: AbstractJob, jobs: Path) -> None:
+        self.started.append(job.name)
+        kind = job.name.partition("-")[0]
+        if self.failing.get(kind, 0) > 0:
+            self.failing[kind] -= 1
+            self.ended.append(Ended(job.name, "an accident", self.final))
+        else:
+            self.here.start(job, jobs)
+
+    def wait(self, seconds: float) -> list[Ended]:
+        ended, self.ended = [*self.ended, *self.here.wait(seconds)], []
+        return ended
+
+    def close(self) -> None:
+        pass
+
+
+def files(directory: Path) -> dict[str, bytes]:
+    """Return what a study has left for its readers."""
+    return {
+        str(path.relative_to(directory)): path.read_bytes()
+        for path in sorted(directory.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
+    executor = Watched()
+    done = Study(SMALL).run(tmp_path, executor=executor)
+    # A run, its four tasks two at a time, and as many of each baseline.
+    kinds = [name.partition("-")[0] for name in executor.started]
+    assert kinds == ["train", *["adapt"] * 6] or kinds.count("adapt") == 6
+    assert done.failed == {}
+    (path,) = done.csv
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["method"] for row in rows} == {"mine", "zero_action", "random_actions"}
+    assert sum(row["method"] == "mine" for row in rows) == 4 * 2
+    names = {name for name in files(done.directory) if name.endswith(".png")}
+    kinds_of_figures = ("comparison", "ends", "profiles")
+    assert names == {f"point/{kind}-point.png" for kind in kinds_of_figures}
+    before = files(done.directory)
+    again = Watched()
+    Study(dataclasses.replace(SMALL, name="small")).run(tmp_path, executor=again)
+    assert again.started == []
+    assert files(done.directory) == before
+    # Another study shares what it has in common, and its name is part of no job's.
+    other = Watched()
+    more = dataclasses.replace(SMALL, name="other", scratch={"vpg": ScratchSpec("reinforce")})
+    Study(more).run(tmp_path, executor=other)
+    assert [name.split("-")[2] for name in other.started] == ["vpg", "vpg"]
+
+
+def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
+    said: list[str] = []
+    executor = Watched({"train": 2})
+    done = Study(SMALL).run(tmp_path, executor=executor, say=said.append)
+    assert done.failed == {}
+    assert sum(name.startswith("train") for name in executor.started) == 3
+    assert sum("again: train" in sentence for sentence in said) == 2
+
+
+def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
+    spec = dataclasses.replace(SMALL, scratch={"reinforce": ScratchSpec("reinforce")})
+    study, executor = Study(spec), Watched({"train": 1}, final=True)
+    done = study.run(tmp_path, executor=executor)
+    (name,) = done.failed
+    assert name.startswith("train")
+    assert sum("mine" in name for name in executor.started) == 1
+    states = study.execution(tmp_path).status()
+    found = {state for name, (state, _) in states.items() if "mine" in name and "adapt" in name}
+    assert found == {"waiting"}
+    assert done.csv  # of the others
+    assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
+
+
+def test_one_job_of_an_array(tmp_path: Path) -> None:
+    study = Study(SMALL)
+    train, *others = study.plan.jobs
+    with pytest.raises(RunError, match=f"needs `{train}` to be done before"):
+        study.run(tmp_path, executor=Here(), only=others[0])
+    with pytest.raises(RunError, match="no job `nothing`: `--dry-run` lists them"):
+        study.run(tmp_path, executor=Here(), only="nothing")
+    Study(SMALL).run(tmp_path, executor=Here(), only=train)
+    states = study.execution(tmp_path).status()
+    assert [state for state, _ in states.values()] == ["done", *["waiting"] * len(others)]
+
+
+def test_names_of_jobs_say_what_decides_their_numbers() -> None:
+    def names(**changed: object) -> set[str]:
+        return set(Study(dataclasses.replace(SMALL, **changed)).plan.jobs)
+
+    usual = names()
+    assert names(name="another", figures=()) == usual
+    assert not names(threads=2) & usual
+    assert not {name for name in names(seeds=(1,)) & usual if "mine" in name}
+    other = EvaluationSpec(dataclasses.replace(FEW.usual, seed=1, tasks_at_once=2))
+    assert names(evaluations={"few": other}) == usual  # the seed of episodes is the study's
+    assert not {name for name in names(evaluation_seed=1) & usual if "adapt" in name}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["local", "ray"])
+def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
+    whole = Study(SMALL).run(tmp_path / "whole", executor="local", workers=2)
+    (tmp_path / "killed" / "jobs").mkdir(parents=True)
+    executor: LocalPool | Ray
+    if name == "local":
+        executor = LocalPool(2, 1)
+    else:
+        executor = Ray(2, 1, tmp_path / "killed" / "jobs")
+    killed: list[int] = []
+
+    def say(sentence: str) -> None:
+        """Kill the worker that trains."""
+
+    class Killing(AbstractExecutor):
+        slots = executor.slots
+
+        def start(self, job: AbstractJob, jobs: Path) -> None:
+            executor.start(job, jobs)
+
+        def wait(self, seconds: float) -> list[Ended]:
+            locks = list((tmp_path / "killed" / "jobs").glob("train-*/run/.maesn-lock"))
+            log = list((tmp_path / "killed" / "jobs").glob("train-*/run/metrics.jsonl"))
+            if locks and log and not killed:
+                killed.append(int(locks[0].read_text().split()[1]))
+                os.kill(killed[0], signal.SIGKILL)
+            return executor.wait(0.05)
+
+        def close(self) -> None:
+            executor.close()
+
+    longer = dataclasses.replace(SMALL.runs["mine"], changes={"iterations": 2})
+    done = Study(dataclasses.replace(SMALL, runs={"mine": longer})).run(
+        tmp_path / "killed", executor=Killing(), say=say
+    )
+    assert killed
+    assert done.failed == {}
+    assert files(whole.directory).keys() == files(done.directory).keys()
