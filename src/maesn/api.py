@@ -4,7 +4,7 @@ In Python a run is given as a `Run`, its directory or its policy's name, and a f
 as `module:name`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,21 +72,21 @@ def train(
 
 
 def resume(
-    run: str | Path | Run,
+    run: Positional[running.AnyRun],
     iterations: int | None = None,
-    family: str | TaskFamily | None = None,
-    change: Mapping[str, Any] | None = None,
+    family: running.AnyFamily = None,
+    change: running.AnyChange = None,
     keep: int = KEEP,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
     Args:
-        run: the run, or its directory.
-        iterations: total number of meta-iterations; None for that of the run's settings.
-        family: the run's family, if it is your own: itself, or `module:name`.
-        change: settings that are to differ from here on, name -> value, which is written down in
-            the run; see `maesn.runs.changes.change_run`.
-        keep: as for `train`.
+        run: Directory of the run.
+        iterations: Total number of meta-iterations; None: what the run was started with.
+        family: The run's family as `module:name`, if it is your own.
+        change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
+            trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
+        keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.

@@ -1,8 +1,18 @@
-"""How settings are checked."""
+"""How settings are checked, and named where they are nested."""
 
+from collections.abc import Mapping
 from typing import Any, get_args
 
 LARGEST_COUNT = 2**31 - 1  # of JAX's integers
+
+
+def leaves(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return the values in nested settings by their path, as in `trust_region.damping`."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        inner = isinstance(value, Mapping)
+        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
+    return found
 
 
 def check_choice(name: str, value: str, choices: Any) -> None:

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.report import print_adaptation_summary
 from maesn.report.adaptation_table import DEPLOY, MEASURES, AdaptationTable
 from maesn.report.statistics import bootstrap, difference, mean
-from maesn.report.tables import UNITS, TextTable, difference_table, summary_tables
+from maesn.report.tables import UNITS, TextTable, print_adaptation_summary, summary_tables
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
+difference_table = load_script("results/summarize.py").difference_table
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
 
 
@@ -56,7 +57,7 @@ def test_markdown_has_every_interval() -> None:
 
 def test_markdown_says_what_the_brackets_are() -> None:
     text = summary().to_markdown()
-    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds. Judged on the" in text
+    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds.\nJudged on the" in text
     assert "**MAESN on 30 tasks**" in text
 
 

@@ -53,7 +53,7 @@ def train(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
     run = api.train(learner, settings, directory, init_from=options.init_from, keep=options.keep)
-    say_what_is_next(run, settings.family_option)
+    say_what_is_next(run)
 
 
 def read_options(method: str, arguments: list[str]) -> Options:

@@ -5,7 +5,7 @@ The types of arguments say as well how the command line reads them: rules as tex
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -103,6 +103,11 @@ def _named(option: str) -> PrimitiveConstructorSpec[Any]:
     )
 
 
+def _changes(words: list[str]) -> dict[str, Any]:
+    with refusals("`--change`: "):
+        return values_of_words(words)
+
+
 AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
 AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
@@ -111,6 +116,10 @@ AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME"
 """A user's own family or its `module:name`; None for one that comes with the library."""
 AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
+AnyChange: TypeAlias = Annotated[
+    Mapping[str, Any] | None, _read("*", "NAME=VALUE", _changes)
+]
+"""Name of a setting -> its new value."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""
 

@@ -16,15 +16,13 @@ from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.reading import LATENTS, RECORD, TableName
+from maesn.report.reading import LATENTS, RECORD, TableName, read_record
+from maesn.report.runs import Latents
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.storage import RunError, explained, read_arrays, write_arrays, write_json, write_whole
+from maesn.storage import explained, read_arrays, write_arrays, write_json, write_whole
 from maesn.worlds import AbstractWorld, EngineName, engine_of
-
-_NONE = np.empty(0)
-
 
 class Identity(NamedTuple):
     """What a fast learner is."""
@@ -141,11 +139,6 @@ def read_latents(path: Path) -> tuple[Latent, int]:
 
     A file that cannot be read or is something else is a `RunError`.
     """
-    arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
-    mean, log_std, first = (arrays.get(name, _NONE) for name in ("mean", "log_std", "first_update"))
-    kinds = mean.dtype.kind + log_std.dtype.kind + first.dtype.kind
-    shaped = mean.ndim == 3 and mean.size and mean.shape == log_std.shape and first.shape == ()
-    if not shaped or kinds != "ffi":
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
-    return last, int(first) + mean.shape[1] - 1
+    read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
+    mean, log_std = (jnp.asarray(x[:, -1], jnp.float32) for x in (read.mean, read.log_std))
+    return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

@@ -32,7 +32,7 @@ class Latents:
 
     mean: Float[np.ndarray, "task update z"]
     log_std: Float[np.ndarray, "task update z"]
-    first_update: int = 0
+    first_update: int
     """Number of updates that lie before the first column."""
 
 

@@ -74,11 +74,6 @@ class RunSettings:
         """The family as it has to be named again, if it is the user's own."""
         return self.family if ":" in self.family else None
 
-    @property
-    def family_option(self) -> str:
-        """The option that commands need which go on with a run of the user's own family."""
-        return f" --family {self.own_family}" if self.own_family else ""
-
 
 @dataclasses.dataclass(frozen=True)
 class Change:

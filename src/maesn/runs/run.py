@@ -57,6 +57,13 @@ class Run:
     config: RunConfig
     family: TaskFamily
     training_tasks: TaskSet
+    own_family: str | None = None
+    """`module:name` of the family if it is the user's own; None if that is not known."""
+
+    @property
+    def family_option(self) -> str:
+        """The option that commands need which go on with a run of the user's own family."""
+        return f" --family {self.own_family}" if self.own_family else ""
 
     @property
     def settings(self) -> RunSettings:
@@ -104,7 +111,7 @@ class Run:
         settings = dataclasses.replace(settings, family=named, method=method_name(learner))
         tasks = sources.find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
-        run = cls(Path(directory), config, family, tasks)
+        run = cls(Path(directory), config, family, tasks, settings.own_family)
         # Before anything is written: the engine may lack something, the environment contradict
         # itself, or the batches be too small.
         run.world().close()
@@ -132,14 +139,17 @@ class Run:
         which is read again. `family` is that of the run, itself or `module:name`, if it does not
         come with the library.
         """
+        own = family if isinstance(family, str) else None
         if isinstance(source, Run):
+            own = own or source.own_family
             family = source.family if family is None else family
             source = source.directory
         directory = sources.find_run(source)
         config = read_config(directory)
+        own = own or config.settings.own_family
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
-        return cls(directory, config, found, tasks)
+        return cls(directory, config, found, tasks, own)
 
     def env(
         self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None

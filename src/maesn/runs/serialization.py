@@ -30,6 +30,7 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
+from maesn.settings import leaves
 
 Settings = TypeVar("Settings")
 
@@ -89,15 +90,6 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     """Return a hexadecimal hash of a JSON document."""
     text = json.dumps(document, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def leaves(document: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Return the values in a document by their path, as in `trust_region.damping`."""
-    found: dict[str, Any] = {}
-    for name, value in document.items():
-        inner = isinstance(value, dict)
-        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
-    return found
 
 
 def differing(settings: Any, usual: Any) -> dict[str, Any]:

@@ -197,7 +197,7 @@ def train_live(
                 show(last, f"{datetime.timedelta(seconds=round(left))} left")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
-        more += run.settings.family_option
+        more += run.family_option
         with contextlib.suppress(OSError):
             _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
