@@ -12,11 +12,11 @@ import tyro
 from maesn import api, learners
 from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
+from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
-from maesn.runs.sources import resolve_family
 from maesn.runs.training import KEEP
 from maesn.storage import RunError
 

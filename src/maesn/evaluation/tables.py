@@ -24,6 +24,7 @@ from maesn.runs.serialization import digest
 from maesn.storage import explained, read_arrays, write_arrays, write_json, write_whole
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
+
 class Identity(NamedTuple):
     """What a fast learner is."""
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from maesn.envs import AnyEnv, Variant
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import Identity, adaptation_record
-from maesn.runs.config import RunSettings, check_policy, check_sizes, make_env
+from maesn.runs.config import RunSettings, check_sizes, make_env
 from maesn.runs.run import Run
-from maesn.runs.sources import find_tasks, resolve_family
 from maesn.storage import RunError, refusals
-from maesn.worlds import AbstractWorld, make_world
+from maesn.worlds import AbstractWorld, check_policy, make_world
 from maesn.worlds.collector import Collector
 
 
@@ -147,4 +147,4 @@ def check_world(runs: Sequence[Run], world: ComparisonWorld) -> None:
             )
         remedy = "compare it in the variant that it was trained in"
         check_sizes(run.directory, run.env(), world.env, remedy)
-        check_policy(run.learner, run.latest_state(), world.env)
+        check_policy(run.learner.player(run.latest_state()), world.env)

@@ -35,6 +35,7 @@ from maesn.worlds import (
     Trajectory,
 )
 from maesn.worlds.budget import check_memory
+from maesn.worlds.contract import check_policy
 
 # What a policy returns for each kind of actions. By its type the noise of the actions is drawn,
 # before the policy is called.
@@ -80,8 +81,8 @@ class Collector:
 
         Raises:
             EpisodeError: physics or reward of an episode became non-finite.
-            RunError: the machine cannot hold that many episodes at once.
-            ValueError: the policy's actions are of another kind than the environment's.
+            RunError: the machine cannot hold that many episodes at once, or the policy's actions
+                are of another kind than the environment's.
         """
         episodes, readings = self.play(keys, agents, task_index)
         if self._watch is not None:
@@ -96,7 +97,7 @@ class Collector:
         Returns:
             The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
         """
-        self._check_policy(agents)
+        check_policy(agents.policy, self.world.env)
         check_memory(self.world.env, len(task_index) * self.episodes_per_task)
         tasks = self.world.tasks[np.asarray(task_index)]
         # Without the state of the trials, so that their first episode and the others share one
@@ -115,15 +116,6 @@ class Collector:
         episodes, finite = self._finish(actors, trajectory)
         self._refuse(finite, np.asarray(task_index))
         return episodes, trajectory.readings
-
-    def _check_policy(self, agents: Agents) -> None:
-        env, kind = self.world.env, agents.policy.action_kind
-        if kind != env.action_kind:
-            raise ValueError(
-                f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
-                f"{kind}: choose a policy, or its `action_kind`, that fits."
-            )
-        env.check_shown(agents.policy.observed_reward)
 
     def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
         """Raise an error if something is not finite, about the earliest step."""
