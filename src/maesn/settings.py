@@ -1,6 +1,7 @@
-"""How settings are checked, and named where they are nested."""
+"""How settings are checked, and how they are named: where they are nested, or misspelt."""
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
 LARGEST_COUNT = 2**31 - 1  # of JAX's integers
@@ -13,6 +14,12 @@ def leaves(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
         inner = isinstance(value, Mapping)
         found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
     return found
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return the question whether another word is meant, with a space before it; else nothing."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" Did you mean `{near[0]}`?" if near else ""
 
 
 def check_choice(name: str, value: str, choices: Any) -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import difflib
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -18,6 +17,7 @@ from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
 from maesn.runs.training import KEEP
+from maesn.settings import suggestion
 from maesn.storage import RunError
 
 Source: TypeAlias = Literal["recommended", "reference"]
@@ -112,7 +112,6 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
             f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
         )
     if method not in learners.METHODS:
-        near = difflib.get_close_matches(method, learners.METHODS, n=1)
-        hint = f" Did you mean `{near[0]}`?" if near else ""
+        hint = suggestion(method, learners.METHODS)
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
     return method, rest

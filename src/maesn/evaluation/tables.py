@@ -126,12 +126,9 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
     write_json(table.with_suffix(RECORD), dict(record))
     if not isinstance(outcome.contexts, Latent):
         return Adapted(outcome, table, None)
-    arrays = {
-        "mean": outcome.contexts.mean,
-        "log_std": outcome.contexts.log_std,
-        "first_update": np.asarray(outcome.first_update),
-    }
-    write_arrays(table.with_suffix(LATENTS), arrays)
+    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
+    held = Latents(mean, log_std, outcome.first_update)
+    write_arrays(table.with_suffix(LATENTS), vars(held))
     return Adapted(outcome, table, table.with_suffix(LATENTS))
 
 

@@ -15,18 +15,10 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import equinox as eqx
 
+from maesn import learners
 from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import (
-    BonusMetaLearner,
-    GradientMetaLearner,
-    ProximalStep,
-    RecurrentMetaLearner,
-    RecurrentValue,
-    TrustRegionStep,
-)
-from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
@@ -43,22 +35,22 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         AdvantageEstimator,
         BiasContext,
         CategoricalMLP,
-        BonusMetaLearner,
-        CuriosityBonus,
+        learners.BonusMetaLearner,
+        learners.CuriosityBonus,
         GaussianMLP,
-        GradientMetaLearner,
+        learners.GradientMetaLearner,
         InnerStep,
         LatentContext,
         MinibatchDescent,
         NoContext,
-        ProximalStep,
+        learners.ProximalStep,
         Recurrent,
-        RecurrentMetaLearner,
-        RecurrentValue,
+        learners.RecurrentMetaLearner,
+        learners.RecurrentValue,
         StepSchedule,
         OracleContext,
         TrustRegion,
-        TrustRegionStep,
+        learners.TrustRegionStep,
     )
 }
 
