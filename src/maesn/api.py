@@ -253,7 +253,10 @@ def _adapted_start(
             "index of the task whose latent to start from."
         )
     record = Path(latents).with_suffix("").with_suffix(RECORD)
-    if record.exists() and read_json(record).get("weights") != tables.identity_of_run(run).weights:
+    if (
+        record.exists()
+        and read_json(record).get("weights") != tables.identity_of_run(run)["weights"]
+    ):
         raise RunError(
             f"`{latents}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import TaskKeys
 from maesn.context import Latent
-from maesn.evaluation.evaluate import adapt, tasks_at_once
+from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner
 from maesn.report.runs import EXPLORATION, RecordedExploration
@@ -76,9 +76,7 @@ def record_exploration(run: Run) -> None:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
         trained, untrained = (explore(one, collect, EXPLORATION_TASKS) for one in (old, new))
         # As many episodes of every task as the trained policy's share of goals is counted among.
-        at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
-        everywhere = Collector(world, EXPLORATION_EPISODES)
-        reach = adapt(new, everywhere, episodes=0, chunk_size=at_once).explored
+        reach = adapt(new, Collector(world, EXPLORATION_EPISODES), episodes=0).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
     recorded = RecordedExploration(
         training_goals=np.asarray(goal(run.training_tasks.tasks)),

@@ -18,7 +18,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from maesn.context import Latent
 from maesn.envs import TaskFamily
 from maesn.envs.sources import imported
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
+from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
@@ -197,11 +197,7 @@ def evaluate(
             deploy=Collector(world, budget.deploy) if budget.deploy else None,
             deploy_after=evaluation.deploy_after,
             seed=evaluation.seed,
-            chunk_size=tasks_at_once(
-                world.max_simulations,
-                max(budget.per_update, budget.deploy),
-                evaluation.tasks_at_once,
-            ),
+            chunk_size=evaluation.tasks_at_once,
             saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),
             tasks=range(evaluation.count(world.tasks)),
         )

@@ -25,23 +25,14 @@ from maesn.storage import explained, read_arrays, write_arrays, write_json, writ
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
 
-class Identity(NamedTuple):
-    """What a fast learner is."""
-
-    learner: str
-    """Which one, with its settings."""
-    weights: str = ""
-    """Digest of what it has learned before; empty for nothing."""
-
-
-def identity_of_run(run: Run) -> Identity:
-    """Return what the latest checkpoint of a run is."""
+def identity_of_run(run: Run) -> dict[str, str]:
+    """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
     learner = f"{run.settings.method} {digest(run.learner)}"
-    return Identity(learner, digest_of_arrays(run.latest_state()))
+    return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 
 def adaptation_record(
-    who: Identity,
+    who: Mapping[str, str],
     world: AbstractWorld,
     engine: EngineName,
     evaluation: Evaluation,
@@ -49,12 +40,12 @@ def adaptation_record(
 ) -> dict[str, Any]:
     """Return all that decides the curves of an adaptation, as JSON values.
 
+    `who` has the texts `learner` and `weights`, empty for a learner that was not trained before;
     `engine` is the name by which the world's engine was asked for, and `first_update` the number of
     updates that lay before.
     """
     return {
-        "learner": who.learner,
-        "weights": who.weights,
+        **who,
         "rule": evaluation.rule_text,
         "world": describe_env(world.env),
         "engine": engine_of(world.env, engine),

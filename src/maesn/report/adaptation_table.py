@@ -110,9 +110,7 @@ class AdaptationTable:
         return np.asarray(getattr(self, name))
 
     def part(
-        self,
-        tasks: slice | Bool[np.ndarray, " task"],
-        columns: slice | Bool[np.ndarray, " update"] = slice(None),
+        self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
     ) -> "AdaptationTable":
         """Return the table of some of the tasks and updates."""
         changed: dict[str, Any] = {

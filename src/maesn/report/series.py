@@ -52,7 +52,8 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
         parts = [run.family]
         for name, prefix in _WORLD.items():
             found = {_text(one.settings.get(name)) for one in runs if one.family == run.family}
-            parts += [prefix + _text(run.settings.get(name))] if len(found) > 1 else []
+            if len(found) > 1:
+                parts.append(prefix + _text(run.settings.get(name)))
         worlds[re.sub(r"[^\w.]+", "-", "-".join(parts))].append(run)
     return dict(worlds)
 

@@ -161,9 +161,10 @@ def print_side_by_side(
     for name, path in paths.items():
         found = read_adaptation(path)
         shown = np.isin(found.episodes, [*_SHOWN_EPISODES, found.episodes[-1]])
-        part = found.part(slice(None), shown)
-        cells = [_texts(mean_intervals(part.measure(one)[None]), one, brief=True) for one in _MAIN]
-        rows += zip([name] * len(part.episodes), map(str, part.episodes), *cells, strict=True)
+        curves = {one: found.measure(one)[None, :, shown] for one in _MAIN}
+        cells = [_texts(mean_intervals(x), one, brief=True) for one, x in curves.items()]
+        episodes = map(str, found.episodes[shown])
+        rows += [(name, *row) for row in zip(episodes, *cells, strict=True)]
     headings = ("rule", "episodes", *(UNITS[one].heading for one in _MAIN))
     print_tables([TextTable(title, headings, tuple(rows), is_named=True)], console)
 

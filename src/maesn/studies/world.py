@@ -1,14 +1,14 @@
 """The world in which methods are compared, and which runs can play in it."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from maesn.envs import AnyEnv, Variant
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import Identity, adaptation_record
+from maesn.evaluation.tables import adaptation_record
 from maesn.runs.config import RunSettings, check_sizes, make_env
 from maesn.runs.run import Run
 from maesn.storage import RunError, refusals
@@ -83,7 +83,7 @@ class ComparisonWorld:
         """The environment of the new tasks."""
         return self.world.env
 
-    def record(self, who: Identity, evaluation: Evaluation) -> dict[str, Any]:
+    def record(self, who: Mapping[str, str], evaluation: Evaluation) -> dict[str, Any]:
         """Return what decides the curves of a learner here; see `adaptation_record`."""
         return adaptation_record(who, self.world, self.settings.engine, evaluation)
 
