@@ -89,7 +89,7 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
             file.touch()
         return files
 
-    for module in ("maesn.report.plot", "maesn.studies.comparison"):
+    for module in ("maesn.report.plot", "maesn.report.study"):
         monkeypatch.setattr(f"{module}.save_figure", touch)
 
 

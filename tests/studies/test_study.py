@@ -11,15 +11,13 @@ import pytest
 from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
-from maesn.storage import RunError
+from maesn.storage import LOCK, RunError
 from maesn.studies.executors import AbstractExecutor, Ended, Here, LocalPool, Ray
 from maesn.studies.jobs import AbstractJob
 from maesn.studies.spec import EvaluationSpec, FigureSpec, RunSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
-
-
 
 
 SMALL = StudySpec(
@@ -158,42 +156,44 @@ def test_names_of_jobs_say_what_decides_their_numbers() -> None:
     assert not {name for name in names(evaluation_seed=1) & usual if "adapt" in name}
 
 
+@dataclasses.dataclass
+class Killing(AbstractExecutor):
+    """Kills the process that trains, once, when it has done an iteration."""
+
+    executor: LocalPool | Ray
+    jobs: Path
+    killed: int = 0
+
+    @property
+    def slots(self) -> int:  # type: ignore[override]
+        return self.executor.slots
+
+    def start(self, job: AbstractJob, jobs: Path) -> None:
+        self.executor.start(job, jobs)
+
+    def wait(self, seconds: float) -> list[Ended]:
+        logs = [path for path in self.jobs.glob("train-*/run/metrics.jsonl") if path.stat().st_size]
+        if logs and not self.killed:
+            self.killed = int((logs[0].parent / LOCK).read_text().split()[1])
+            os.kill(self.killed, signal.SIGKILL)
+        return self.executor.wait(0.02)
+
+    def close(self) -> None:
+        self.executor.close()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["local", "ray"])
 def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
-    whole = Study(SMALL).run(tmp_path / "whole", executor="local", workers=2)
-    (tmp_path / "killed" / "jobs").mkdir(parents=True)
-    executor: LocalPool | Ray
-    if name == "local":
-        executor = LocalPool(2, 1)
-    else:
-        executor = Ray(2, 1, tmp_path / "killed" / "jobs")
-    killed: list[int] = []
-
-    def say(sentence: str) -> None:
-        """Kill the worker that trains."""
-
-    class Killing(AbstractExecutor):
-        slots = executor.slots
-
-        def start(self, job: AbstractJob, jobs: Path) -> None:
-            executor.start(job, jobs)
-
-        def wait(self, seconds: float) -> list[Ended]:
-            locks = list((tmp_path / "killed" / "jobs").glob("train-*/run/.maesn-lock"))
-            log = list((tmp_path / "killed" / "jobs").glob("train-*/run/metrics.jsonl"))
-            if locks and log and not killed:
-                killed.append(int(locks[0].read_text().split()[1]))
-                os.kill(killed[0], signal.SIGKILL)
-            return executor.wait(0.05)
-
-        def close(self) -> None:
-            executor.close()
-
-    longer = dataclasses.replace(SMALL.runs["mine"], changes={"iterations": 2})
-    done = Study(dataclasses.replace(SMALL, runs={"mine": longer})).run(
-        tmp_path / "killed", executor=Killing(), say=say
-    )
-    assert killed
+    changes = {"iterations": 60, "episodes_per_task": 3}
+    runs = {"mine": dataclasses.replace(SMALL.runs["mine"], changes=changes)}
+    study = Study(dataclasses.replace(SMALL, runs=runs))
+    whole = study.run(tmp_path / "whole", executor="local", workers=2)
+    jobs = tmp_path / "killed" / "jobs"
+    jobs.mkdir(parents=True)
+    pool = LocalPool(2, 1) if name == "local" else Ray(2, 1, jobs)
+    executor = Killing(pool, jobs)
+    done = study.run(tmp_path / "killed", executor=executor)
+    assert executor.killed
     assert done.failed == {}
-    assert files(whole.directory).keys() == files(done.directory).keys()
+    assert files(done.directory) == files(whole.directory)

@@ -1,6 +1,7 @@
 """Commands that compare: studies, and runs that exist."""
 
 from pathlib import Path
+
 import tyro
 
 from maesn.commands.options import command
@@ -79,8 +80,8 @@ def compare(
 ) -> None:
     """Adapt trained runs and methods from scratch to the same tasks, and compare them.
 
-    With `--then` or `--bonus`, every run that can be given it takes part a second time with it. For
-    anything else write a study (`maesn study run`).
+    With `--rule`, `--then` or `--bonus`, every run that can be given it takes part a second time
+    with it. For anything else write a study (`maesn study run`).
 
     Args:
         runs: Directories of trained runs; those that differ in their seed alone become one line.
@@ -117,8 +118,8 @@ def study(arguments: list[str]) -> None:
     if action in ("-h", "--help"):
         print(
             "usage: maesn study {run,status} FILE [OPTIONS]\n\n"
-            "FILE is a .toml file that says what is trained, evaluated and compared, or the name of\n"
-            f"a study that comes with the library: {', '.join(shipped_studies())}."
+            "FILE is a .toml file that says what is trained, evaluated and compared, or the name\n"
+            f"of a study that comes with the library: {', '.join(shipped_studies())}."
         )
         return
     if action not in _ACTIONS:
@@ -129,11 +130,11 @@ def study(arguments: list[str]) -> None:
 def _list(execution: Execution, workers: int) -> None:
     """Print the jobs and what they take."""
     jobs = execution.jobs.values()
-    rows = tuple((job.name, f"{job.steps:,}", ", ".join(job.needs)) for job in jobs)
+    rows = tuple((job.name, f"{job.steps:,}") for job in jobs)
     table = TextTable(
         f"{len(rows)} jobs",
-        ("job", "environment steps", "needs"),
-        (*rows, ("all", f"{sum(job.steps for job in jobs):,}", "")),
+        ("job", "environment steps"),
+        (*rows, ("all", f"{sum(job.steps for job in jobs):,}")),
         (_left(execution, workers),),
     )
     print_tables([table])

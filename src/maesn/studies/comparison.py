@@ -1,6 +1,5 @@
 """Comparisons of runs that exist: a study in memory."""
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,7 +39,8 @@ def compare(
     Args:
         runs: trained runs, their directories, or names of policies that come with the library, each
             with its latest checkpoint. Those that differ in their seed alone become one line. If
-            `evaluation` has wrappers, those that can be given them take part a second time.
+            `evaluation` has a rule or wrappers, those that can be given them take part a second
+            time, with them.
         out: directory for all that is written. What was computed there before is not repeated.
         evaluation: of all lines; its seed is also that of methods from scratch.
         scratch: methods that begin anew in every task: NAME, or NAME:COUNT for the first COUNT
@@ -61,13 +61,17 @@ def compare(
         for series in group_series([read_run(path) for path in by_path])
     }
     own = Common(family, opened)
-    evaluations = {"usual": EvaluationSpec(dataclasses.replace(evaluation, wrappers=()))}
+    evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
     lines = [LineSpec(run=name, evaluation=("usual",)) for name in members]
-    if evaluation.wrappers:
+    if evaluation.rule is not None or evaluation.wrappers:
         evaluations["more"] = EvaluationSpec(evaluation)
         able = [name for name, (_, seeds) in members.items() if _can(name, seeds, evaluation, say)]
         lines += [LineSpec(run=name, evaluation=("more",)) for name in able]
     from_scratch = dict(map(_scratch, scratch))
+    if len(from_scratch) < len(scratch):
+        raise RunError(
+            f"`scratch` must name each method once, got {' '.join(scratch)} (`vpg` is `reinforce`)."
+        )
     lines += [LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch]
     if not lines:
         raise RunError("name at least one run directory, or a method with --scratch.")

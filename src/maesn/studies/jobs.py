@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from maesn.envs import AnyEnv, RewardKind
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluate import AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate, play
@@ -27,7 +28,6 @@ from maesn.learners import (
 from maesn.policies import USUAL
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
-from maesn.runs.sources import find_tasks, resolve_family
 from maesn.runs.training import train
 from maesn.search.stored import prior_file, run_prior
 from maesn.storage import (

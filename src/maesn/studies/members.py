@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from maesn import learners
+from maesn.envs.sources import find_tasks, imported, resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import identity_of_run
 from maesn.learners import (
@@ -18,14 +19,15 @@ from maesn.learners import (
     method_name,
 )
 from maesn.rules import Trained
-from maesn.runs.config import RunSettings, check_policy, make_env, new_config
+from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest_of_document, fields_to_json, leaves, replaced
-from maesn.runs.sources import find_tasks, imported, resolve_family
+from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
+from maesn.settings import leaves
 from maesn.storage import RunError
 from maesn.studies.jobs import TrainedRun, TrainJob
 from maesn.studies.reading import Place
 from maesn.studies.spec import RunSpec, StudySpec
+from maesn.worlds import check_policy
 
 # What all runs of a study have in common, or what each has of its own, is not a run's to say.
 _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
@@ -51,7 +53,7 @@ class Member:
     @property
     def identity(self) -> str:
         """What decides how it acts."""
-        return self.who.job or " ".join(identity_of_run(self.run))
+        return self.who.job or " ".join(identity_of_run(self.run).values())
 
     def check(self, evaluation: Evaluation, place: Place) -> int | None:
         """Refuse an evaluation that it cannot have; return the length of its trials, if any.
@@ -160,7 +162,7 @@ def _trained(
         learner.check_batch(settings.episodes_per_task)
         tasks = find_tasks(settings.tasks, family)
         run = Run(Path(name), new_config(settings, learner, family, tasks), family, tasks)
-        check_policy(learner, _blank_state(run), run.env())
+        check_policy(learner.player(_blank_state(run)), run.env())
     document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
     del document["settings"]["checkpoint_every"]
     started = identity_of_run(Run.open(init_from)) if init_from else ""

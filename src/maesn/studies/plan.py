@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maesn.envs import AnyEnv, RewardKind, TaskSet, describe_env
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation, written_out
 from maesn.learners import baselines
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import digest_of_document
-from maesn.runs.sources import find_tasks, resolve_family
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, Untrained
 from maesn.studies.members import Member, members

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar, get_type_hints
 
 from maesn import learners
+from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import KNOWN, from_text
-from maesn.runs.serialization import decode, leaves
-from maesn.runs.sources import resolve_family
+from maesn.runs.serialization import decode
+from maesn.settings import leaves
 from maesn.storage import RunError, explained
 from maesn.studies.spec import (
     EvaluationSpec,
