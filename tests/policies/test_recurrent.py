@@ -1,7 +1,5 @@
 """Policies along episodes: the same as step by step, with memory and without."""
 
-import subprocess
-import sys
 from functools import partial
 from typing import Any
 
@@ -119,23 +117,19 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], message: str)
         Recurrent(**settings)
 
 
-def test_misspelt_settings_do_not_count_as_the_other_one() -> None:
-    # In a process of its own, because the run-time type checks of the tests would come first.
-    program = """
-from maesn.policies import Recurrent
-for wrong in ({"action_kind": "both"}, {"observed_reward": "no"}):
-    try:
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"action_kind": "both"}, "`action_kind` must be 'continuous' or 'discrete', got 'both'."),
+        ({"observed_reward": "no"}, "`observed_reward` must be 'own' or 'sparse', got 'no'."),
+    ],
+)
+def test_misspelt_settings_do_not_count_as_the_other_one(
+    wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
         Recurrent(**wrong)
-    except ValueError as error:
-        print(error)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines() == [
-        "`action_kind` must be 'continuous' or 'discrete', got 'both'.",
-        "`observed_reward` must be 'own' or 'sparse', got 'no'.",
-    ]
 
 
 def test_hidden_sizes_of_the_feed_forward_policy_are_checked() -> None:
