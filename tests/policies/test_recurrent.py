@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +43,16 @@ def fresh_memory(policy: AbstractPolicy) -> RecurrentState:
     return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_recurrent_state())
 
 
+@eqx.filter_jit
+def unroll(policy: AbstractPolicy, *given: Any) -> Any:
+    return policy.unroll(*given)
+
+
+@eqx.filter_jit
+def advance(policy: AbstractPolicy, *given: Any) -> Any:
+    return policy(*given)
+
+
 @pytest.mark.parametrize("name", SETTINGS)
 def test_unroll_is_step_by_step(name: str) -> None:
     policy = SETTINGS[name].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
@@ -51,12 +62,15 @@ def test_unroll_is_step_by_step(name: str) -> None:
     before = jax.tree.map(
         lambda x: x + jnp.asarray(stream.normal(size=x.shape), float), fresh_memory(policy)
     )
-    along, last = policy.unroll(inputs, jnp.asarray(valid), context, before)
+    along, last = unroll(policy, inputs, valid, context, before)
+    inputs, context, before, along, last = jax.tree.map(
+        np.asarray, (inputs, context, before, along, last)
+    )
     for episode in range(EPISODES):
         carry = jax.tree.map(lambda x: x[episode], before)  # noqa: B023
         for t in np.flatnonzero(valid[episode]):
             now, here = jax.tree.map(lambda x: x[episode, t], (inputs, along))  # noqa: B023
-            distribution, carry = policy(now, context[episode], carry)
+            distribution, carry = advance(policy, now, context[episode], carry)
             jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6),
                          distribution, here)  # fmt: skip
         kept = jax.tree.map(lambda x: x[episode], last)  # noqa: B023
@@ -74,7 +88,7 @@ def test_everything_that_is_told_is_remembered(changed: str) -> None:
     valid = jnp.ones((EPISODES, STEPS), bool)
 
     def means(inputs: PolicyInput) -> np.ndarray:
-        along, _ = policy.unroll(inputs, valid, context, fresh_memory(policy))
+        along, _ = unroll(policy, inputs, valid, context, fresh_memory(policy))
         assert isinstance(along, DiagonalGaussian)
         return np.asarray(along.mean)
 
