@@ -183,6 +183,8 @@ class Killing(AbstractExecutor):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Ray forks
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 @pytest.mark.parametrize("name", ["local", "ray"])
 def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     changes = {"iterations": 60, "episodes_per_task": 3}

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from maesn.axes import (
     RecurrentState,
     TaskKeys,
 )
+from maesn.envs.base import AnyEnv
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
@@ -45,6 +46,21 @@ _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
 }
 
 
+def _programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
+    """Return the compiled programs of collectors that play so many episodes in equal worlds."""
+    try:
+        hash(env)
+    except TypeError:  # a user's own, of arrays perhaps
+        return _compiled.__wrapped__(env, episodes_per_task)
+    return _compiled(env, episodes_per_task)
+
+
+@lru_cache(maxsize=64)
+def _compiled(env: AnyEnv, episodes_per_task: int) -> "_Programs":
+    batch = _Batch(env, episodes_per_task)
+    return _Programs(jax.jit(batch.begin), jax.jit(batch.decide), jax.jit(batch.assemble))
+
+
 class Collector:
     """`maesn.experience.episodes.Collect` on a world.
 
@@ -64,10 +80,7 @@ class Collector:
         self.world = world
         self.episodes_per_task = episodes_per_task
         self._watch = watch
-        # Compiled once per collector; the environment is a constant of the programs.
-        self._begin = jax.jit(self._begin_batch)
-        self._act = jax.jit(self._decide)
-        self._finish = jax.jit(self._assemble)
+        self._begin, self._act, self._finish = _programs(world.env, episodes_per_task)
 
     @property
     def num_tasks(self) -> int:
@@ -135,9 +148,24 @@ class Collector:
             task, reason = int(task_index[task_slot]), f"the {name} is not finite"
             raise EpisodeError(self.world.env.name, task, episode, step, reason)
 
-    def _begin_batch(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
+
+class _Programs(NamedTuple):
+    """What a collector calls around and in the steps of its world."""
+
+    begin: Callable[..., Any]
+    act: Callable[..., Any]
+    finish: Callable[..., Any]
+
+
+class _Batch(NamedTuple):
+    """The episodes of one call. The environment is a constant of the programs."""
+
+    env: AnyEnv
+    episodes_per_task: int
+
+    def begin(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
         """Draw z, the initial state, and the noise of the actions of every episode."""
-        env, episodes = self.world.env, jnp.arange(self.episodes_per_task)
+        env, episodes = self.env, jnp.arange(self.episodes_per_task)
         distribution = _DISTRIBUTIONS[env.action_kind]
 
         def begin_episode(agent: Agent, key: Key, task: Any, episode: Array) -> Any:
@@ -166,16 +194,16 @@ class Collector:
         actors = Actors(agents, tasks, noise, description, z, action_noise, trial)
         return actors, jax.tree.map(_join_batch_axes, start)
 
-    def _decide(self, actors: Actors, moment: Moment) -> Decision:
+    def decide(self, actors: Actors, moment: Moment) -> Decision:
         """Ask the policies for the step of every episode."""
-        env = self.world.env
+        env = self.env
         shape = actors.z.shape[:2]
         readings, previous = jax.tree.map(
             lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
         )
         start = moment.step == 0
 
-        def decide(
+        def decide_one(
             agent: Agent, task: Any, z: Array, noise: Array, trial: TrialState, now: Readings,
             before: Readings, previous_action: Array, state: RecurrentState, ended: Array,
         ) -> Any:  # fmt: skip
@@ -195,7 +223,7 @@ class Collector:
             state = jax.tree.map(lambda old, new: jnp.where(ended, old, new), state, after)
             return env.control(action), action, distribution, state, ended
 
-        per_task = jax.vmap(decide, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
+        per_task = jax.vmap(decide_one, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
         control, *others = actors.agents.map(
             per_task, actors.tasks, actors.z, actors.action_noise[moment.step], actors.trial_state,
             readings, previous, moment.previous_action, moment.recurrent_state, moment.ended,
@@ -203,7 +231,7 @@ class Collector:
         )  # fmt: skip
         return Decision(_join_batch_axes(control), *others)
 
-    def _assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
+    def assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
         """Turn readings and actions into episodes; also say what is finite in which steps."""
         shape = actors.z.shape[:2]
         readings = jax.tree.map(
@@ -214,11 +242,11 @@ class Collector:
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
         received = actors.agents.policy.observed_reward
-        judged = jax.vmap(jax.vmap(partial(judge, self.world.env, received), in_axes=(0, 0, None)))(
+        judged = jax.vmap(jax.vmap(partial(judge, self.env, received), in_axes=(0, 0, None)))(
             readings, action, actors.tasks
         )
         observation, reward, observed, solved, ended = judged
-        terminated = jax.vmap(jax.vmap(partial(terminates, self.world.env)))(readings)
+        terminated = jax.vmap(jax.vmap(partial(terminates, self.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
         after = jax.vmap(jax.vmap(TrialState.after))
         episodes = Episodes(
