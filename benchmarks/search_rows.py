@@ -115,7 +115,9 @@ def private_copy(name: str, source: str | Path, out: Path) -> Run:
     return Run.open(directory)
 
 
-def evaluation(run: Run, line: Line, tasks: str, num_tasks: int | None, seed: int) -> Evaluation:
+def evaluation(
+    run: Run, line: Line, tasks: str, num_tasks: int | None, seed: int, num_threads: int
+) -> Evaluation:
     """Return what a line does in new tasks."""
     rule = from_text("rule", line.rule)
     if line.prior is not None:
@@ -136,6 +138,7 @@ def evaluation(run: Run, line: Line, tasks: str, num_tasks: int | None, seed: in
         deploy_episodes=DEPLOYED,
         deploy_after=tuple(count for count in JUDGED_AFTER if count in reached),
         seed=seed,
+        num_threads=num_threads,
         tasks_at_once=SIMULATIONS // max(line.per_update, DEPLOYED),
     )
 
