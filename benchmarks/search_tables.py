@@ -84,6 +84,8 @@ class Settings:
     """The first so many tasks; None: all."""
     long_tasks: int | None = None
     """The same for lines of more than 100 episodes."""
+    seeds: int = 5
+    """At most so many seeds of a line."""
     num_threads: int = 1
     """Threads of the physics engine; the rows do not depend on them."""
     only_show: bool = False
@@ -109,7 +111,7 @@ def make(settings: Settings) -> None:
         for name, run in runs.items():
             for title, line in lines.items():
                 path = settings.out / f"{name}-{title}-{seed}.csv"
-                if seed >= line.seeds or path.exists():
+                if seed >= min(line.seeds, settings.seeds) or path.exists():
                     continue
                 begin = time.perf_counter()
                 count = settings.long_tasks if line.episodes > 100 else settings.num_tasks
