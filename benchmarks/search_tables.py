@@ -39,7 +39,8 @@ MAIN = {
     "cross_entropy": Line("cross_entropy", 500),
     "best_of": Line("best_of", 500),
     "gradient_wide": Line("gradient start_std=3", 500, GRADIENT),
-    "gradient_by_10": Line("gradient", 500, 10),
+    "gradient_by_20": Line("gradient", 500, 20),
+    "best_of_wide": Line("best_of spread=3", 500),
 }
 CONTROLS = {
     "discrete": Line("search residual=0"),
@@ -56,8 +57,9 @@ CONTROLS = {
 # What the search's rivals were chosen from, on validation tasks.
 TRIALS = {
     **{f"gradient_by_{n}_scale_{scale}": Line(f"gradient step_scale={scale}", 100, n)
-       for n in (5, 10, 20) for scale in (1, 3)},
-    "gradient_wide_scale_3": Line("gradient start_std=3 step_scale=3", 200, GRADIENT),
+       for n in (5, 10, 20) for scale in (0.3, 1, 3)},
+    **{f"gradient_wide_scale_{scale}": Line(f"gradient start_std=3 step_scale={scale}", 200, GRADIENT)
+       for scale in (0.3, 1, 3)},
     **{f"cross_entropy_{std}_{size}": Line(f"cross_entropy spread={std} round_size={size}", 100)
        for std in (1, 3) for size in (10, 20)},
     **{f"cma_es_{spread}": Line(f"cma_es spread={spread}", 100) for spread in (1, 3)},

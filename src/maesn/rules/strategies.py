@@ -47,8 +47,8 @@ class CrossEntropyRule(AbstractRule):
 
     budget: ClassVar[Budget] = _BUDGET
 
-    spread: float = 2.0
-    """Standard deviation of the first draws."""
+    spread: float = 3.0
+    """Standard deviation of the first draws: that of the archive of `search`."""
     round_size: int = 20
     """Draws of a round."""
     elite: float = 0.2
@@ -81,8 +81,8 @@ class CmaEsRule(AbstractRule):
 
     budget: ClassVar[Budget] = _BUDGET
 
-    spread: float = 2.0
-    """Standard deviation of the first draws."""
+    spread: float = 3.0
+    """Standard deviation of the first draws: that of the archive of `search`."""
     population: int | None = None
     """Draws of a generation; None: what the library takes for the size of z, 6 for two
     components."""
