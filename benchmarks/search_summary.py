@@ -58,9 +58,13 @@ def _means(here: dict[str, np.ndarray]) -> Curve:
 
 def _difference(here: dict[str, np.ndarray], line: str, base: list[Any] | None) -> Curve:
     """Return search after 20 episodes less this, paired by task."""
+    nothing = {"behind_search": np.nan, "behind_half": np.nan}
     if base is None or line.startswith("ood") or len(base[0]["task"]) < len(here["task"]):
-        return {"behind_search": np.nan, "behind_half": np.nan}
-    column = int(np.flatnonzero(base[0]["episodes"][0] == AGAINST[1])[0])
+        return nothing
+    columns = np.flatnonzero(base[0]["episodes"][0] == AGAINST[1])
+    if not len(columns):
+        return nothing
+    column = columns[0]
     best = np.mean([seed["deployed"][:, column] for seed in base], axis=0)
     gap = best[: len(here["deployed"])] - here["deployed"]
     return {"behind_search": float(gap.mean()), "behind_half": half(gap)}

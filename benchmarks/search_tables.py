@@ -58,8 +58,8 @@ CONTROLS = {
 TRIALS = {
     **{f"gradient_by_{n}_scale_{scale}": Line(f"gradient step_scale={scale}", 100, n)
        for n in (5, 10, 20) for scale in (0.3, 1, 3)},
-    **{f"gradient_wide_scale_{scale}": Line(f"gradient start_std=3 step_scale={scale}", 200, GRADIENT)
-       for scale in (0.3, 1, 3)},
+    **{f"gradient_wide_scale_{scale}":
+       Line(f"gradient start_std=3 step_scale={scale}", 200, GRADIENT) for scale in (0.3, 1, 3)},
     **{f"cross_entropy_{std}_{size}": Line(f"cross_entropy spread={std} round_size={size}", 100)
        for std in (1, 3) for size in (10, 20)},
     **{f"cma_es_{spread}": Line(f"cma_es spread={spread}", 100) for spread in (1, 3)},
