@@ -1,6 +1,6 @@
 """The exported search on Gymnasium environments, one episode at a time, beside the library's.
 
-    python benchmarks/search_robot.py --tasks test --num-tasks 50
+    python benchmarks/search_robot.py --num-tasks 30
 
 Both search in the same tasks of `wheeled`, and the latent that each would deploy is judged on fresh
 episodes. Printed are the mean returns, and the difference paired by task with its standard error.
@@ -28,7 +28,7 @@ class Settings:
     """A run, or the name of a policy that comes with the library."""
     tasks: str = "test"
     """Task set."""
-    num_tasks: int = 50
+    num_tasks: int = 30
     """The first so many of them."""
     episodes: int = 10
     """Of the search in each task."""

@@ -145,9 +145,8 @@ def main(settings: Settings) -> None:
             }
             for row in curves
         )
-    text = write_tables(curves, settings.out)
-    (settings.out / "tables.md").write_text(text)
-    print(text)
+    (settings.out / "tables.md").write_text(write_tables(curves, settings.out))
+    print(settings.out / "tables.md")
 
 
 if __name__ == "__main__":
