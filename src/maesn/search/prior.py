@@ -83,7 +83,7 @@ def play_archive(
     world: AbstractWorld,
     latents: np.ndarray,
     settings: PriorSettings,
-    progress: Progress,
+    progress: Progress = lambda played, of: None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play latents in all tasks of a world; arguments are those of `make_prior`.
 
