@@ -85,7 +85,7 @@ bench: $(RUN_READY) ## Time a whole meta-iteration against the bare simulator
 	@$(BIN)/python benchmarks/meta_iteration.py --family wheeled
 
 docs: $(TEST_READY) ## Check the links and run the Python examples of the documentation
-	@$(BIN)/python -m pytest --quiet tests/test_docs.py
+	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
 	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -17,8 +17,8 @@ import tyro
 from bare_physics import BarePhysics, Recorder
 
 from maesn.envs import AbstractMujocoEnv
+from maesn.envs.sources import resolve_family
 from maesn.learners import PRESETS
-from maesn.runs.sources import resolve_family
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -33,10 +33,10 @@ from gymnasium import spaces
 
 from maesn.envs import TaskSet
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
+from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, WorkerPool
 from maesn.learners import maesn
-from maesn.runs.sources import resolve_family
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
 from maesn.worlds.collector import Collector
 from maesn.worlds.foreign import GymnasiumWorld, default_num_workers

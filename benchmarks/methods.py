@@ -22,8 +22,8 @@ from meta_iteration import Times
 from meta_iteration import measure as measure_iterations
 
 from maesn.envs import AbstractMujocoEnv
+from maesn.envs.sources import resolve_family
 from maesn.learners import SCRATCH, AbstractFastLearner
-from maesn.runs.sources import resolve_family
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

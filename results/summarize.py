@@ -10,6 +10,7 @@ that differ in the seed alone are taken together.
 import json
 import re
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,18 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from maesn.context import Latent, LatentContext
-from maesn.report.adaptation_table import AdaptationTable
+from maesn.report.adaptation_table import AdaptationTable, solved_at_reset, stack_seeds
 from maesn.report.runs import read_run
-from maesn.report.tables import difference_table, markdown_row, summary_tables
+from maesn.report.statistics import bootstrap, difference
+from maesn.report.tables import (
+    UNITS,
+    TextTable,
+    labels_of,
+    markdown_row,
+    note_on_beyond,
+    note_on_solved,
+    summary_tables,
+)
 
 REFERENCE = "maesn-20x20"
 
@@ -90,6 +100,30 @@ def training_row(name: str, run: Path) -> str:
         f"{last['action_std']:.2f}",
     )
     return markdown_row(cells)
+
+
+def difference_table(
+    reference: Sequence[AdaptationTable],
+    others: Mapping[str, Sequence[AdaptationTable]],
+    title: str,
+) -> TextTable:
+    """Compare last updates with a reference on the same tasks: method minus reference, paired.
+
+    There is one table per seed, of the reference and of each method by its name.
+    """
+    rows, intervals, beyond = [], [], []
+    for name, tables in others.items():
+        cells = [name]
+        for measure, unit in UNITS.items():
+            ends = (stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
+            intervals.append(bootstrap(difference, *ends))
+            cells.append(unit.text(intervals[-1], sign="+"))
+        rows.append(tuple(cells))
+        beyond += [f"{name}: {said}"] if (said := note_on_beyond(tables[0])) else []
+    solved = note_on_solved(solved_at_reset(reference))
+    notes = filter(None, (f"In brackets: {labels_of(intervals)}.", solved, *beyond))
+    headings = ("method", *(unit.heading for unit in UNITS.values()))
+    return TextTable(title, headings, tuple(rows), tuple(notes), is_named=True)
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ os.environ["XLA_FLAGS"] = " ".join(
 os.environ["MAESN_CACHE"] = "off"
 
 import jax
+import jaxtyping
 import pytest
 from matplotlib.figure import Figure
 
@@ -91,6 +92,14 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in ("maesn.report.plot", "maesn.studies.comparison"):
         monkeypatch.setattr(f"{module}.save_figure", touch)
+
+
+@pytest.fixture
+def no_type_checks() -> Iterator[None]:
+    """Call functions as users do: a value of the wrong type gets the library's own message."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def latents(num_components: int = 2) -> Latents:
     mean[:, -1] = np.cos(angle)[:, None] * np.arange(1, num_components + 1)
     log_std = np.zeros_like(mean)
     log_std[:, -1] = np.log(0.5)
-    return Latents(mean, log_std)
+    return Latents(mean, log_std, 0)
 
 
 def learning_curve(num_iterations: int = 30, level: float = -400.0) -> LearningCurve:

@@ -1,5 +1,6 @@
 """The documentation: every link leads somewhere, every Python example runs."""
 
+import ast
 import dataclasses
 import re
 from pathlib import Path
@@ -19,6 +20,14 @@ PAGES = sorted(
     for page in ROOT.glob(pattern)
 )
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+# Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
+LONG = [
+    "docs/own_environment_gymnasium.md",
+    "docs/own_environment_mujoco.md",
+    "docs/comparing.md",
+    "docs/methods/latent_search.md",
+    "docs/methods/scratch.md",
+]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
 
 
@@ -58,8 +67,34 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert not [link for link in local if not leads_somewhere(page, link)]
 
 
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def test_python_examples_import_what_there_is() -> None:
+    """At once for all pages, also for those whose examples take long."""
+    programs = [ast.parse(examples(page)) for page in PAGES]
+    imports = [
+        line
+        for program in programs
+        for line in program.body
+        if isinstance(line, ast.Import)
+        or (isinstance(line, ast.ImportFrom) and str(line.module).startswith("maesn"))
+    ]
+    assert imports
+    for line in imports:
+        exec(compile(ast.Module([line], []), "documentation", "exec"), {})
+
+
 @pytest.mark.usefixtures("figures_unsaved")
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.long] if name_of(page) in LONG else [])
+        for page in PAGES
+    ],
+    ids=map(name_of, PAGES),
+)
 def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(examples(page), page.name, "exec"), {"__name__": "__main__"})

@@ -4,7 +4,7 @@ In Python a run is given as a `Run`, its directory or its policy's name, and a f
 as `module:name`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,16 +14,9 @@ from tyro.conf import Positional
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluation import running
+from maesn.evaluation import running, tables
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.tables import (
-    Adapted,
-    adaptation_file,
-    identity_of_run,
-    read_latents,
-    write_outcome,
-)
 from maesn.learners import AbstractMetaLearner
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
@@ -72,21 +65,21 @@ def train(
 
 
 def resume(
-    run: str | Path | Run,
+    run: Positional[running.AnyRun],
     iterations: int | None = None,
-    family: str | TaskFamily | None = None,
-    change: Mapping[str, Any] | None = None,
+    family: running.AnyFamily = None,
+    change: running.AnyChange = None,
     keep: int = KEEP,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
     Args:
-        run: the run, or its directory.
-        iterations: total number of meta-iterations; None for that of the run's settings.
-        family: the run's family, if it is your own: itself, or `module:name`.
-        change: settings that are to differ from here on, name -> value, which is written down in
-            the run; see `maesn.runs.changes.change_run`.
-        keep: as for `train`.
+        run: Directory of the run.
+        iterations: Total number of meta-iterations; None: what the run was started with.
+        family: The run's family as `module:name`, if it is your own.
+        change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
+            trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
+        keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.
@@ -107,7 +100,7 @@ def adapt(
     start: running.OptionalPath = None,
     family: running.AnyFamily = None,
     **settings: Any,
-) -> Adapted:
+) -> tables.Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
     Args:
@@ -128,10 +121,10 @@ def adapt(
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
     warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
-    check_writable(Path(out) if out else adaptation_file(opened.directory, asked))
+    check_writable(Path(out) if out else tables.adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
-    table = adaptation_file(opened.directory, asked, outcome.first_update)
-    return write_outcome(table if out is None else Path(out), outcome, record)
+    usual = tables.adaptation_file(opened.directory, asked, outcome.first_update)
+    return tables.write_outcome(Path(out) if out else usual, outcome, record)
 
 
 def prior(
@@ -205,10 +198,9 @@ def export(
     opened = Run.open(run, family=family)
     method, checkpoint = opened.settings.method, opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
-    description: dict[str, Any] = {"method": method, "iteration": checkpoint.iteration}
     start = _adapted_start(opened, latents, task)
-    if task is not None:
-        description["task"] = task
+    description: dict[str, Any] = {"method": method, "iteration": checkpoint.iteration}
+    description |= {} if task is None else {"task": task}
     search = _search(opened, rule, start)
     try:
         write_policy(path, exported_policy(learner, opened.env(), description, start, search))
@@ -241,7 +233,7 @@ def plot(
         raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
     opened = [running.open_run(run, family) for run in runs]
     for run in opened:
-        if not adaptation_file(run.directory, USUAL).exists():
+        if not tables.adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
             record_exploration(run)
@@ -261,12 +253,15 @@ def _adapted_start(
             "index of the task whose latent to start from."
         )
     record = Path(latents).with_suffix("").with_suffix(RECORD)
-    if record.exists() and read_json(record).get("weights") != identity_of_run(run).weights:
+    if (
+        record.exists()
+        and read_json(record).get("weights") != tables.identity_of_run(run)["weights"]
+    ):
         raise RunError(
             f"`{latents}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."
         )
-    found, updates = read_latents(Path(latents))
+    found, updates = tables.read_latents(Path(latents))
     if not 0 <= task < len(found.mean):
         raise RunError(
             f"`task` must be an index from 0 to {len(found.mean) - 1}, the tasks of `{latents}`, "

@@ -1,6 +1,5 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
-import difflib
 import os
 import signal
 import sys
@@ -10,6 +9,7 @@ from importlib import import_module
 from typing import Any
 
 from maesn._version import __version__
+from maesn.settings import suggestion
 
 # Command -> its line of help.
 COMMANDS = {
@@ -82,7 +82,9 @@ def run(arguments: list[str]) -> int:
         print(f"maesn {__version__}")
         return 0
     if name not in COMMANDS:
-        print(_unknown(name), file=sys.stderr)
+        known = ", ".join(COMMANDS)
+        hint = suggestion(name, COMMANDS)
+        print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
         return USAGE_ERROR
     return _run_command(name, options)
 
@@ -141,9 +143,3 @@ def _help() -> str:
         f"commands:\n{commands}\n\n"
         "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version."
     )
-
-
-def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, COMMANDS, n=1)
-    hint = f" Did you mean `{near[0]}`?" if near else ""
-    return f"maesn: there is no command `{name}`.{hint} Known are: {', '.join(COMMANDS)}."

@@ -1,8 +1,25 @@
-"""How settings are checked."""
+"""How settings are checked, and how they are named: where they are nested, or misspelt."""
 
+import difflib
+from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
 LARGEST_COUNT = 2**31 - 1  # of JAX's integers
+
+
+def leaves(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return the values in nested settings by their path, as in `trust_region.damping`."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        inner = isinstance(value, Mapping)
+        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
+    return found
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return the question whether another word is meant, with a space before it; else nothing."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" Did you mean `{near[0]}`?" if near else ""
 
 
 def check_choice(name: str, value: str, choices: Any) -> None:

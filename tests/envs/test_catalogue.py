@@ -1,11 +1,10 @@
 """Families are found by name, and a wrong name is answered helpfully."""
 
-import subprocess
-import sys
+from typing import Any
 
 import pytest
 
-from maesn.envs import FAMILIES, PROBES, AnyEnv, find_family
+from maesn.envs import FAMILIES, PROBES, AnyEnv, find_family, point
 
 EVERY = FAMILIES | PROBES
 
@@ -61,20 +60,16 @@ def test_settings_without_a_meaning_are_refused(name: str) -> None:
             find_family(name).make_env(**{setting: wrong})
 
 
-def test_a_misspelt_kind_of_reward_does_not_count_as_the_other_one() -> None:
-    # In a process of its own, because the run-time type checks of the tests would come first.
-    program = """
-from maesn.envs import point
-for wrong in ({"reward_kind": "dens"}, {"variant": "papier"}):
-    try:
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"reward_kind": "dens"}, "`reward_kind` must be 'dense' or 'sparse', got 'dens'."),
+        ({"variant": "papier"}, "`variant` must be 'reference' or 'paper', got 'papier'."),
+    ],
+)
+def test_a_misspelt_kind_of_reward_does_not_count_as_the_other_one(
+    wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
         point.make_env(**wrong)
-    except ValueError as error:
-        print(error)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines() == [
-        "`reward_kind` must be 'dense' or 'sparse', got 'dens'.",
-        "`variant` must be 'reference' or 'paper', got 'papier'.",
-    ]

@@ -5,6 +5,7 @@ played with the same random numbers in two tasks: as long as both live, observat
 actions must agree bit for bit, while rewards must differ.
 """
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -42,6 +43,14 @@ def play_in(env: AnyEnv, tasks: TaskSet, index: int) -> Episodes:
     return play(env, tasks, [index, index], episodes=4, cast=agents(env, 2))
 
 
+@cache
+def pair_of(name: str) -> tuple[Episodes, Episodes]:
+    """The same random numbers in two tasks of a family."""
+    env, (tasks, pair) = EVERY[name].make_env(), two_tasks(EVERY[name])
+    one, other = (play_in(env, tasks, index) for index in pair)
+    return one, other
+
+
 def seen(episodes: Episodes, both: np.ndarray) -> list[np.ndarray]:
     """What was seen and done while the episode lived in both tasks; the rest as zeros."""
     mask = both[..., None]
@@ -52,8 +61,7 @@ def seen(episodes: Episodes, both: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def leaks(env: AnyEnv, tasks: TaskSet, pair: list[int]) -> bool:
-    one, other = (play_in(env, tasks, index) for index in pair)
+def leaks(one: Episodes, other: Episodes) -> bool:
     both = np.asarray(one.valid & other.valid)
     assert both[..., 0].all()
     same = jax.tree.map(np.array_equal, seen(one, both), seen(other, both))
@@ -62,21 +70,19 @@ def leaks(env: AnyEnv, tasks: TaskSet, pair: list[int]) -> bool:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_nothing_seen_in_an_episode_depends_on_the_task(name: str) -> None:
-    assert not leaks(EVERY[name].make_env(), *two_tasks(EVERY[name]))
+    assert not leaks(*pair_of(name))
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_last_state_of_a_robot_does_not_depend_on_the_task_either(name: str) -> None:
-    tasks, pair = two_tasks(FAMILIES[name])
-    one, other = (play_in(FAMILIES[name].make_env(), tasks, index) for index in pair)
+    one, other = pair_of(name)
     assert_same(one.observation, other.observation)
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_rewards_depend_on_the_task(name: str) -> None:
     # Otherwise the tests above would compare a task with itself.
-    tasks, pair = two_tasks(EVERY[name])
-    one, other = (play_in(EVERY[name].make_env(), tasks, index) for index in pair)
+    one, other = pair_of(name)
     assert not np.array_equal(one.undiscounted_return, other.undiscounted_return)
 
 
@@ -84,7 +90,7 @@ def test_rewards_depend_on_the_task(name: str) -> None:
 def test_episodes_are_repeatable(name: str) -> None:
     tasks, pair = two_tasks(EVERY[name])
     env = EVERY[name].make_env()
-    first, again = (play_in(env, tasks, pair[0]) for _ in range(2))
+    first, again = pair_of(name)[0], play_in(env, tasks, pair[0])
     assert_same(first, again)
     other = play(env, tasks, [pair[0]] * 2, episodes=4, cast=agents(env, 2), seed=1)
     for field in ("action", "noise", "z"):
@@ -133,4 +139,5 @@ class LeakyInstruction(Point):
 
 @pytest.mark.parametrize("make_env", [LeakyStart, LeakyInstruction])
 def test_a_leak_would_be_noticed(make_env: type[Point]) -> None:
-    assert leaks(make_env(), *two_tasks(FAMILIES["point"]))
+    tasks, pair = two_tasks(FAMILIES["point"])
+    assert leaks(*(play_in(make_env(), tasks, index) for index in pair))

@@ -63,7 +63,10 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
     np.testing.assert_allclose(curves.solved_at_reset, [0.5])
 
 
-@pytest.mark.parametrize("chunk_size", [1, 2, 4, 100])
+@pytest.mark.parametrize(
+    "chunk_size",
+    [2, 100, *(pytest.param(size, marks=pytest.mark.long) for size in (1, 4))],
+)
 def test_chunks_change_nothing(
     collect: Collector, learner: GradientFastLearner, chunk_size: int
 ) -> None:

@@ -46,7 +46,7 @@ ROWS = (3, 0, 4)
 REGION = TrustRegion(**asdict(TrustRegionSettings()))
 # The step knows of the objective nothing but its values, so fewer cases do for it. Two more take
 # it in a whole meta-iteration.
-STEPPED = ["maesn", "unequal_lengths", "maml"]
+STEPPED = ["maesn", "unequal_lengths", pytest.param("maml", marks=pytest.mark.long)]
 every_case = pytest.mark.parametrize("case", CASES)
 
 

@@ -96,6 +96,7 @@ LINEAR = CuriosityBonus(
 )
 
 
+@pytest.mark.usefixtures("optimising_compiler")
 def test_a_linear_model_learns_the_exact_posterior() -> None:
     state, mean, std = linear_problem(LINEAR)
     assert int(state.pool.size) == 200

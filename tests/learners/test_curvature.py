@@ -37,8 +37,6 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 # What the others are made of; `tests/long` has them as well.
 LONG = ["maesn", "maml_bias", "maml, two updates"]
 every_case = pytest.mark.parametrize("case", [case for case in CASES if case not in LONG])
-# Those whose inner update goes through the policy.
-THROUGH_POLICY = ["maesn_theta", "reparameterized"]
 REGION = TrustRegion(damping=1e-3)
 ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(3, 0)
 pytestmark = pytest.mark.usefixtures("x64")
@@ -126,9 +124,14 @@ def test_sampling_changes_derivatives_alone(case: str) -> None:
     np.testing.assert_allclose(sampled.log_std, exact.log_std, rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize("case", THROUGH_POLICY)
+@pytest.mark.parametrize(
+    "case", ["maesn_theta", pytest.param("reparameterized", marks=pytest.mark.long)]
+)
 def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(case: str) -> None:
-    """By the chain rule: the exact policy's Jacobian times that of the update on a sample."""
+    """Where the inner update goes through the policy.
+
+    By the chain rule: the exact policy's Jacobian times that of the update on a sample.
+    """
     objective, parameters = problem_of(case)
     pre = tuple((e.every(*OTHERS), a.every(*OTHERS)) for e, a in objective.pre)
     sample = replace(objective, pre=pre)

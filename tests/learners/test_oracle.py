@@ -77,6 +77,7 @@ def test_updates_of_the_oracle_change_nothing() -> None:
     assert_same(fast.agents(fast.update(state, episodes)), fast.agents(state))
 
 
+@pytest.mark.long  # its state is that of every gradient meta-learner, which `tests/runs` resume
 def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
     whole = finish(create(tmp_path / "whole", oracle(**SMALL)))
     finish(create(tmp_path / "parts", oracle(**SMALL)), iterations=4)

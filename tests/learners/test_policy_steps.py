@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -67,12 +68,21 @@ def moved_logits(trials: Trials) -> np.ndarray:
     )
 
 
+@eqx.filter_jit
+def loss_and_gradient(
+    step: ProximalStep, logits: jax.Array, trials: Trials, advantages: jax.Array
+) -> Any:
+    """((loss, info), gradient in the logits)."""
+    return jax.value_and_grad(
+        lambda varied: step.loss(Categorical(varied), trials, advantages), has_aux=True
+    )(logits)
+
+
 def test_the_loss_is_the_formula() -> None:
     trials, advantages = random_trials()
     logits = moved_logits(trials)
-    step = ProximalStep(CLIP, ENTROPY)
-    loss, info = step.loss(
-        Categorical(jnp.asarray(logits, float)), trials, jnp.asarray(advantages, float)
+    (loss, info), _ = loss_and_gradient(
+        ProximalStep(CLIP, ENTROPY), np.float32(logits), trials, np.float32(advantages)
     )
     expected, clipped = reference_loss(logits, trials, advantages)
     assert 0.1 < clipped < 0.9
@@ -84,11 +94,9 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     trials, advantages = random_trials()
     logits = moved_logits(trials)
     step, width = ProximalStep(CLIP, ENTROPY), 1e-6
-
-    def loss(varied: jax.Array) -> jax.Array:
-        return step.loss(Categorical(varied), trials, jnp.asarray(advantages, float))[0]
-
-    gradient = np.asarray(jax.grad(loss)(jnp.asarray(logits, float)))
+    gradient = np.asarray(
+        loss_and_gradient(step, np.float32(logits), trials, np.float32(advantages))[1]
+    )
     assert not gradient[~np.asarray(trials.valid)].any()
     for index in np.ndindex(logits.shape):
         direction = np.zeros_like(logits)
@@ -103,16 +111,22 @@ def test_at_the_policy_that_played_it_is_the_policy_gradient() -> None:
     played = trials.behaviour
     assert isinstance(played, Categorical)
 
-    def loss(varied: jax.Array) -> jax.Array:
-        return ProximalStep().loss(Categorical(varied), trials, jnp.asarray(advantages, float))[0]
-
     valid = np.asarray(trials.valid)[..., None]
     score = np.asarray(trials.action) - np.asarray(played.probabilities)
     expected = -np.where(valid, score * advantages[..., None], 0.0) / valid.sum()
-    np.testing.assert_allclose(jax.grad(loss)(played.logits), expected, rtol=1e-4, atol=1e-6)
+    _, gradient = loss_and_gradient(ProximalStep(), played.logits, trials, np.float32(advantages))
+    np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6)
 
 
 distributions = eqx.filter_jit(Trials.distributions)
+
+
+@eqx.filter_jit
+def take(
+    step: ProximalStep | TrustRegionStep, policy: RecurrentPolicy, state: Any, *data: Any
+) -> Any:
+    """One program for each kind of step, as the learner compiles it."""
+    return step(jax.random.key(0), policy, state, *data)
 
 
 @cache
@@ -137,7 +151,7 @@ every_step = pytest.mark.parametrize(
 def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionStep) -> None:
     policy, trials, advantages = own_trials()
     state = step.init(policy)
-    improved, _, info = step(jax.random.key(0), policy, state, trials, advantages)
+    improved, _, info = take(step, policy, state, trials, advantages)
     before, after = (p.log_prob(trials.action) for p in
                      (trials.behaviour, distributions(trials, improved)))  # fmt: skip
     gain = np.where(trials.valid, (after - before) * advantages, 0.0).sum()
@@ -151,7 +165,7 @@ def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) ->
     policy, trials, advantages = own_trials()
     broken = advantages.at[2, 0].set(jnp.nan)
     state = step.init(policy)
-    kept, after, info = step(jax.random.key(0), policy, state, trials, broken)
+    kept, after, info = take(step, policy, state, trials, broken)
     assert not bool(info.accepted)
     jax.tree.map(np.testing.assert_array_equal, (kept, after), (policy, state))
 
@@ -160,11 +174,11 @@ def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) ->
 def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
     policy, trials, advantages = own_trials()
     state = step.init(policy)
-    clean = step(jax.random.key(0), policy, state, trials, advantages)[0]
+    clean = take(step, policy, state, trials, advantages)[0]
     invalid = ~trials.valid
     logits = jnp.where(invalid[..., None], jnp.nan, trials.behaviour.logits)  # type: ignore[attr-defined]
     dirty = replace(trials, behaviour=Categorical(logits))
-    spoiled = step(jax.random.key(0), policy, state, dirty, jnp.where(invalid, jnp.nan, advantages))
+    spoiled = take(step, policy, state, dirty, jnp.where(invalid, jnp.nan, advantages))
     jax.tree.map(np.testing.assert_array_equal, clean, spoiled[0])
 
 

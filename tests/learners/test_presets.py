@@ -230,7 +230,10 @@ def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
     assert info.trust_region.accepted
 
 
-@pytest.mark.parametrize(("name", "decides"), [("maml", True), ("maesn", False)])
+@pytest.mark.parametrize(
+    ("name", "decides"),
+    [("maml", True), pytest.param("maesn", False, marks=pytest.mark.long)],
+)
 def test_the_hessian_has_a_stride_of_its_own(name: str, decides: bool) -> None:
     learner, done = PRESETS[name](**SMALL | {"hessian_stride": 1}), run(name)
     after, _ = learner.step(jax.random.key(0), done.states[0], AnalyticCollect(TASKS))

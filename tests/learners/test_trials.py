@@ -18,6 +18,7 @@ from maesn.inner.surrogate import action_distributions
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import Recurrent, RecurrentPolicy
+from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -133,7 +134,7 @@ def test_a_policy_of_the_wrong_kind_is_refused() -> None:
     bandit = Collector(make_world(Bandit(), TaskSet(np.full((2, 5), 0.5, np.float32))), 1)
     policy = Recurrent().init(jax.random.key(0), 1, 5, 0)
     with pytest.raises(
-        ValueError, match=r"`bandit` needs a policy of discrete actions, but .* continuous"
+        RunError, match=r"`bandit` needs a policy of discrete actions, but .* continuous"
     ):
         play_trial(bandit, policy, 1)
 

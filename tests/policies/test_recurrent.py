@@ -1,10 +1,9 @@
 """Policies along episodes: the same as step by step, with memory and without."""
 
-import subprocess
-import sys
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +43,16 @@ def fresh_memory(policy: AbstractPolicy) -> RecurrentState:
     return jax.tree.map(lambda x: jnp.stack([x] * EPISODES), policy.initial_recurrent_state())
 
 
+@eqx.filter_jit
+def unroll(policy: AbstractPolicy, *given: Any) -> Any:
+    return policy.unroll(*given)
+
+
+@eqx.filter_jit
+def advance(policy: AbstractPolicy, *given: Any) -> Any:
+    return policy(*given)
+
+
 @pytest.mark.parametrize("name", SETTINGS)
 def test_unroll_is_step_by_step(name: str) -> None:
     policy = SETTINGS[name].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
@@ -53,12 +62,15 @@ def test_unroll_is_step_by_step(name: str) -> None:
     before = jax.tree.map(
         lambda x: x + jnp.asarray(stream.normal(size=x.shape), float), fresh_memory(policy)
     )
-    along, last = policy.unroll(inputs, jnp.asarray(valid), context, before)
+    along, last = unroll(policy, inputs, valid, context, before)
+    inputs, context, before, along, last = jax.tree.map(
+        np.asarray, (inputs, context, before, along, last)
+    )
     for episode in range(EPISODES):
         carry = jax.tree.map(lambda x: x[episode], before)  # noqa: B023
         for t in np.flatnonzero(valid[episode]):
             now, here = jax.tree.map(lambda x: x[episode, t], (inputs, along))  # noqa: B023
-            distribution, carry = policy(now, context[episode], carry)
+            distribution, carry = advance(policy, now, context[episode], carry)
             jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6),
                          distribution, here)  # fmt: skip
         kept = jax.tree.map(lambda x: x[episode], last)  # noqa: B023
@@ -76,7 +88,7 @@ def test_everything_that_is_told_is_remembered(changed: str) -> None:
     valid = jnp.ones((EPISODES, STEPS), bool)
 
     def means(inputs: PolicyInput) -> np.ndarray:
-        along, _ = policy.unroll(inputs, valid, context, fresh_memory(policy))
+        along, _ = unroll(policy, inputs, valid, context, fresh_memory(policy))
         assert isinstance(along, DiagonalGaussian)
         return np.asarray(along.mean)
 
@@ -119,23 +131,19 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], message: str)
         Recurrent(**settings)
 
 
-def test_misspelt_settings_do_not_count_as_the_other_one() -> None:
-    # In a process of its own, because the run-time type checks of the tests would come first.
-    program = """
-from maesn.policies import Recurrent
-for wrong in ({"action_kind": "both"}, {"observed_reward": "no"}):
-    try:
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"action_kind": "both"}, "`action_kind` must be 'continuous' or 'discrete', got 'both'."),
+        ({"observed_reward": "no"}, "`observed_reward` must be 'own' or 'sparse', got 'no'."),
+    ],
+)
+def test_misspelt_settings_do_not_count_as_the_other_one(
+    wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
         Recurrent(**wrong)
-    except ValueError as error:
-        print(error)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines() == [
-        "`action_kind` must be 'continuous' or 'discrete', got 'both'.",
-        "`observed_reward` must be 'own' or 'sparse', got 'no'.",
-    ]
 
 
 def test_hidden_sizes_of_the_feed_forward_policy_are_checked() -> None:

@@ -192,7 +192,7 @@ def test_latents_are_read(tmp_path: Path) -> None:
     [
         ({"log_std": np.zeros((8, 4, 3))}, r"`log_std` \[8, 4, 2\] .* got float64 \[8, 4, 3\]"),
         ({"mean": latents().mean.swapaxes(0, 1)}, r"`mean` \[8, 4, z\] .* got float64 \[4, 8, 2\]"),
-        ({"first_update": np.float64(np.inf)}, "Expected `first_update` .* to be a number"),
+        ({"first_update": np.float64(1)}, r"`first_update` \[\] in .* got float64 \[\]"),
     ],
 )
 def test_latents_of_other_shapes_than_the_table_are_refused(

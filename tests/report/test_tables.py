@@ -8,14 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.report import print_adaptation_summary
 from maesn.report.adaptation_table import DEPLOY, MEASURES, AdaptationTable
 from maesn.report.statistics import bootstrap, difference, mean
-from maesn.report.tables import UNITS, TextTable, difference_table, summary_tables
+from maesn.report.tables import (
+    UNITS,
+    TextTable,
+    print_adaptation_summary,
+    print_side_by_side,
+    summary_tables,
+)
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
+difference_table = load_script("results/summarize.py").difference_table
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
 
 
@@ -56,7 +63,7 @@ def test_markdown_has_every_interval() -> None:
 
 def test_markdown_says_what_the_brackets_are() -> None:
     text = summary().to_markdown()
-    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds. Judged on the" in text
+    assert "In brackets: 95 % interval, resampling 30 tasks and 3 seeds.\nJudged on the" in text
     assert "**MAESN on 30 tasks**" in text
 
 
@@ -170,6 +177,23 @@ def test_tasks_without_a_success_had_nothing_to_learn_from(tmp_path: Path) -> No
     print_adaptation_summary(tmp_path / "test-dense.csv", console)
     assert isinstance(console.file, io.StringIO)
     assert "No episode" not in console.file.getvalue()
+
+
+def test_rules_stand_side_by_side_where_both_were_judged(tmp_path: Path) -> None:
+    table = adaptation_table(num_tasks=30)
+    write_adaptation(tmp_path / "often.csv", table)
+    # A deployed agent that was judged twice alone.
+    write_adaptation(tmp_path / "twice.csv", table, table.part(slice(None), slice(0, None, 3)))
+    console = Console(file=io.StringIO(), width=80)
+    named = {name: tmp_path / f"{name}.csv" for name in ("often", "twice")}
+    print_side_by_side(named, "two rules", console)
+    assert isinstance(console.file, io.StringIO)
+    rows = re.findall(r"(often|twice) +(\d+) +(-[\d.]+)", console.file.getvalue())
+    means = {50 * k: f"{mean:.1f}" for k, mean in enumerate(table.mean_return.mean(0))}
+    assert rows == [
+        *(("often", str(episodes), means[episodes]) for episodes in (0, 50, 100, 150)),
+        *(("twice", str(episodes), means[episodes]) for episodes in (0, 150)),
+    ]
 
 
 def test_zero_has_no_minus() -> None:

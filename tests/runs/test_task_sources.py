@@ -11,8 +11,8 @@ import pytest
 from small_runs import create, goals, tiny_maesn
 
 from maesn.envs import FAMILIES, PROBES
+from maesn.envs.sources import find_tasks, load_tasks
 from maesn.runs.run import Run
-from maesn.runs.sources import find_tasks, load_tasks
 from maesn.storage import RunError
 
 POINT = FAMILIES["point"]

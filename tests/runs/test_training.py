@@ -16,7 +16,8 @@ from maesn.context import LatentContext
 from maesn.learners import latent_space
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
-from maesn.runs.training import TrainingError, train
+from maesn.runs.training import train
+from maesn.storage import RunError
 
 
 @pytest.fixture
@@ -125,7 +126,7 @@ def test_a_loss_that_is_not_finite_is_skipped_and_said(
     before = tensors(run.checkpoints()[0])
     with (
         caplog.at_level(logging.WARNING),
-        pytest.raises(TrainingError, match=r"run`, iteration 5: the loss of 4 tasks .*is not"),
+        pytest.raises(RunError, match=r"run`, iteration 5: the loss of 4 tasks .*is not"),
     ):
         finish(run)
     assert [f"iteration {n}: the loss" in caplog.messages[n - 1] for n in range(1, 6)] == [True] * 5
@@ -138,5 +139,5 @@ def test_broken_steps_that_do_not_follow_each_other_are_bad_luck(tmp_path: Path)
     learner = Drift(nonfinite_from=1, nonfinite_until=5)
     run = finish(create(tmp_path / "run", learner))
     assert [line["return_after"] is None for line in metrics(run)] == [False, *[True] * 4, False]
-    with pytest.raises(TrainingError, match="iteration 6: the loss of 4 tasks"):
+    with pytest.raises(RunError, match="iteration 6: the loss of 4 tasks"):
         finish(create(tmp_path / "five", Drift(nonfinite_from=1, nonfinite_until=6)))

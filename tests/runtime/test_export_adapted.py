@@ -9,6 +9,7 @@ import pytest
 
 import maesn
 from maesn import api, cli
+from maesn.evaluation.tables import Adapted
 from maesn.policies import GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runtime import Explorer
@@ -20,7 +21,7 @@ SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=3)
 
 
 @pytest.fixture(scope="module")
-def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, api.Adapted]:
+def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Adapted]:
     """A run, and what adapting it to the test tasks has written."""
     directory = tmp_path_factory.mktemp("adapted") / "run"
     maesn.train(maesn.PRESETS["maesn"](**TINY), SETTINGS, directory)
@@ -28,7 +29,7 @@ def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, api.Adapted
 
 
 def test_the_robot_starts_at_the_last_latent_of_the_task(
-    adapted: tuple[Path, api.Adapted], tmp_path: Path
+    adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, done = adapted
     policy = api.export(run, tmp_path / "policy.npz", latents=done.latents, task=7)
@@ -45,7 +46,7 @@ def test_the_robot_starts_at_the_last_latent_of_the_task(
 
 
 def test_the_command_does_the_same(
-    adapted: tuple[Path, api.Adapted], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    adapted: tuple[Path, Adapted], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, done = adapted
     words = ["--latents", str(done.latents), "--task", "7"]
@@ -54,9 +55,7 @@ def test_the_command_does_the_same(
     assert Explorer.load(tmp_path / "policy.npz").update == 2
 
 
-def test_what_cannot_be_a_start_is_refused(
-    adapted: tuple[Path, api.Adapted], tmp_path: Path
-) -> None:
+def test_what_cannot_be_a_start_is_refused(adapted: tuple[Path, Adapted], tmp_path: Path) -> None:
     run, done = adapted
     assert done.latents is not None
     path = tmp_path / "policy.npz"
@@ -70,7 +69,7 @@ def test_what_cannot_be_a_start_is_refused(
     with pytest.raises(RunError, match=r"Expected arrays at `.*broken\.npz`"):
         api.export(run, path, latents=tmp_path / "broken.npz", task=0)
     np.savez(tmp_path / "goals.npz", goal=np.zeros((3, 2)))
-    with pytest.raises(RunError, match="is not a file of latents"):
+    with pytest.raises(RunError, match=r"Expected `mean` \[task, update, z\] .*latents"):
         api.export(run, path, latents=tmp_path / "goals.npz", task=0)
     three = {"mean": np.zeros((2, 1, 3)), "log_std": np.zeros((2, 1, 3)), "first_update": 0}
     np.savez(tmp_path / "three.npz", **three)
@@ -80,7 +79,7 @@ def test_what_cannot_be_a_start_is_refused(
 
 
 def test_latents_of_other_weights_are_refused(
-    adapted: tuple[Path, api.Adapted], tmp_path: Path
+    adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, done = adapted
     other = shutil.copytree(run, tmp_path / "run")

@@ -9,8 +9,9 @@ from maesn.envs import FAMILIES, PROBES
 from maesn.evaluation.running import KNOWN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.runs.config import read_config
-from maesn.runs.serialization import TAG, fields_to_json, leaves
+from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
+from maesn.settings import leaves
 
 
 @command

@@ -2,52 +2,21 @@
 
 from pathlib import Path
 
-from tyro.conf import Positional
-
 from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation.film import render as render_run
-from maesn.evaluation.running import AnyFamily
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
-from maesn.report import print_adaptation_summary
-from maesn.report.tables import print_side_by_side
+from maesn.report.tables import print_adaptation_summary, print_side_by_side
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
-from maesn.runs.serialization import values_of_words
-from maesn.runs.training import KEEP
 from maesn.storage import RunError, refusals
 
 
-@command
-def resume(
-    run: Positional[Path],
-    iterations: int | None = None,
-    family: AnyFamily = None,
-    change: tuple[str, ...] = (),
-    keep: int = KEEP,
-) -> None:
-    """Go on with a run from its latest checkpoint, as if it had never stopped.
-
-    Args:
-        run: Directory of the run.
-        iterations: Total number of meta-iterations; None: what the run was started with.
-        family: The run's family as `module:name`, if it is your own.
-        change: Settings that are to differ from here on, as NAME=VALUE: `num_threads=2
-            reward=sparse trust_region.damping=0.1`. `config.json` keeps a record of it.
-        keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
-    """
-    with refusals("`--change`: "):
-        changes = values_of_words(change)
-    trained = api.resume(run, iterations, family=family, change=changes, keep=keep)
-    # Of a run that was begun in Python, the command alone knows where the family is.
-    say_what_is_next(trained, f" --family {family}" if family else trained.settings.family_option)
-
-
-def say_what_is_next(run: Run, family_option: str) -> None:
+def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
-    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{family_option}")
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.family_option}")
 
 
 def _say_adapted(done: Adapted) -> None:
@@ -61,6 +30,7 @@ def _print_all(paths: list[Path]) -> None:
     print(*paths, sep="\n")
 
 
+resume = command(api.resume, say_what_is_next)
 adapt = command(api.adapt, _say_adapted)
 plot = command(api.plot, _print_all)
 export = command(api.export, print)

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import difflib
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -12,12 +11,13 @@ import tyro
 from maesn import api, learners
 from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
+from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
-from maesn.runs.sources import resolve_family
 from maesn.runs.training import KEEP
+from maesn.settings import suggestion
 from maesn.storage import RunError
 
 Source: TypeAlias = Literal["recommended", "reference"]
@@ -53,7 +53,7 @@ def train(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
     run = api.train(learner, settings, directory, init_from=options.init_from, keep=options.keep)
-    say_what_is_next(run, settings.family_option)
+    say_what_is_next(run)
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
@@ -112,7 +112,6 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
             f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
         )
     if method not in learners.METHODS:
-        near = difflib.get_close_matches(method, learners.METHODS, n=1)
-        hint = f" Did you mean `{near[0]}`?" if near else ""
+        hint = suggestion(method, learners.METHODS)
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
     return method, rest

@@ -11,23 +11,15 @@ from jaxtyping import Array, Float
 
 from maesn.axes import TaskKeys
 from maesn.evaluation.evaluation import CHUNK_SIZE
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
 from maesn.worlds import EpisodeError
+from maesn.worlds.collector import Collector
 
 # "Updates" that no adaptation reaches: for the keys of the learners themselves, and of the episodes
 # that judge a deployed agent.
 _START = 0xFFFFFFFF
 _DEPLOYED = 0xFFFFFFFE
-
-
-def tasks_at_once(
-    max_simulations: int | None, episodes_per_update: int, most: int = CHUNK_SIZE
-) -> int:
-    """Return how many tasks to adapt to at once in a world of at most `max_simulations`."""
-    if max_simulations is None:
-        return most
-    return min(max(max_simulations // episodes_per_update, 1), most)
 
 
 class AdaptationCurves(eqx.Module):
@@ -72,10 +64,10 @@ class AdaptationOutcome(NamedTuple):
 
 def adapt(
     learner: AbstractFastLearner[Any],
-    collect: Collect,
+    collect: Collector,
     *,
     episodes: int = 500,
-    deploy: Collect | None = None,
+    deploy: Collector | None = None,
     deploy_after: Collection[int] = (),
     seed: int = 0,
     chunk_size: int = CHUNK_SIZE,
@@ -91,7 +83,7 @@ def adapt(
         deploy: plays the fresh episodes that judge the deployed agents; None for none.
         deploy_after: numbers of episodes after which it does; none for after every update.
         seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
-        chunk_size: number of tasks that advance together; bounds the memory.
+        chunk_size: number of tasks that advance together at most; bounds the memory.
         saved: contexts of all tasks of the set to go on from, with the same episodes as if there
             had been no break; None for the learner's own start.
         tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
@@ -104,9 +96,10 @@ def adapt(
     first = 0 if saved is None else saved.updates
     updates = range(first, first + episodes // collect.episodes_per_task + 1)
     judged = {count // collect.episodes_per_task for count in deploy_after} or set(updates)
+    size = min(chunk_size, *(one.most_tasks for one in (collect, deploy or collect)))
     parts = [
         _adapt_chunk(learner, collect, deploy, judged, slots, updates, seed, saved)
-        for slots in _chunks(chosen, chunk_size)
+        for slots in _chunks(chosen, size)
     ]
     explored, deployed, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
@@ -119,8 +112,8 @@ def adapt(
 
 def _adapt_chunk(
     learner: AbstractFastLearner[Any],
-    collect: Collect,
-    deploy: Collect | None,
+    collect: Collector,
+    deploy: Collector | None,
     judged: Collection[int],
     slots: np.ndarray,
     updates: range,
@@ -132,7 +125,7 @@ def _adapt_chunk(
         saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
     state = learner.init(_task_keys(seed, _START, slots), saved)
 
-    def play(plays: Collect, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
+    def play(plays: Collector, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
         try:
             return plays(keys, learner.agents(state, purpose), jnp.asarray(slots), update)
         except EpisodeError as error:

@@ -8,14 +8,7 @@ import tyro
 
 from maesn.envs import AnyEnv, RewardKind
 from maesn.learners import AbstractFastLearner
-from maesn.rules import (
-    GRADIENT_BUDGET,
-    AbstractRule,
-    AbstractWrapper,
-    Budget,
-    Trained,
-    default_rule,
-)
+from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
@@ -105,7 +98,7 @@ class Evaluation:
     @property
     def budget(self) -> Budget:
         """The numbers of episodes, with those that the rule usually has where none are given."""
-        usual = GRADIENT_BUDGET if self.rule is None else self.rule.budget
+        usual = AbstractRule.budget if self.rule is None else self.rule.budget
         given = (self.episodes, self.episodes_per_update, self.deploy_episodes)
         return Budget(*(u if g is None else g for u, g in zip(usual, given, strict=True)))
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 from contextlib import closing
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -12,9 +11,10 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import TaskKeys
 from maesn.context import Latent
-from maesn.evaluation.evaluate import adapt, tasks_at_once
+from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner
+from maesn.report.runs import EXPLORATION, RecordedExploration
 from maesn.runs.run import Run
 from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
@@ -23,8 +23,6 @@ from maesn.worlds.collector import Collector
 # between tasks, one would be no fair sample.
 EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
-# Where they are recorded in a run directory.
-EXPLORATION = Path("figures") / "exploration.npz"
 
 Paths = Float[np.ndarray, "episode time_plus_1 2"]
 
@@ -41,10 +39,10 @@ class Exploration(NamedTuple):
 
 
 def explore(
-    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1, seed: int = 0
+    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1
 ) -> Exploration:
     """Play in the first tasks of a world, once drawing z and once holding it at its mean."""
-    keys = jax.random.split(jax.random.key(seed), num_tasks)
+    keys = jax.random.split(jax.random.key(0), num_tasks)
     agents = learner.agents(learner.init(keys))
     paths, latents = _play(agents, collect, keys)
     if not isinstance(agents.context, Latent):
@@ -78,24 +76,21 @@ def record_exploration(run: Run) -> None:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
         trained, untrained = (explore(one, collect, EXPLORATION_TASKS) for one in (old, new))
         # As many episodes of every task as the trained policy's share of goals is counted among.
-        at_once = tasks_at_once(world.max_simulations, EXPLORATION_EPISODES)
-        everywhere = Collector(world, EXPLORATION_EPISODES)
-        reach = adapt(new, everywhere, episodes=0, chunk_size=at_once).explored
+        reach = adapt(new, Collector(world, EXPLORATION_EPISODES), episodes=0).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
-    arrays = {
-        "training_goals": goal(run.training_tasks.tasks),
-        "goals": goal(tasks.tasks),
-        "sparse_radius": np.asarray(env.sparse_radius),
-        "prior_paths": trained.prior_paths,
-        "untrained_paths": untrained.prior_paths,
-        "prior_latents": trained.prior_latents,
-        "untrained_success_rate": reach.success_rate[:, 0],
-        "solved_at_reset": reach.solved_at_reset[:, 0],
-        "episodes_per_task": np.asarray(EXPLORATION_EPISODES),
-    }
-    if trained.fixed_paths is not None:
-        arrays["fixed_paths"] = trained.fixed_paths
-    if landmarks(tasks.tasks).size:
-        arrays["training_landmarks"] = landmarks(run.training_tasks.tasks)
-        arrays["landmarks"] = landmarks(tasks.tasks)
+    recorded = RecordedExploration(
+        training_goals=np.asarray(goal(run.training_tasks.tasks)),
+        goals=np.asarray(goal(tasks.tasks)),
+        sparse_radius=env.sparse_radius,
+        untrained_paths=untrained.prior_paths,
+        untrained_success_rate=np.asarray(reach.success_rate[:, 0]),
+        solved_at_reset=np.asarray(reach.solved_at_reset[:, 0]),
+        episodes_per_task=EXPLORATION_EPISODES,
+        training_landmarks=np.asarray(landmarks(run.training_tasks.tasks)),
+        landmarks=np.asarray(landmarks(tasks.tasks)),
+        **trained._asdict(),
+    )
+    # What a family or a method lacks is None, or has no elements.
+    held = vars(recorded).items()
+    arrays = {name: array for name, array in held if array is not None and np.size(array)}
     write_arrays(run.directory / EXPLORATION, arrays)

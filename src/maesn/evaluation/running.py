@@ -5,7 +5,7 @@ The types of arguments say as well how the command line reads them: rules as tex
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,8 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from maesn.context import Latent
 from maesn.envs import TaskFamily
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt, tasks_at_once
+from maesn.envs.sources import imported
+from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
@@ -36,13 +37,12 @@ from maesn.rules import (
     Trained,
     VimeBonus,
 )
-from maesn.runs.config import check_policy
 from maesn.runs.run import Run
 from maesn.runs.serialization import fields_to_json, replaced, values_of_words
-from maesn.runs.sources import imported, working_copy
+from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
 from maesn.storage import RunError, refusals, refuse_links
-from maesn.worlds import AbstractWorld
+from maesn.worlds import AbstractWorld, check_policy
 from maesn.worlds.collector import Collector
 
 KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
@@ -109,6 +109,11 @@ def _named(option: str) -> PrimitiveConstructorSpec[Any]:
     )
 
 
+def _changes(words: list[str]) -> dict[str, Any]:
+    with refusals("`--change`: "):
+        return values_of_words(words)
+
+
 AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
 AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
@@ -117,6 +122,8 @@ AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME"
 """A user's own family or its `module:name`; None for one that comes with the library."""
 AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
+AnyChange: TypeAlias = Annotated[Mapping[str, Any] | None, _read("*", "NAME=VALUE", _changes)]
+"""Name of a setting -> its new value."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""
 
@@ -178,7 +185,7 @@ def new_tasks(
     )
     with closing(world):
         state = run.latest_state()
-        check_policy(run.learner, state, world.env)
+        check_policy(run.learner.player(state), world.env)
         trained = Trained(run.learner, state, partial(find_prior, run, state, world))
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
@@ -196,11 +203,7 @@ def evaluate(
             deploy=Collector(world, budget.deploy) if budget.deploy else None,
             deploy_after=evaluation.deploy_after,
             seed=evaluation.seed,
-            chunk_size=tasks_at_once(
-                world.max_simulations,
-                max(budget.per_update, budget.deploy),
-                evaluation.tasks_at_once,
-            ),
+            chunk_size=evaluation.tasks_at_once,
             saved=None if start is None else _saved_contexts(start, learner, len(world.tasks)),
             tasks=range(evaluation.count(world.tasks)),
         )

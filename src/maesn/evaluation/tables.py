@@ -16,33 +16,23 @@ from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.reading import LATENTS, RECORD, TableName
+from maesn.report.reading import LATENTS, RECORD, TableName, read_record
+from maesn.report.runs import Latents
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.storage import RunError, explained, read_arrays, write_arrays, write_json, write_whole
+from maesn.storage import explained, read_arrays, write_arrays, write_json, write_whole
 from maesn.worlds import AbstractWorld, EngineName, engine_of
 
-_NONE = np.empty(0)
 
-
-class Identity(NamedTuple):
-    """What a fast learner is."""
-
-    learner: str
-    """Which one, with its settings."""
-    weights: str = ""
-    """Digest of what it has learned before; empty for nothing."""
-
-
-def identity_of_run(run: Run) -> Identity:
-    """Return what the latest checkpoint of a run is."""
+def identity_of_run(run: Run) -> dict[str, str]:
+    """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
     learner = f"{run.settings.method} {digest(run.learner)}"
-    return Identity(learner, digest_of_arrays(run.latest_state()))
+    return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 
 def adaptation_record(
-    who: Identity,
+    who: Mapping[str, str],
     world: AbstractWorld,
     engine: EngineName,
     evaluation: Evaluation,
@@ -50,12 +40,12 @@ def adaptation_record(
 ) -> dict[str, Any]:
     """Return all that decides the curves of an adaptation, as JSON values.
 
+    `who` has the texts `learner` and `weights`, empty for a learner that was not trained before;
     `engine` is the name by which the world's engine was asked for, and `first_update` the number of
     updates that lay before.
     """
     return {
-        "learner": who.learner,
-        "weights": who.weights,
+        **who,
         "rule": evaluation.rule_text,
         "world": describe_env(world.env),
         "engine": engine_of(world.env, engine),
@@ -127,12 +117,9 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
     write_json(table.with_suffix(RECORD), dict(record))
     if not isinstance(outcome.contexts, Latent):
         return Adapted(outcome, table, None)
-    arrays = {
-        "mean": outcome.contexts.mean,
-        "log_std": outcome.contexts.log_std,
-        "first_update": np.asarray(outcome.first_update),
-    }
-    write_arrays(table.with_suffix(LATENTS), arrays)
+    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
+    held = Latents(mean, log_std, outcome.first_update)
+    write_arrays(table.with_suffix(LATENTS), vars(held))
     return Adapted(outcome, table, table.with_suffix(LATENTS))
 
 
@@ -141,11 +128,6 @@ def read_latents(path: Path) -> tuple[Latent, int]:
 
     A file that cannot be read or is something else is a `RunError`.
     """
-    arrays = read_arrays(path, "give a file of latents that `maesn adapt` wrote")
-    mean, log_std, first = (arrays.get(name, _NONE) for name in ("mean", "log_std", "first_update"))
-    kinds = mean.dtype.kind + log_std.dtype.kind + first.dtype.kind
-    shaped = mean.ndim == 3 and mean.size and mean.shape == log_std.shape and first.shape == ()
-    if not shaped or kinds != "ffi":
-        raise RunError(f"`{path}` is not a file of latents that `maesn adapt` wrote.")
-    last = Latent(jnp.asarray(mean[:, -1]), jnp.asarray(log_std[:, -1]))
-    return last, int(first) + mean.shape[1] - 1
+    read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
+    mean, log_std = (jnp.asarray(x[:, -1], jnp.float32) for x in (read.mean, read.log_std))
+    return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import TaskChoice, checked_task, make_steppable
 from maesn.physics import PhysicsError
-from maesn.runs.sources import find_tasks, resolve_family
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
 
 # Of the pictures, in pixels.

@@ -23,7 +23,6 @@ from maesn.report.runs import (
 )
 from maesn.report.series import Series, group_series, group_worlds
 from maesn.report.style import MethodStyle, save_figure
-from maesn.storage import RunError
 
 _RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
 
@@ -45,12 +44,10 @@ def plot_run_directories(
     goals each method reaches before it adapts. A `RunError` says which file is missing or broken.
 
     Args:
-        directories: of runs, as `maesn train` and `maesn adapt` leave them.
+        directories: at least one run, as `maesn train` and `maesn adapt` leave them.
         out: where the figures go; made if need be.
         console: where the sentences go; None for standard output.
     """
-    if not directories:
-        raise RunError("Expected at least one run directory in `directories`, got none.")
     console = console or Console()
     say = partial(console.print, markup=False, highlight=False, soft_wrap=True)
     distinct: dict[Path, Path] = {}

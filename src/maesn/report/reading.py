@@ -1,15 +1,15 @@
 """The files that an adaptation leaves: their names, tables of curves, and records of arrays."""
 
-import contextlib
 import csv
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Integer, Real
 
 from maesn.report import adaptation_table as table
 from maesn.runtime import archive
@@ -103,16 +103,6 @@ def _recorded(path: Path, name: str) -> int | None:
     return value
 
 
-@contextlib.contextmanager
-def _sensible(what: str, remedy: str) -> Iterator[None]:
-    try:
-        yield
-    except (ArithmeticError, TypeError, ValueError) as error:
-        raise RunError(
-            f"Expected {what} to be a number, got otherwise ({error}); {remedy}."
-        ) from error
-
-
 def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
     where, found = f"for `{name}` in `{path}`, line {line}", text or "nothing"
     if name == "purpose":
@@ -160,7 +150,7 @@ def _broken(path: Path, expected: str, found: object) -> RunError:
 
 
 def read_record(
-    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] | None = None
+    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
 ) -> Record:
     """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
 
@@ -171,7 +161,7 @@ def read_record(
     Raises:
         RunError: an array is absent, not numeric, empty or of another shape.
     """
-    arrays, known = read_arrays(path, remedy), dict(sizes or {})
+    arrays, known = read_arrays(path, remedy), dict(sizes)
     hints, values = get_type_hints(kind), {}
     for field in dataclasses.fields(cast(Any, kind)):
         array = arrays.get(field.name)
@@ -181,7 +171,8 @@ def read_record(
         hint = next(iter(get_args(hints[field.name])), hints[field.name])
         axes = getattr(hint, "dim_str", "").split()
         wanted = [str(known.get(axis, axis)) for axis in axes]
-        shape: Any = Real[np.ndarray, " ".join(wanted)]
+        numbers = Integer if hint is int else Real
+        shape: Any = numbers[np.ndarray, " ".join(wanted)]
         if array is None or not isinstance(array, shape) or not array.size:
             found = ", ".join(sorted(arrays)) or "no arrays"
             if array is not None:
@@ -189,6 +180,5 @@ def read_record(
             expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
             raise RunError(f"Expected {expected}, got {found}; {remedy}.")
         known |= zip(axes, array.shape, strict=True)
-        with _sensible(f"`{field.name}` in `{path}`", remedy):
-            values[field.name] = array.astype(np.float64) if axes else hint(array)
+        values[field.name] = array.astype(np.float64) if axes else hint(array)
     return kind(**values)

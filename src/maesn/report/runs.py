@@ -19,6 +19,9 @@ from maesn.report.reading import (
 )
 from maesn.storage import RunError, read_json, read_json_lines
 
+# Where a run directory has a recorded exploration.
+EXPLORATION = Path("figures") / "exploration.npz"
+
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
@@ -32,7 +35,7 @@ class Latents:
 
     mean: Float[np.ndarray, "task update z"]
     log_std: Float[np.ndarray, "task update z"]
-    first_update: int = 0
+    first_update: int
     """Number of updates that lie before the first column."""
 
 
@@ -166,5 +169,5 @@ class RecordedExploration:
 
 def read_exploration(path: Path) -> RecordedExploration | None:
     """Read a run's `figures/exploration.npz`; None if there is none."""
-    file = path / "figures" / "exploration.npz"
+    file = path / EXPLORATION
     return read_record(RecordedExploration, file, _EXPLORE_REMEDY) if file.exists() else None

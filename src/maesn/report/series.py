@@ -3,17 +3,19 @@
 import json
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from maesn.report.adaptation_table import Line
 from maesn.report.runs import RecordedRun
 from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
+from maesn.settings import leaves
 from maesn.storage import RunError
 
-# What decides whether returns can be compared at all, and how it is called in a directory's name.
-_WORLD = {"family": "", "variant": "", "sparse_radius": "radius-", "engine": ""}
+# What decides, beside the family, whether returns can be compared at all; and what stands before it
+# in a directory's name.
+_WORLD = {"variant": "", "sparse_radius": "radius-", "engine": ""}
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -43,21 +45,17 @@ def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
     """Return the runs of each world, in the order given, by a name for a directory.
 
     A world is a family, its variant, the sparse radius and the engine. The name has the family, and
-    the others where they are needed to tell two worlds apart.
+    of the others those in which its runs differ.
     """
-    worlds: defaultdict[tuple[str, ...], list[RecordedRun]] = defaultdict(list)
+    worlds: defaultdict[str, list[RecordedRun]] = defaultdict(list)
     for run in runs:
-        worlds[tuple(_text(run.settings.get(name)) for name in _WORLD)].append(run)
-    named: dict[str, list[RecordedRun]] = {}
-    for world, members in worlds.items():
-        values = zip(*(other for other in worlds if other[0] == world[0]), strict=True)
-        parts = [
-            _WORLD[name] + own
-            for name, own, found in zip(_WORLD, world, values, strict=True)
-            if name == "family" or len(set(found)) > 1
-        ]
-        named[re.sub(r"[^\w.]+", "-", "-".join(parts))] = members
-    return named
+        parts = [run.family]
+        for name, prefix in _WORLD.items():
+            found = {_text(one.settings.get(name)) for one in runs if one.family == run.family}
+            if len(found) > 1:
+                parts.append(prefix + _text(run.settings.get(name)))
+        worlds[re.sub(r"[^\w.]+", "-", "-".join(parts))].append(run)
+    return dict(worlds)
 
 
 def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
@@ -89,17 +87,8 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
 
 def _experiment(run: RecordedRun) -> dict[str, Any]:
     """Return all settings that decide what is learned, by their path."""
-    settings = {name: value for name, value in run.settings.items() if name not in _IMMATERIAL}
-    return settings | _leaves("learner", run.learner)
-
-
-def _leaves(path: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        return {path: value}
-    leaves: dict[str, Any] = {}
-    for name, child in value.items():
-        leaves |= _leaves(f"{path}.{name}", child)
-    return leaves
+    settings = leaves({**run.settings, "learner": run.learner})
+    return {name: value for name, value in settings.items() if name not in _IMMATERIAL}
 
 
 def _differences(run: RecordedRun, rivals: Sequence[RecordedRun]) -> str:

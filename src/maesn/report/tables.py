@@ -13,7 +13,7 @@ from rich.text import Text
 from maesn.report import adaptation_table as data
 from maesn.report.adaptation_table import AdaptationTable
 from maesn.report.reading import read_adaptation
-from maesn.report.statistics import Interval, bootstrap, difference, mean_intervals
+from maesn.report.statistics import Interval, mean_intervals
 from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
@@ -50,7 +50,7 @@ UNITS = {
     "final_success_rate": Unit("ends at goal (%)", 100.0),
     "time_in_region": Unit("time at goal (%)", 100.0),
 }
-_HEADINGS = tuple(unit.heading for unit in UNITS.values())
+_MAIN = ("mean_return", "success_rate")  # where there is little room
 
 
 class TextTable(NamedTuple):
@@ -116,44 +116,20 @@ def summary_tables(
 def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool) -> TextTable:
     first = tables[0]
     intervals = {name: mean_intervals(data.stack_seeds(tables, name)) for name in UNITS}
-    texts = [
-        [UNITS[name].text(one, brief=brief) for one in column] for name, column in intervals.items()
-    ]
+    texts = [_texts(column, name, brief=brief) for name, column in intervals.items()]
     labels = labels_of(one for column in intervals.values() for one in column)
-    notes = [
-        _join(note_on_solved(data.solved_at_reset(tables)), _beyond(first)),
+    notes = (
+        note_on_solved(data.solved_at_reset(tables)),
+        note_on_beyond(first),
         f"± half the {labels}" if brief else f"In brackets: {labels}.",
         f"{data.JUDGED[first.purpose].capitalize()}.",
-    ]
+    )
     return TextTable(
         title,
-        ("update", "episodes", *_HEADINGS),
+        ("update", "episodes", *(unit.heading for unit in UNITS.values())),
         tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
-        tuple(filter(None, notes)) if brief else (_join(notes[1], notes[0], notes[2]),),
+        tuple(filter(None, notes)),
     )
-
-
-def difference_table(
-    reference: Sequence[AdaptationTable],
-    others: Mapping[str, Sequence[AdaptationTable]],
-    title: str,
-) -> TextTable:
-    """Compare last updates with a reference on the same tasks: method minus reference, paired.
-
-    There is one table per seed, of the reference and of each method by its name.
-    """
-    rows, intervals, beyond = [], [], []
-    for name, tables in others.items():
-        cells = [name]
-        for measure, unit in UNITS.items():
-            ends = (data.stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
-            intervals.append(bootstrap(difference, *ends))
-            cells.append(unit.text(intervals[-1], sign="+"))
-        rows.append(tuple(cells))
-        beyond += [f"{name}: {said}"] if (said := _beyond(tables[0])) else []
-    solved = note_on_solved(data.solved_at_reset(reference))
-    note = _join(f"In brackets: {labels_of(intervals)}.", solved, *beyond)
-    return TextTable(title, ("method", *_HEADINGS), tuple(rows), (note,), is_named=True)
 
 
 def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
@@ -181,27 +157,27 @@ def print_side_by_side(
     paths: Mapping[str, Path], title: str, console: Console | None = None
 ) -> None:
     """Show tables of `maesn adapt` by name, at numbers of episodes from 0 to the last."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, path in paths.items():
         found = read_adaptation(path)
-        for column, episodes in enumerate(found.episodes):
-            if episodes in _SHOWN_EPISODES or column == len(found.episodes) - 1:
-                cells = [
-                    UNITS[measure].text(
-                        mean_intervals(data.stack_seeds([found], measure))[column], brief=True
-                    )
-                    for measure in ("mean_return", "success_rate")
-                ]
-                rows.append((name, str(episodes), *cells))
-    headings = ("rule", "episodes", *(UNITS[m].heading for m in ("mean_return", "success_rate")))
+        shown = np.isin(found.episodes, [*_SHOWN_EPISODES, found.episodes[-1]])
+        curves = {one: found.measure(one)[None, :, shown] for one in _MAIN}
+        cells = [_texts(mean_intervals(x), one, brief=True) for one, x in curves.items()]
+        episodes = map(str, found.episodes[shown])
+        rows += [(name, *row) for row in zip(episodes, *cells, strict=True)]
+    headings = ("rule", "episodes", *(UNITS[one].heading for one in _MAIN))
     print_tables([TextTable(title, headings, tuple(rows), is_named=True)], console)
+
+
+def _texts(intervals: Iterable[Interval], measure: str, *, brief: bool) -> list[str]:
+    return [UNITS[measure].text(one, brief=brief) for one in intervals]
 
 
 def _task_table(table: AdaptationTable) -> TextTable:
     """Return one row per task: before the first update, and after the last."""
     columns = [
         [UNITS[name].number(value) for value in table.measure(name)[:, column]]
-        for name in ("mean_return", "success_rate")
+        for name in _MAIN
         for column in (0, -1)
     ]
     return TextTable(
@@ -222,7 +198,7 @@ def labels_of(intervals: Iterable[Interval]) -> str:
     return "; or ".join(dict.fromkeys(interval.label for interval in intervals))
 
 
-def _beyond(table: AdaptationTable) -> str:
+def note_on_beyond(table: AdaptationTable) -> str:
     """Say from where on a method does what it was never trained for; empty for nowhere."""
     if table.first_beyond is None:
         return ""
@@ -230,7 +206,3 @@ def _beyond(table: AdaptationTable) -> str:
         f"Meta-training has prepared for {table.trial_episodes} episodes: from update "
         f"{table.updates[table.first_beyond]} on it is beyond them."
     )
-
-
-def _join(*sentences: str) -> str:
-    return " ".join(filter(None, sentences))

@@ -105,17 +105,17 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
     )
 
 
-def checked(source: Path | str, state: Any, metadata: Mapping[str, str]) -> Checkpoint:
-    """Return a restored checkpoint; `CheckpointError` if its numbers cannot be gone on from."""
+def checked_steps(source: Path | str, state: Any, metadata: Mapping[str, str]) -> int:
+    """Return the environment steps behind a state; `CheckpointError` if a number makes no sense."""
     # A checksum says that a file is as it was written, not that what was written makes sense.
     for name, leaf in named_leaves(state).items():
         if not np.isfinite(np.asarray(leaf)).all():
             raise CheckpointError(f"`{source}` is damaged: tensor `{name}` is not finite.")
-    counts = [metadata.get(name, "nothing") for name in ("iteration", "environment_steps")]
-    if not all(count.isdecimal() and len(count) < 20 for count in counts):
-        what = f"it must state its iterations and environment steps as numbers, got {counts}"
+    steps = metadata.get("environment_steps", "nothing")
+    if not (steps.isdecimal() and len(steps) < 20):
+        what = f"it must state its environment steps as a number, got {steps}"
         raise CheckpointError(f"`{source}` is damaged: {what}.")
-    return Checkpoint(state, *map(int, counts))
+    return int(steps)
 
 
 def checkpoint_paths(directory: Path) -> list[Path]:

@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
-from maesn.learners import AbstractMetaLearner, method_name
-from maesn.policies import USUAL
+from maesn.learners import AbstractMetaLearner
 from maesn.runs.serialization import digest_of_document, fields_from_json, fields_to_json
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
@@ -73,11 +72,6 @@ class RunSettings:
     def own_family(self) -> str | None:
         """The family as it has to be named again, if it is the user's own."""
         return self.family if ":" in self.family else None
-
-    @property
-    def family_option(self) -> str:
-        """The option that commands need which go on with a run of the user's own family."""
-        return f" --family {self.own_family}" if self.own_family else ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,22 +153,6 @@ def make_env(
     reward = reward_kind or settings.reward
     with refusals():
         return family.make_env(variant=settings.variant, reward_kind=reward, **radius)
-
-
-def check_policy(learner: AbstractMetaLearner[Any, Any], state: Any, env: AnyEnv) -> None:
-    """Refuse policies whose actions are of another kind, or that read a reward that is lacking."""
-    policy = learner.player(state)
-    with refusals():
-        env.check_shown(policy.observed_reward)
-    wanted, kind = env.action_kind, policy.action_kind
-    if kind != wanted:
-        method, usual = method_name(learner), type(USUAL[wanted]).__name__
-        raise RunError(
-            f"`{env.name}` needs a policy of {wanted} actions, but that of `{method}` chooses "
-            f"{kind} ones: give the learner another, as in "
-            f'maesn.PRESETS["maesn"](policy=maesn.{usual}()); for `rl2` and its like, '
-            f'maesn.Recurrent(action_kind="{wanted}").'
-        )
 
 
 def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:

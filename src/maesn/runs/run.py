@@ -14,8 +14,10 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from maesn import storage
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
+from maesn.envs.sources import find_tasks, resolve_family, save_tasks, warn_of_known_tests
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs import checkpoint, sources
 from maesn.runs.checkpoint import Checkpoint
@@ -23,22 +25,14 @@ from maesn.runs.config import (
     CONFIG,
     RunConfig,
     RunSettings,
-    check_policy,
     check_sizes,
     new_config,
     read_config,
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.storage import (
-    RunError,
-    discard_partial,
-    locked,
-    new_directory,
-    read_json_lines,
-    refusals,
-)
-from maesn.worlds import AbstractWorld, EngineName, check_env_contract, make_world
+from maesn.storage import RunError, refusals
+from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_policy, make_world
 
 logger = logging.getLogger(__name__)
 
@@ -57,6 +51,13 @@ class Run:
     config: RunConfig
     family: TaskFamily
     training_tasks: TaskSet
+    own_family: str | None = None
+    """`module:name` of the family if it is the user's own; None if that is not known."""
+
+    @property
+    def family_option(self) -> str:
+        """The option that commands need which go on with a run of the user's own family."""
+        return f" --family {self.own_family}" if self.own_family else ""
 
     @property
     def settings(self) -> RunSettings:
@@ -74,14 +75,14 @@ class Run:
 
         It is a `RunError` if another one does, or has changed the run since it was opened.
         """
-        with locked(self.directory):
+        with storage.locked(self.directory):
             if read_config(self.directory).digest() != self.config.digest():
                 raise RunError(
                     f"`{self.directory / CONFIG}` has changed since the run was opened: open it "
                     "again."
                 )
             for folder in (self.directory, self.directory / CHECKPOINTS):
-                discard_partial(folder)
+                storage.discard_partial(folder)
             yield
 
     @classmethod
@@ -100,11 +101,11 @@ class Run:
         and so does the count of iterations. What cannot be used, or does not fit, is a `RunError`.
         """
         named = settings.family if family is None else family.name
-        family = sources.resolve_family(named) if family is None else family
+        family = resolve_family(named) if family is None else family
         settings = dataclasses.replace(settings, family=named, method=method_name(learner))
-        tasks = sources.find_tasks(settings.tasks, family)
+        tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
-        run = cls(Path(directory), config, family, tasks)
+        run = cls(Path(directory), config, family, tasks, settings.own_family)
         # Before anything is written: the engine may lack something, the environment contradict
         # itself, or the batches be too small.
         run.world().close()
@@ -112,13 +113,13 @@ class Run:
             check_env_contract(run.env(), tasks[0])
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
-            sources.warn_of_known_tests(family, tasks)
+            warn_of_known_tests(family, tasks)
         files = [f"{CHECKPOINTS}/{_checkpoint_name(0)}", sources.TASKS_FILE, CONFIG]
-        with new_directory(run.directory, files):
+        with storage.new_directory(run.directory, files):
             if settings.tasks not in NAMED_SETS:
-                sources.save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
+                save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             state = run.untrained_state() if init_from is None else run._begun_state(init_from)
-            check_policy(learner, state, run.env())
+            check_policy(learner.player(state), run.env())
             run.save_state(state)
             # Last: a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
@@ -132,14 +133,17 @@ class Run:
         which is read again. `family` is that of the run, itself or `module:name`, if it does not
         come with the library.
         """
+        own = family if isinstance(family, str) else None
         if isinstance(source, Run):
+            own = own or source.own_family
             family = source.family if family is None else family
             source = source.directory
         directory = sources.find_run(source)
         config = read_config(directory)
+        own = own or config.settings.own_family
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
-        return cls(directory, config, found, tasks)
+        return cls(directory, config, found, tasks, own)
 
     def env(
         self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None
@@ -152,7 +156,7 @@ class Run:
 
     def task_set(self, name: str | Path = "training") -> TaskSet:
         """Return tasks of the family: `training` is what this run trains on; see `RunSettings`."""
-        return self.training_tasks if name == "training" else sources.find_tasks(name, self.family)
+        return self.training_tasks if name == "training" else find_tasks(name, self.family)
 
     def world(
         self,
@@ -191,7 +195,7 @@ class Run:
 
         A number that was not finite is None. A missing or damaged file is a `RunError`.
         """
-        return read_json_lines(self.directory / METRICS)
+        return storage.read_json_lines(self.directory / METRICS)
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
@@ -223,14 +227,8 @@ class Run:
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        found = checkpoint.checked(path, state, metadata)
-        counted = int(self.learner.iteration(state))
-        if counted != found.iteration:
-            raise checkpoint.CheckpointError(
-                f"`{path}` is damaged: it states {found.iteration} iterations, but the learner in "
-                f"it has counted {counted}."
-            )
-        return found
+        steps = checkpoint.checked_steps(path, state, metadata)
+        return Checkpoint(state, int(self.learner.iteration(state)), steps)
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""

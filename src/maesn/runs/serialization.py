@@ -15,21 +15,14 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import equinox as eqx
 
+from maesn import learners
 from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import (
-    BonusMetaLearner,
-    GradientMetaLearner,
-    ProximalStep,
-    RecurrentMetaLearner,
-    RecurrentValue,
-    TrustRegionStep,
-)
-from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
+from maesn.settings import leaves
 
 Settings = TypeVar("Settings")
 
@@ -42,22 +35,22 @@ REGISTRY: dict[str, type[eqx.Module]] = {
         AdvantageEstimator,
         BiasContext,
         CategoricalMLP,
-        BonusMetaLearner,
-        CuriosityBonus,
+        learners.BonusMetaLearner,
+        learners.CuriosityBonus,
         GaussianMLP,
-        GradientMetaLearner,
+        learners.GradientMetaLearner,
         InnerStep,
         LatentContext,
         MinibatchDescent,
         NoContext,
-        ProximalStep,
+        learners.ProximalStep,
         Recurrent,
-        RecurrentMetaLearner,
-        RecurrentValue,
+        learners.RecurrentMetaLearner,
+        learners.RecurrentValue,
         StepSchedule,
         OracleContext,
         TrustRegion,
-        TrustRegionStep,
+        learners.TrustRegionStep,
     )
 }
 
@@ -89,15 +82,6 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     """Return a hexadecimal hash of a JSON document."""
     text = json.dumps(document, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def leaves(document: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Return the values in a document by their path, as in `trust_region.damping`."""
-    found: dict[str, Any] = {}
-    for name, value in document.items():
-        inner = isinstance(value, dict)
-        found |= leaves(value, f"{path}{name}.") if inner else {path + name: value}
-    return found
 
 
 def differing(settings: Any, usual: Any) -> dict[str, Any]:

@@ -42,10 +42,6 @@ _WINDOW = 20
 _WIDE = 110
 
 
-class TrainingError(RunError):
-    """Training cannot go on; the last good state is on disk."""
-
-
 def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
 
@@ -57,8 +53,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     `keep` is how many of the latest checkpoints stay; see `maesn.runs.checkpoint.prune`; 0: all.
 
     Raises:
-        RunError: the run cannot be read or written, or another process trains it.
-        TrainingError: losses or gradients were not finite several times in a row.
+        RunError: the run cannot be read or written, or another process trains it; or losses or
+            gradients were not finite several times in a row.
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
@@ -156,7 +152,7 @@ class _Training:
         said = f"`{self.run.directory}`, iteration {progress.iteration}: {what} is not finite"
         logger.warning("%s. The step was rejected; the policy is as before.", said)
         if self.nonfinite == MAX_NONFINITE:
-            raise TrainingError(
+            raise RunError(
                 f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved; "
                 "look at `metrics.jsonl`, and start a new run with smaller steps or a smaller "
                 "penalty."
@@ -197,7 +193,7 @@ def train_live(
                 show(last, f"{datetime.timedelta(seconds=round(left))} left")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
-        more += run.settings.family_option
+        more += run.family_option
         with contextlib.suppress(OSError):
             _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,20 +13,9 @@ from maesn.runtime.learning import AdaptationInfo, learned
 from maesn.runtime.limiter import Limiter
 from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
-from maesn.runtime.search import LatentSearch
+from maesn.runtime.search import Beliefs
 from maesn.runtime.state import ExplorerState
 from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
-
-
-class Beliefs(NamedTuple):
-    """What a search believes of the part of the return that depends on the latent."""
-
-    latents: FloatArray
-    """`[point, latent]`."""
-    mean: FloatArray
-    """Posterior mean, `[point]`."""
-    std: FloatArray
-    """Posterior standard deviation, `[point]`."""
 
 
 class Explorer:
@@ -122,7 +110,7 @@ class Explorer:
         search = self._state.search
         if search is None:
             raise RuntimeError("`beliefs` are those of a search: export with the rule `search`.")
-        return Beliefs(search.points.copy(), search.posterior.mean, search.posterior.std)
+        return search.beliefs
 
     @property
     def update(self) -> int:
@@ -166,7 +154,10 @@ class Explorer:
                 "`explore=False` holds z at the latent's mean, so that `z` cannot be chosen as "
                 "well: leave out one of them."
             )
-        self._state = self._begun(explore, z)
+        size, bound = self.exported.latent_size, self.safeguards.max_latent_norm
+        chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
+        most = np.inf if bound is None else bound
+        self._state = self._state.begun(explore, chosen, most, self._generator)
         self._policy = self._conditioned()
         return self._running("begin_episode").latent.copy()
 
@@ -278,37 +269,6 @@ class Explorer:
         horizon = 1 if search is None else search.horizon
         self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
-
-    def _begun(self, explore: bool, z: ArrayLike | None) -> ExplorerState:
-        """Return the state with a new episode running."""
-        state, size = self._state, self.exported.latent_size
-        chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
-        if state.search is not None:
-            return self._search_begun(state, state.search, explore, chosen)
-        if not explore:
-            return replace(state, running=RunningEpisode(state.latent.mean.copy(), "deploy"))
-        if chosen is None:
-            chosen = state.latent.draw(self._generator.standard_normal(size))
-        return replace(state, running=RunningEpisode(chosen))
-
-    def _search_begun(
-        self,
-        state: ExplorerState,
-        search: LatentSearch,
-        explore: bool,
-        chosen: FloatArray | None,
-    ) -> ExplorerState:
-        bound = self.safeguards.max_latent_norm
-        search = replace(search, max_norm=np.inf if bound is None else bound)
-        if not explore:
-            best = search.latent(search.best).copy()
-            return replace(state, running=RunningEpisode(best, "deploy"))
-        if chosen is None:
-            search, point = search.proposed(self._generator)
-            chosen = search.latent(point).copy()
-        else:
-            search = search.with_latent(chosen)
-        return replace(state, running=RunningEpisode(chosen), search=search)
 
     def _conditioned(self) -> ConditionedPolicy:
         running = self._state.running

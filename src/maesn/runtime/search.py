@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,17 @@ class SearchSettings:
         return ReturnModel(prior, self.residual, self.length_scale)
 
 
+class Beliefs(NamedTuple):
+    """What a search believes of the part of the return that depends on the latent."""
+
+    latents: FloatArray
+    """`[point, latent]`."""
+    mean: FloatArray
+    """Posterior mean, `[point]`."""
+    std: FloatArray
+    """Posterior standard deviation, `[point]`."""
+
+
 @dataclass(frozen=True)
 class LatentSearch:
     """A search in one task.
@@ -86,6 +97,11 @@ class LatentSearch:
     def points(self) -> FloatArray:
         """The latents that can be chosen, `[point, z]`."""
         return self.posterior.points
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """What is believed of all points."""
+        return Beliefs(self.points.copy(), self.posterior.mean, self.posterior.std)
 
     @property
     def best(self) -> int:

@@ -1,14 +1,14 @@
 """All that changes on a robot while it explores and learns, apart from its random numbers."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.episode import (
     Episode,
     Purpose,
@@ -61,6 +61,38 @@ class ExplorerState:
         if exported.search is not None:
             search = LatentSearch.start(exported.search.model, exported.search.settings)
         return ExplorerState(exported.start, exported.start_update, search=search)
+
+    def begun(
+        self,
+        explore: bool,
+        z: FloatArray | None,
+        max_norm: float,
+        generator: np.random.Generator,
+    ) -> "ExplorerState":
+        """Return the state with a new episode running.
+
+        Args:
+            explore: False holds z at the latent's mean, or at the best point of a search.
+            z: to play, `[latent]`; None for a draw, or for the choice of a search.
+            max_norm: Euclidean norm of z beyond which a search chooses no point.
+            generator: of the draws.
+        """
+        if self.search is not None:
+            search = replace(self.search, max_norm=max_norm)
+            if not explore:
+                best = search.latent(search.best).copy()
+                return replace(self, running=RunningEpisode(best, "deploy"))
+            if z is None:
+                search, point = search.proposed(generator)
+                z = search.latent(point).copy()
+            else:
+                search = search.with_latent(z)
+            return replace(self, running=RunningEpisode(z), search=search)
+        if not explore:
+            return replace(self, running=RunningEpisode(self.latent.mean.copy(), "deploy"))
+        if z is None:
+            z = self.latent.draw(generator.standard_normal(self.latent.mean.size))
+        return replace(self, running=RunningEpisode(z))
 
     def arrays(self, exported: ExportedPolicy) -> Arrays:
         """Return the arrays that a file keeps of this state."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from maesn import api
+from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractMetaLearner
 from maesn.report.comparison import Comparison
@@ -15,7 +16,6 @@ from maesn.report.style import series_styles
 from maesn.runs.config import CONFIG, RunSettings, make_env
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
-from maesn.runs.sources import resolve_family
 from maesn.storage import RunError, refusals
 from maesn.studies.ablation_lines import ABLATION, ablation_radii
 from maesn.studies.comparison import USUAL, compare_lines, silent

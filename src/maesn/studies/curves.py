@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maesn.evaluation.evaluate import adapt, as_rows, tasks_at_once
+from maesn.evaluation.evaluate import adapt, as_rows
 from maesn.evaluation.tables import adaptation_file, write_rows
 from maesn.learners import AbstractFastLearner
 from maesn.report.reading import RECORD, read_rows
@@ -78,10 +78,8 @@ def _fits(record: Mapping[str, Any], earlier: Path) -> bool:
 
 def _cut(one: SeededLearner, world: ComparisonWorld) -> list[np.ndarray]:
     """Cut the tasks into chunks of nearly the same size, as large as may be."""
-    asked = world.evaluation
-    played = max(asked.budget.per_update, asked.budget.deploy)
-    limit = tasks_at_once(world.world.max_simulations, played, asked.tasks_at_once)
-    count = math.ceil(one.num_tasks / limit)
+    limits = [plays.most_tasks for plays in (world.collect, world.deploy) if plays is not None]
+    count = math.ceil(one.num_tasks / min(world.evaluation.tasks_at_once, *limits))
     return np.array_split(np.arange(one.num_tasks), count)
 
 

@@ -9,7 +9,7 @@ import tyro
 
 from maesn.envs import AnyEnv
 from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.tables import Identity, adaptation_file, identity_of_run
+from maesn.evaluation.tables import adaptation_file, identity_of_run
 from maesn.learners import (
     SCRATCH,
     AbstractFastLearner,
@@ -193,7 +193,8 @@ def _untrained(
 ) -> SeededLearner:
     """Return a learner that has not been trained before."""
     written = " ".join(f"{name} {written_out(learner)}".split())
-    record = world.record(Identity(written), dataclasses.replace(evaluation, seed=seed))
+    who = {"learner": written, "weights": ""}
+    record = world.record(who, dataclasses.replace(evaluation, seed=seed))
     return SeededLearner(name, seed, learner, record)
 
 

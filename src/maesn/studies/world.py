@@ -1,18 +1,18 @@
 """The world in which methods are compared, and which runs can play in it."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from maesn.envs import AnyEnv, Variant
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import Identity, adaptation_record
-from maesn.runs.config import RunSettings, check_policy, check_sizes, make_env
+from maesn.evaluation.tables import adaptation_record
+from maesn.runs.config import RunSettings, check_sizes, make_env
 from maesn.runs.run import Run
-from maesn.runs.sources import find_tasks, resolve_family
 from maesn.storage import RunError, refusals
-from maesn.worlds import AbstractWorld, make_world
+from maesn.worlds import AbstractWorld, check_policy, make_world
 from maesn.worlds.collector import Collector
 
 
@@ -83,7 +83,7 @@ class ComparisonWorld:
         """The environment of the new tasks."""
         return self.world.env
 
-    def record(self, who: Identity, evaluation: Evaluation) -> dict[str, Any]:
+    def record(self, who: Mapping[str, str], evaluation: Evaluation) -> dict[str, Any]:
         """Return what decides the curves of a learner here; see `adaptation_record`."""
         return adaptation_record(who, self.world, self.settings.engine, evaluation)
 
@@ -147,4 +147,4 @@ def check_world(runs: Sequence[Run], world: ComparisonWorld) -> None:
             )
         remedy = "compare it in the variant that it was trained in"
         check_sizes(run.directory, run.env(), world.env, remedy)
-        check_policy(run.learner, run.latest_state(), world.env)
+        check_policy(run.learner.player(run.latest_state()), world.env)

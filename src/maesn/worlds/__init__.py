@@ -18,6 +18,7 @@ from maesn.worlds.base import SimulationFailure as SimulationFailure
 from maesn.worlds.base import Trajectory as Trajectory
 from maesn.worlds.contract import EnvContractError as EnvContractError
 from maesn.worlds.contract import check_env_contract as check_env_contract
+from maesn.worlds.contract import check_policy as check_policy
 from maesn.worlds.device import DeviceWorld as DeviceWorld
 from maesn.worlds.mjx import MjxWorld as MjxWorld
 from maesn.worlds.native import NativeWorld as NativeWorld

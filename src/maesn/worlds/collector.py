@@ -1,5 +1,6 @@
 """Play episodes in any world: makes the function `collect` that learners are given."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -8,18 +9,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from maesn.axes import (
     ActionKind,
     HostReadings,
     Key,
-    ObservedReward,
     Readings,
     RecurrentState,
     TaskKeys,
 )
-from maesn.envs.base import AnyEnv, Reward
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
@@ -35,6 +34,8 @@ from maesn.worlds import (
     Trajectory,
 )
 from maesn.worlds.budget import check_memory
+from maesn.worlds.contract import check_policy
+from maesn.worlds.outcome import ends, judge, observe, terminates
 
 # What a policy returns for each kind of actions. By its type the noise of the actions is drawn,
 # before the policy is called.
@@ -73,6 +74,12 @@ class Collector:
         """Number of tasks of the world."""
         return len(self.world.tasks)
 
+    @property
+    def most_tasks(self) -> int:
+        """Number of tasks that one call can play at most."""
+        most = self.world.max_simulations
+        return sys.maxsize if most is None else max(most // self.episodes_per_task, 1)
+
     def __call__(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:
@@ -80,8 +87,8 @@ class Collector:
 
         Raises:
             EpisodeError: physics or reward of an episode became non-finite.
-            RunError: the machine cannot hold that many episodes at once.
-            ValueError: the policy's actions are of another kind than the environment's.
+            RunError: the machine cannot hold that many episodes at once, or the policy's actions
+                are of another kind than the environment's.
         """
         episodes, readings = self.play(keys, agents, task_index)
         if self._watch is not None:
@@ -96,7 +103,7 @@ class Collector:
         Returns:
             The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
         """
-        self._check_policy(agents)
+        check_policy(agents.policy, self.world.env)
         check_memory(self.world.env, len(task_index) * self.episodes_per_task)
         tasks = self.world.tasks[np.asarray(task_index)]
         # Without the state of the trials, so that their first episode and the others share one
@@ -115,15 +122,6 @@ class Collector:
         episodes, finite = self._finish(actors, trajectory)
         self._refuse(finite, np.asarray(task_index))
         return episodes, trajectory.readings
-
-    def _check_policy(self, agents: Agents) -> None:
-        env, kind = self.world.env, agents.policy.action_kind
-        if kind != env.action_kind:
-            raise ValueError(
-                f"`{env.name}` needs a policy of {env.action_kind} actions, but the policy's are "
-                f"{kind}: choose a policy, or its `action_kind`, that fits."
-            )
-        env.check_shown(agents.policy.observed_reward)
 
     def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
         """Raise an error if something is not finite, about the earliest step."""
@@ -185,7 +183,7 @@ class Collector:
                 agent.policy.observed_reward, before, previous_action, now, task
             )
             policy_input = PolicyInput(
-                observation=_observe(env, now, task),
+                observation=observe(env, now, task),
                 previous_action=jnp.where(start, trial.action, previous_action),
                 previous_reward=jnp.where(start, trial.reward, reward),
                 episode_start=start,
@@ -193,7 +191,7 @@ class Collector:
             distribution, after = agent.policy(agent.perceive(policy_input), z, state)
             action = distribution.sample_from_noise(noise)
             # Observations after the end may be NaN: they must not enter the recurrent state.
-            ended = ended | _ends(env, now)
+            ended = ended | ends(env, now)
             state = jax.tree.map(lambda old, new: jnp.where(ended, old, new), state, after)
             return env.control(action), action, distribution, state, ended
 
@@ -216,9 +214,11 @@ class Collector:
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
         received = actors.agents.policy.observed_reward
-        judge = jax.vmap(jax.vmap(partial(self._judge, received), in_axes=(0, 0, None)))
-        observation, reward, observed, solved, ended = judge(readings, action, actors.tasks)
-        terminated = jax.vmap(jax.vmap(partial(_terminates, self.world.env)))(readings)
+        judged = jax.vmap(jax.vmap(partial(judge, self.world.env, received), in_axes=(0, 0, None)))(
+            readings, action, actors.tasks
+        )
+        observation, reward, observed, solved, ended = judged
+        terminated = jax.vmap(jax.vmap(partial(terminates, self.world.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
         after = jax.vmap(jax.vmap(TrialState.after))
         episodes = Episodes(
@@ -247,32 +247,6 @@ class Collector:
         )
         return episodes, finite
 
-    def _judge(
-        self,
-        received: ObservedReward,
-        readings: Readings,
-        action: Float[Array, "time action"],
-        task: Any,
-    ) -> tuple[Array, Reward, Array, Array, Array]:
-        """Evaluate the environment along one episode.
-
-        Returns:
-            Observations `[time_plus_1, observation]`, rewards, and rewards as the policy receives
-            them `[time]`, whether each state lies in the goal region and whether the episode has
-            ended at or before it `[time_plus_1]`.
-        """
-        env = self.world.env
-        before = jax.tree.map(lambda x: x[:-1], readings)
-        after = jax.tree.map(lambda x: x[1:], readings)
-        observation = jax.vmap(lambda r: _observe(env, r, task))(readings)
-        reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
-        observed = jax.vmap(lambda r, a, n: env.observed_reward(received, r, a, n, task))(
-            before, action, after
-        )
-        solved = jax.vmap(lambda r: env.solved(r, task))(readings)
-        ended = jnp.cumsum(jax.vmap(partial(_ends, env))(readings)) > 0
-        return observation, reward, observed, solved, ended
-
 
 class _Finite(NamedTuple):
     """Which steps are finite, or invalid. Each field depends on those before it."""
@@ -280,21 +254,6 @@ class _Finite(NamedTuple):
     observation: Bool[Array, "task episode time"]
     action: Bool[Array, "task episode time"]
     reward: Bool[Array, "task episode time"]
-
-
-def _observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
-    return jnp.concatenate([env.observe(readings), env.instruction(task)])
-
-
-def _ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether an episode ends in this state, by the task's rules or by its world's own clock."""
-    return env.terminated(readings) | env.truncated(readings)
-
-
-def _terminates(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether the first end of an episode of states `[time_plus_1]` is by the task's rules."""
-    first = jnp.argmax(jax.vmap(partial(_ends, env))(readings))
-    return env.terminated(jax.tree.map(lambda x: x[first], readings))
 
 
 def _join_batch_axes(x: Array) -> Array:

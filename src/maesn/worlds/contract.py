@@ -1,4 +1,4 @@
-"""Whether an environment's functions fit what it declares, before it is played."""
+"""Whether an environment fits what it declares, and a policy the environment, before playing."""
 
 import math
 from collections.abc import Iterator
@@ -17,10 +17,30 @@ from maesn.envs.base import (
     AnyEnv,
 )
 from maesn.physics import field_values, load_model, resting_readings
+from maesn.policies import USUAL, AbstractPolicy
+from maesn.storage import RunError, refusals
 
 
 class EnvContractError(ValueError):
     """A function of an environment does not fit what it declares; the message names both."""
+
+
+def check_policy(policy: AbstractPolicy, env: AnyEnv) -> None:
+    """Refuse a policy whose actions are of another kind, or that reads a reward that is lacking.
+
+    Raises:
+        RunError: it is one of these.
+    """
+    with refusals():
+        env.check_shown(policy.observed_reward)
+    wanted, kind = env.action_kind, policy.action_kind
+    if kind != wanted:
+        raise RunError(
+            f"`{env.name}` needs a policy of {wanted} actions, but this one chooses {kind} ones: "
+            "give the learner another, as in "
+            f'maesn.PRESETS["maesn"](policy=maesn.{type(USUAL[wanted]).__name__}()); for `rl2` and '
+            f'its like, maesn.Recurrent(action_kind="{wanted}").'
+        )
 
 
 def check_env_contract(env: AnyEnv, task: Any) -> None:

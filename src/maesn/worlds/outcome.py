@@ -1,0 +1,53 @@
+"""What an environment says of the states of an episode: observations, rewards, ends."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import ObservedReward, Readings
+from maesn.envs.base import AnyEnv, Reward
+
+
+def observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
+    """Return what a policy observes in a state, with the instruction where there is one."""
+    return jnp.concatenate([env.observe(readings), env.instruction(task)])
+
+
+def ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether an episode ends in this state, by the task's rules or by its world's own clock."""
+    return env.terminated(readings) | env.truncated(readings)
+
+
+def terminates(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
+    """Whether the first end of an episode of states `[time_plus_1]` is by the task's rules."""
+    first = jnp.argmax(jax.vmap(partial(ends, env))(readings))
+    return env.terminated(jax.tree.map(lambda x: x[first], readings))
+
+
+def judge(
+    env: AnyEnv,
+    received: ObservedReward,
+    readings: Readings,
+    action: Float[Array, "time action"],
+    task: Any,
+) -> tuple[Array, Reward, Array, Array, Array]:
+    """Evaluate the environment along one episode.
+
+    Returns:
+        Observations `[time_plus_1, observation]`, rewards, and rewards as the policy receives
+        them `[time]`, whether each state lies in the goal region and whether the episode has
+        ended at or before it `[time_plus_1]`.
+    """
+    before = jax.tree.map(lambda x: x[:-1], readings)
+    after = jax.tree.map(lambda x: x[1:], readings)
+    observation = jax.vmap(lambda r: observe(env, r, task))(readings)
+    reward = jax.vmap(lambda r, a, n: env.reward(r, a, n, task))(before, action, after)
+    observed = jax.vmap(lambda r, a, n: env.observed_reward(received, r, a, n, task))(
+        before, action, after
+    )
+    solved = jax.vmap(lambda r: env.solved(r, task))(readings)
+    ended = jnp.cumsum(jax.vmap(partial(ends, env))(readings)) > 0
+    return observation, reward, observed, solved, ended
