@@ -3,10 +3,11 @@
     python benchmarks/search_figures.py wheeled --out docs/figures
 
 draws `search-beliefs.png` and `search-trajectories.png` of one test task of a policy that comes
-with the library. With tables of `maesn adapt` by name, as in `--tables "latent search" A.csv
-"policy gradient" B.csv`, it also draws `search-returns.png`.
+with the library. With `--curves results/search/curves.csv`, the numbers that `search_tables.py`
+writes, it also draws `search-returns.png`.
 """
 
+import csv
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ from matplotlib.patches import Circle
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
-from maesn.report.reading import read_adaptation
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
@@ -31,6 +31,17 @@ SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn
 TRAJECTORIES = 8
 EDGE = 8.0  # of the latents that are drawn, in standard deviations of the prior
 POINTS = 71  # along each axis
+
+RUNS = ("wheeled", "ant", "blockpush")
+# Line of the tables -> what it is called, which of its numbers is drawn, and how.
+LINES = {
+    "search": ("search", "deployed", "r-o"),
+    "cma_es": ("CMA-ES", "deployed", "c-o"),
+    "cross_entropy": ("cross-entropy", "deployed", "g-o"),
+    "best_of_wide": ("best of draws", "deployed", "y-o"),
+    "gradient": ("gradient, at the mean", "deployed", "b-o"),
+}
+DRAWN = ("gradient", ("gradient, z drawn", "drawn", "b--o"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +56,8 @@ class Settings:
     """Of the test tasks."""
     seed: int = 0
     """Of the episodes."""
-    tables: dict[str, Path] = dataclasses.field(default_factory=dict)
-    """Tables of `maesn adapt`, by the name of their line."""
+    curves: Path | None = None
+    """Numbers of `search_tables.py`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,20 +131,32 @@ def draw_trajectories(found: Searched) -> Figure:
     return figure
 
 
-def draw_returns(tables: dict[str, Path]) -> Figure:
+def draw_returns(path: Path) -> Figure:
     """Draw mean return over the episodes in the new task, on a logarithmic axis from 1."""
-    figure, axes = plt.subplots(figsize=(5.2, 3.4), layout="constrained")
-    for name, path in tables.items():
-        table = read_adaptation(path)
-        mean = table.mean_return.mean(axis=0)
-        error = table.mean_return.std(axis=0, ddof=1) / np.sqrt(table.num_tasks)
-        # What is known before any episode stands left of the first.
-        episodes = np.maximum(table.episodes, 0.5)
-        line = axes.plot(episodes, mean, "o-", ms=3, label=name)[0]
-        axes.fill_between(episodes, mean - error, mean + error, color=line.get_color(), alpha=0.2)
-    axes.set(xscale="log", xlabel="episodes in the new task", ylabel="return")
-    axes.set_xticks([0.5, 1, 5, 20, 100, 500], ["0", "1", "5", "20", "100", "500"])
-    axes.legend(frameon=False)
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    runs = [run for run in RUNS if any(row["run"] == run for row in rows)]
+    figure, panels = plt.subplots(
+        1, len(runs), figsize=(4.2 * len(runs), 3.6), layout="constrained", squeeze=False
+    )
+    for run, axes in zip(runs, panels[0], strict=True):
+        for line, (label, value, style) in (*LINES.items(), DRAWN):
+            own = [row for row in rows if (row["run"], row["line"]) == (run, line) and row[value]]
+            # What is known before any episode stands left of the first.
+            episodes = np.maximum([float(row["episodes"]) for row in own], 0.5)
+            mean, half = (
+                np.array([float(row[n]) for row in own]) for n in (value, f"{value}_half")
+            )
+            axes.plot(episodes, mean, style, ms=3, label=label)
+            axes.fill_between(episodes, mean - half, mean + half, color=style[0], alpha=0.12, lw=0)
+        for row in rows:
+            if (row["run"], row["line"]) == (run, "ceiling"):
+                best = float(row["deployed"])
+                axes.axhline(best, color="k", ls=":", label="best latent in hindsight")
+        axes.set(xscale="log", xlabel="episodes in the new task", title=run)
+        axes.set_xticks([0.5, 1, 5, 20, 100, 500], ["0", "1", "5", "20", "100", "500"])
+    panels[0, 0].set_ylabel("return")
+    panels[0, -1].legend(frameon=False, fontsize=7)
     return figure
 
 
@@ -142,8 +165,8 @@ def main(settings: Settings) -> None:
     settings.out.mkdir(parents=True, exist_ok=True)
     found = search(settings)
     figures = {"beliefs": draw_beliefs(found), "trajectories": draw_trajectories(found)}
-    if settings.tables:
-        figures["returns"] = draw_returns(settings.tables)
+    if settings.curves is not None:
+        figures["returns"] = draw_returns(settings.curves)
     for name, figure in figures.items():
         path = settings.out / f"search-{name}.png"
         figure.savefig(path, dpi=110)

@@ -73,6 +73,9 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.policies import Recurrent as Recurrent
     from maesn.rules import AbstractRule as AbstractRule
     from maesn.rules import AbstractWrapper as AbstractWrapper
+    from maesn.rules import BestOfRule as BestOfRule
+    from maesn.rules import CmaEsRule as CmaEsRule
+    from maesn.rules import CrossEntropyRule as CrossEntropyRule
     from maesn.rules import GradientRule as GradientRule
     from maesn.rules import MemoryRule as MemoryRule
     from maesn.rules import NoAdaptation as NoAdaptation
@@ -130,6 +133,9 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.rules": (
         "AbstractRule",
         "AbstractWrapper",
+        "BestOfRule",
+        "CmaEsRule",
+        "CrossEntropyRule",
         "GradientRule",
         "MemoryRule",
         "NoAdaptation",

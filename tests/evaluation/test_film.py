@@ -16,8 +16,10 @@ from maesn.envs import Point
 from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import Playback, record_adaptation
+from maesn.evaluation.running import new_tasks
 from maesn.report.filmstrip import Cell, Row, contact_sheet
 from maesn.report.filmstrip import film as make_film
+from maesn.rules import BestOfRule
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld
 
@@ -46,6 +48,18 @@ def test_the_episodes_are_those_of_adapt(run: Run, played: list[Playback], tmp_p
         )
         assert playback.success_rate == curves.success_rate[TASK, playback.update]
     assert [playback.update for playback in played] == UPDATES
+
+
+def test_a_search_is_shown_one_latent_after_the_other(run: Run, tmp_path: Path) -> None:
+    asked = Evaluation(rule=BestOfRule(), episodes=5, deploy_episodes=0, seed=4)
+    with new_tasks(run, asked) as (world, learner):
+        first, later = record_adaptation(learner, world, asked, TASK, [0, 2], 3)
+    curves = maesn.adapt(run, asked, out=tmp_path / "table.csv").curves
+    shown = [episode.total_return for episode in (*first.episodes, *later.episodes)]
+    wanted = np.asarray(curves.mean_return[TASK])[[0, 1, 2, 2, 3, 4]]
+    np.testing.assert_allclose(shown, wanted, rtol=1e-5)
+    assert later.mean_return == pytest.approx(wanted[3:].mean(), rel=1e-5)
+    assert (first.num_played, first.before, later.num_played, later.before) == (3, 0, 3, 2)
 
 
 def test_the_states_belong_to_the_returns(run: Run, played: list[Playback]) -> None:
@@ -92,7 +106,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
 def test_an_episode_is_drawn_state_by_state_with_its_way(
     played: list[Playback], drawn: list[Drawn], run: Run
 ) -> None:
-    first, row = film.draw(Point(), run.task_set("test")[TASK], played, 15, PLAYED)
+    first, row = film.draw(Point(), run.task_set("test")[TASK], played, 15)
     assert first.title.startswith("before adaptation: mean return ")
     assert row.title.startswith(f"after {2 * PLAYED} episodes: mean return ")
     assert [len(cell.pictures) for cell in row.cells] == [4] * SHOWN  # steps 0, 15, 30 and 40
@@ -119,7 +133,7 @@ def test_an_episode_that_ended_stands_still_where_it_was_sound(
     readings["qpos"][8:] = np.nan
     cut = [film._lived(readings, episode, steps) for episode, steps in enumerate([8, 7])]
     ended = played[0]._replace(episodes=[film.Filmed(states, 0.0, False) for states in cut])
-    film.draw(Point(), run.task_set("test")[TASK], [ended], 5, PLAYED)
+    film.draw(Point(), run.task_set("test")[TASK], [ended], 5)
     for index, (qpos, trail) in enumerate(drawn[0].calls):
         episode, picture = divmod(index, 9)
         np.testing.assert_array_equal(qpos, readings["qpos"][min(5 * picture, 7), episode])
@@ -139,6 +153,12 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert moving.size == still.size
         assert still.width > SHOWN * 300
         assert still.height > 2 * 190
+
+
+def test_a_search_is_filmed_without_further_options(run: Run, drawn: list[Drawn]) -> None:
+    command = ["render", str(run.directory), "--rule", "best_of", "--episodes", "6"]
+    assert cli.run(command) == 0
+    assert len(list((run.directory / "render").iterdir())) == 2
 
 
 def test_what_was_opened_is_closed_whatever_happens(
@@ -183,7 +203,7 @@ def test_cells_stand_in_rows_and_reached_goals_are_framed() -> None:
         (["--task", "100"], "`task` must be from 0 to 99, got 100"),
         (["--after", "-50"], "`after` must be numbers of episodes, multiples of"),
         (["--after", "75"], "multiples of `episodes_per_update`, 50, from 0 to `episodes`, 500"),
-        (["--shown", "51"], "`shown` must be from 1 to `episodes_per_update`, 50"),
+        (["--shown", "51"], "`shown` must be from 1 to 50, got 51"),
         (["--tasks", "tset"], "`tasks` must be one of"),
     ],
 )

@@ -4,6 +4,7 @@ import json
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from small_runs import tiny_maesn, tiny_settings
@@ -82,6 +83,19 @@ def test_other_step_sizes(trained: Path, few: str) -> None:
     np.testing.assert_array_equal(paced[:, :3], plain[:, :3])
     third, whole = (kept[:, 3] - kept[:, 2] for kept in (plain, paced))
     np.testing.assert_allclose(whole, 2 * third, rtol=1e-4, atol=1e-6)
+
+
+def test_latents_may_start_wider(trained: Path, few: str, tmp_path: Path) -> None:
+    run = Run.open(trained)
+    trained_as = Trained(run.learner, run.latest_state())
+    learner = GradientRule(start_std=3.0).fast_learner(trained_as, run.env())
+    start = learner.init(jax.random.split(jax.random.key(0), 2)).agents.context
+    np.testing.assert_allclose(np.exp(start.log_std), 3.0, rtol=1e-6)
+    np.testing.assert_array_equal(start.mean, 0.0)
+    without = tmp_path / "without"
+    Run.create(without, METHODS["maml"](meta_batch_size=4), tiny_settings(method="maml"))
+    with pytest.raises(RunError, match="`start_std` needs a method with a latent"):
+        api.adapt(without, tasks=few, rule=GradientRule(start_std=3.0))
 
 
 def test_settings_that_differ_have_files_that_differ() -> None:
@@ -181,6 +195,8 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         GradientRule(step_scale=float("inf"))
     with pytest.raises(ValueError, match="`full_steps` must be at least 1, got 0"):
         GradientRule(full_steps=0)
+    with pytest.raises(ValueError, match="`start_std` must be positive and finite, got 0"):
+        GradientRule(start_std=0.0)
     recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), tiny_settings())
     for added, reason in (
         (ThenTrpo(), "`learner` must not be"),
@@ -211,7 +227,11 @@ def test_rules_as_text() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("gradeint", "must be one of gradient, search, memory, none, or `module:name` of your own"),
+        (
+            "gradeint",
+            "must be one of gradient, search, best_of, cross_entropy, cma_es, memory, none, or "
+            "`module:name` of your own",
+        ),
         ("gradient step=2", "it has no setting `step`; write NAME=VALUE with one of step_scale, "),
         ("gradient step_scale", "expected NAME=VALUE, each name once, got `step_scale`"),
         ("gradient step_scale=fast", "`GradientRule.step_scale` must be of type float"),

@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from small_runs import tiny_maesn, tiny_settings
@@ -11,7 +12,9 @@ from small_runs import tiny_maesn, tiny_settings
 import maesn
 from maesn import api, cli
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import latent_space, maml
+from maesn.evaluation.running import new_tasks
+from maesn.inner.adaptation import Adaptation, InnerStep
+from maesn.learners import latent_space, maesn_theta, maml
 from maesn.policies import GaussianMLP
 from maesn.rules import SearchRule
 from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
@@ -94,6 +97,25 @@ def test_a_missing_prior_is_made_and_said(
     assert adapted(run, few, "--episodes", "1", "--deploy-episodes", "1") == 0
     assert f"`{run / FILE}` is missing: making it" in caplog.text
     assert (run / FILE).exists()
+
+
+def test_a_method_that_also_moves_its_weights_searches_with_those_of_training(
+    few: str, tmp_path: Path
+) -> None:
+    both = Adaptation(policy=InnerStep(0.1), context=InnerStep(1.0))
+    learner = maesn_theta(adaptation=both, policy=GaussianMLP((8,)), meta_batch_size=2)
+    run = Run.create(tmp_path / "run", learner, tiny_settings(method="maesn_theta"))
+    assert cli.run(["prior", str(run.directory), *SMALL]) == 0
+    ask = Evaluation(few, rule=SearchRule(), episodes=3, deploy_episodes=1)
+    outcome = api.adapt(run, ask).outcome
+    with new_tasks(run, ask) as (_, searching):
+        agents = searching.agents(searching.init(jax.random.split(jax.random.key(0), 3)))
+    assert agents.shares_policy
+    trained_policy = run.latest_state().parameters.policy
+    jax.tree.map(np.testing.assert_array_equal, agents.policy, trained_policy)
+    prior, _ = read_prior(run.directory / FILE)
+    first = outcome.contexts.mean[:, 0]
+    assert (prior.latents[:, None] == first).all(axis=-1).any(axis=0).all()
 
 
 def test_an_exported_search_is_the_run_s(trained: Path, tmp_path: Path) -> None:

@@ -48,6 +48,10 @@ class AbstractContext(eqx.Module):
         """Return a context whose z is always the mean of this one's: itself if z is not random."""
         return self
 
+    def widened(self, factor: float) -> "AbstractContext":
+        """Return a context whose z varies so many times as much: itself if z is not random."""
+        return self
+
 
 class Nothing(AbstractContext):
     """The context of `NoContext`."""
@@ -113,6 +117,10 @@ class Latent(AbstractContext):
     def at_mean(self) -> "Latent":
         """Return N(mean, 1e-12 I), from which z is the mean up to rounding."""
         return Latent(self.mean, jnp.full_like(self.mean, math.log(FIXED_STD)))
+
+    def widened(self, factor: float) -> "Latent":
+        """Return N(mean, (factor std)^2 I)."""
+        return Latent(self.mean, self.log_std + math.log(factor))
 
 
 class TaskDescription(AbstractContext):

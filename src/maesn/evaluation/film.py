@@ -25,6 +25,7 @@ from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
 _WIDTH, _HEIGHT = 300, 190  # of each episode's picture, in pixels
+_MOST_SHOWN = 50  # episodes in a row: more are too small to see
 _MOST_PICTURES = 50  # of a film: more make the file large and nothing clearer
 # Milliseconds between two pictures: in real time, unless that is too fast or too slow to watch.
 _QUICKEST, _SLOWEST = 40.0, 100.0
@@ -35,23 +36,25 @@ def render(
     evaluation: running.AnyEvaluation = USUAL,
     *,
     task: int = 0,
-    after: Sequence[int] = (0, 250),
+    after: Sequence[int] | None = None,
     shown: int = 4,
     out: running.OptionalPath = None,
     family: running.AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
-    The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation.
-    The files are an animated GIF, and a PNG of the last states.
+    The episodes are the first ones that `maesn adapt` plays in this task with the same evaluation,
+    and are learned from: of a search, each plays another latent until it has found a good one. The
+    files are an animated GIF, and a PNG of the last states.
 
     Args:
         run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         evaluation: tasks, rule, budgets, seed.
         task: Index of the task in its set.
         after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
-            before any adaptation, and the last one at most `episodes`.
-        shown: Episodes that are shown each time: the first ones that are played.
+            before any adaptation, and the last one at most `episodes`. None: 0, and half of
+            `episodes`.
+        shown: Episodes that are shown each time: the first ones that are played from then on.
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.
 
@@ -60,14 +63,16 @@ def render(
         RenderingError: the system has no library to draw with.
     """
     run, asked = running.open_run(run, family), evaluation
+    each = asked.budget.per_update
+    if after is None:
+        after = (0, asked.budget.episodes // each // 2 * each)
     if not after:
         raise RunError("`after` must be at least one number of episodes.")
     with refusals():
         asked.check_reached("after", after)
-    each = asked.budget.per_update
     updates = [count // each for count in sorted(set(after))]
-    if not 1 <= shown <= each:
-        raise RunError(f"`shown` must be from 1 to `episodes_per_update`, {each}, got {shown}.")
+    if not 1 <= shown <= _MOST_SHOWN:
+        raise RunError(f"`shown` must be from 1 to {_MOST_SHOWN}, got {shown}.")
     with running.new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
@@ -77,7 +82,7 @@ def render(
         played = record_adaptation(learner, world, asked, task, updates, shown)
         goal = world.tasks[task]
     stride = math.ceil(env.horizon / _MOST_PICTURES)
-    rows = draw(env, goal, played, stride, each)
+    rows = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
@@ -104,9 +109,13 @@ class Playback(NamedTuple):
 
     update: int
     mean_return: float
-    """Over all episodes that were played, not only those that are kept here."""
+    """Over all episodes of the updates that were played, not only those that are kept here."""
     success_rate: float
-    """Share of all episodes that reach the goal region at some time."""
+    """Share of all these that reach the goal region at some time."""
+    num_played: int
+    """Their number."""
+    before: int
+    """Number of episodes that were learned from before."""
     episodes: list[Filmed]
 
 
@@ -120,28 +129,34 @@ def record_adaptation(
 ) -> list[Playback]:
     """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
 
-    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept.
+    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept: those
+    of several updates where one has fewer.
     """
-    kept: list[list[Filmed]] = []
+    each = evaluation.budget.per_update
+    wanted = {first: range(first, first + math.ceil(shown / each)) for first in updates}
+    last = max(wanted[max(updates)])
+    kept: dict[int, list[Filmed]] = {}
 
     def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
-        if stage in updates:
+        if any(stage in stages for stages in wanted.values()):
             # With one task at a time, its episodes are the simulations.
-            kept.append([_filmed(episodes, readings, episode) for episode in range(shown)])
+            count = min(each, shown)
+            kept[stage] = [_filmed(episodes, readings, episode) for episode in range(count)]
 
-    each = evaluation.budget.per_update
     curves = adapt(
         learner,
         Collector(world, each, keep),
-        episodes=max(updates) * each,
+        episodes=last * each,
         seed=evaluation.seed,
         tasks=[task],
     ).explored
-    returns, rates = curves.mean_return[0], curves.success_rate[0]
-    return [
-        Playback(update, float(returns[update]), float(rates[update]), filmed)
-        for update, filmed in zip(updates, kept, strict=True)
-    ]
+    returns, rates = np.asarray(curves.mean_return[0]), np.asarray(curves.success_rate[0])
+    playbacks = []
+    for first, stages in wanted.items():
+        means = float(returns[stages].mean()), float(rates[stages].mean())
+        filmed = [episode for stage in stages for episode in kept[stage]][:shown]
+        playbacks.append(Playback(first, *means, each * len(stages), each * first, filmed))
+    return playbacks
 
 
 def _filmed(episodes: Episodes, readings: Readings | HostReadings, episode: int) -> Filmed:
@@ -160,9 +175,7 @@ def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> H
     return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
 
 
-def draw(
-    env: AnyEnv, task: Any, played: Sequence[Playback], stride: int, num_played: int
-) -> list[Row]:
+def draw(env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> list[Row]:
     """Draw the episodes of one task, one picture every `stride` steps, all from the same place."""
     lived = [episode.states for playback in played for episode in playback.episodes]
     drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
@@ -184,11 +197,11 @@ def draw(
 
         rows = []
         for playback in played:
-            done = f"after {playback.update * num_played} episodes"
+            done = f"after {playback.before} episodes"
             title = (
                 f"{done if playback.update else 'before adaptation'}: mean return "
-                f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of {num_played} episodes "
-                "reach the goal"
+                f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of "
+                f"{playback.num_played} episodes reach the goal"
             )
             cells = [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)]
             rows.append(Row(title, cells))

@@ -25,6 +25,9 @@ from maesn.learners import AbstractFastLearner, SavedContexts
 from maesn.rules import (
     AbstractRule,
     AbstractWrapper,
+    BestOfRule,
+    CmaEsRule,
+    CrossEntropyRule,
     GradientRule,
     MemoryRule,
     NoAdaptation,
@@ -46,6 +49,9 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
     "rule": {
         "gradient": GradientRule,
         "search": SearchRule,
+        "best_of": BestOfRule,
+        "cross_entropy": CrossEntropyRule,
+        "cma_es": CmaEsRule,
         "memory": MemoryRule,
         "none": NoAdaptation,
     },
@@ -140,9 +146,9 @@ def evaluation_from_text(
 
     Args:
         options: all else.
-        rule: What happens in a new task: gradient, search, memory or none, or `module:name` of your
-            own; behind it its settings, as in `--rule gradient step_scale=2`. Left out: what the
-            method prescribes. `maesn list` has all settings.
+        rule: What happens in a new task: gradient, search, best_of, cross_entropy, cma_es, memory
+            or none, or `module:name` of your own; behind it its settings, as in `--rule gradient
+            step_scale=2`. Left out: what the method prescribes. `maesn list` has all settings.
         then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
             trpo after=500 max_kl=0.01`. Left out: they stay.
         bonus: A bonus on the rewards that are learned from, as in `--bonus vime

@@ -11,6 +11,9 @@ from maesn.rules.prescribed import MemoryRule as MemoryRule
 from maesn.rules.prescribed import NoAdaptation as NoAdaptation
 from maesn.rules.prescribed import default_rule as default_rule
 from maesn.rules.search import SearchRule as SearchRule
+from maesn.rules.strategies import BestOfRule as BestOfRule
+from maesn.rules.strategies import CmaEsRule as CmaEsRule
+from maesn.rules.strategies import CrossEntropyRule as CrossEntropyRule
 from maesn.rules.wrappers import AbstractThen as AbstractThen
 from maesn.rules.wrappers import ThenReinforce as ThenReinforce
 from maesn.rules.wrappers import ThenTrpo as ThenTrpo

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from maesn.axes import TaskKeys
+from maesn.context import Latent
 from maesn.envs import AnyEnv
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
@@ -30,18 +31,23 @@ class GradientRule(AbstractRule):
     full_steps: int | None = None
     """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
     usually 1/2); None: as the run's settings say."""
+    start_std: float = 1.0
+    """Standard deviation of the latent that a new task starts from; 1 is the paper's prior."""
 
     def __check_init__(self) -> None:
         if not 0 < self.step_scale < math.inf:
             raise ValueError(f"`step_scale` must be positive and finite, got {self.step_scale}.")
         if self.full_steps is not None and self.full_steps < 1:
             raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
+        if not 0 < self.start_std < math.inf:
+            raise ValueError(f"`start_std` must be positive and finite, got {self.start_std}.")
 
     @property
     def label(self) -> str:
         parts = {
             f"steps × {self.step_scale:g}": self.step_scale != 1,
             f"{self.full_steps} full steps": self.full_steps is not None,
+            f"start N(0, {self.start_std:g}² I)": self.start_std != 1,
         }
         return "; ".join(text for text, is_so in parts.items() if is_so)
 
@@ -59,10 +65,16 @@ class GradientRule(AbstractRule):
                 "the rule `gradient` needs a method that changes something in a new task, but this "
                 "one does not: leave the rule out."
             )
+        if self.start_std != 1 and not isinstance(learner.context_table, Latent):
+            raise ValueError(
+                "`start_std` needs a method with a latent, as `maesn`, `maesn_theta` or "
+                "`latent_space`: leave it out."
+            )
         schedule = learner.schedule
         number = schedule.full_steps if self.full_steps is None else self.full_steps
         scale = schedule.scale * self.step_scale
-        return replace(learner, schedule=replace(schedule, scale=scale, full_steps=number))
+        paced = replace(schedule, scale=scale, full_steps=number)
+        return replace(learner, schedule=paced, start_std=self.start_std)
 
 
 class MemoryRule(AbstractRule):

@@ -4,3 +4,5 @@ from maesn.search.archive import latent_learner as latent_learner
 from maesn.search.learner import SearchFastLearner as SearchFastLearner
 from maesn.search.prior import PriorSettings as PriorSettings
 from maesn.search.prior import make_prior as make_prior
+from maesn.search.prior import play_archive as play_archive
+from maesn.search.strategy_learner import StrategyFastLearner as StrategyFastLearner

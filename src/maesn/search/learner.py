@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,6 +16,7 @@ from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
+from maesn.search.strategy_learner import task_generators
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,7 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
 
     def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> SearchState:
         refuse_saved(self, saved)
-        words = np.asarray(jax.vmap(jax.random.key_data)(keys))
-        generators = tuple(np.random.default_rng(row.tolist()) for row in words)
+        generators = task_generators(keys)
         start = LatentSearch.start(self.model, self.settings)
         return self._next([start] * len(generators), generators)
 

@@ -67,7 +67,7 @@ def make_prior(
         settings: how.
         progress: called after each batch.
     """
-    returns, length = _played(learner, world, latents, settings, progress)
+    returns, length = play_archive(learner, world, latents, settings, progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
         # Where the environment does not say: most latents of an archive never find the goal.
@@ -84,14 +84,19 @@ def make_prior(
     )
 
 
-def _played(
+def play_archive(
     learner: GradientFastLearner,
     world: AbstractWorld,
     latents: np.ndarray,
     settings: PriorSettings,
-    progress: Progress,
+    progress: Progress = lambda played, of: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return returns, and lengths as a share of the horizon, `[task, latent, episode]` each."""
+    """Play latents in all tasks of a world; arguments are those of `make_prior`.
+
+    Returns:
+        Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of one
+        situation share their episodes.
+    """
     groups = situations(world.env, world.tasks)
     collector = Collector(world, settings.episodes)
     size = max(1, settings.simulations // settings.episodes)

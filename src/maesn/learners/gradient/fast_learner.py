@@ -47,13 +47,15 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     step_sizes: StepSizes
     statistics: ObservationStatistics | None = None
     """Of the observations in training; they stay as they are."""
+    start_std: float = 1.0
+    """Multiplies the standard deviation of the latents that new tasks start from."""
 
     def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> GradientFastState:
         """See `AbstractFastLearner.init`. Nothing is random. Step sizes follow `saved.updates`."""
         refuse_saved(self, saved)
         if saved is None:
             start = self.context.start_new(self.context_table, keys.shape[0])
-            saved = SavedContexts(start, 0)
+            saved = SavedContexts(start.widened(self.start_std), 0)
         agents = Agents(self.policy, saved.context, shares_policy=True, statistics=self.statistics)
         return GradientFastState(agents, jnp.asarray(saved.updates))
 

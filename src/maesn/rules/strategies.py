@@ -1,0 +1,125 @@
+"""Rules that search for a good latent by returns alone: what latent search is compared with."""
+
+import math
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+
+from maesn.envs import AnyEnv
+from maesn.learners import AbstractFastLearner
+from maesn.rules.base import AbstractRule, Budget, Trained
+from maesn.runtime.arrays import FloatArray
+from maesn.search import StrategyFastLearner, latent_learner
+from maesn.search.strategies import AbstractStrategy, BestOf, CmaEs, CrossEntropy
+
+_BUDGET = Budget(100, 1, 5)
+
+
+class BestOfRule(AbstractRule):
+    """Play latents drawn from the prior; deploy the best one by return so far.
+
+    Every latent is played once, so that the best of many may owe its rank to chance.
+    """
+
+    budget: ClassVar[Budget] = _BUDGET
+
+    spread: float = 1.0
+    """Standard deviation of the draws."""
+
+    def __check_init__(self) -> None:
+        _check_positive("spread", self.spread)
+
+    @property
+    def label(self) -> str:
+        return "best of draws"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        return _playing(trained, lambda zero: BestOf(zero, self.spread))
+
+
+class CrossEntropyRule(AbstractRule):
+    """Draw latents in rounds, each around the best of the round before.
+
+    The cross-entropy method. Deployed is the mean of the draws.
+    """
+
+    budget: ClassVar[Budget] = _BUDGET
+
+    spread: float = 3.0
+    """Standard deviation of the first draws: that of the archive of `search`."""
+    round_size: int = 20
+    """Draws of a round."""
+    elite: float = 0.2
+    """Share of a round that the next one is drawn around, at least two draws."""
+
+    def __check_init__(self) -> None:
+        _check_positive("spread", self.spread)
+        if self.round_size < 2:
+            raise ValueError(f"`round_size` must be at least 2, got {self.round_size}.")
+        if not 0 < self.elite <= 1:
+            raise ValueError(f"`elite` must be above 0 and at most 1, got {self.elite}.")
+
+    @property
+    def label(self) -> str:
+        return "cross-entropy"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        def start(zero: FloatArray) -> AbstractStrategy:
+            std = np.full_like(zero, self.spread)
+            return CrossEntropy(zero, std, self.round_size, self.elite)
+
+        return _playing(trained, start)
+
+
+class CmaEsRule(AbstractRule):
+    """CMA-ES over latents, by the library `cmaes`, an extra: `pip install maesn[cmaes]`.
+
+    Covariance matrix adaptation evolution strategy. Deployed is the mean of the draws.
+    """
+
+    budget: ClassVar[Budget] = _BUDGET
+
+    spread: float = 3.0
+    """Standard deviation of the first draws: that of the archive of `search`."""
+    population: int | None = None
+    """Draws of a generation; None: what the library takes for the size of z, 6 for two
+    components."""
+
+    def __check_init__(self) -> None:
+        _check_positive("spread", self.spread)
+        if self.population is not None and self.population < 4:
+            raise ValueError(f"`population` must be at least 4, got {self.population}.")
+
+    @property
+    def label(self) -> str:
+        return "CMA-ES"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+        try:
+            library = import_module("cmaes")
+        except ImportError as error:
+            raise ValueError(
+                "the rule `cma_es` needs the library `cmaes`: install `maesn[cmaes]`."
+            ) from error
+
+        def start(zero: FloatArray) -> AbstractStrategy:
+            # The seed decides nothing: every draw has a seed of its own.
+            return CmaEs(library.CMA(zero, self.spread, seed=0, population_size=self.population))
+
+        return _playing(trained, start)
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < math.inf:
+        raise ValueError(f"`{name}` must be positive and finite, got {value}.")
+
+
+def _playing(
+    trained: Trained, start: Callable[[FloatArray], AbstractStrategy]
+) -> AbstractFastLearner[Any]:
+    """Return the learner whose strategy `start` makes of the latent 0."""
+    learner = latent_learner(trained.fast_learner())
+    zero = np.zeros(learner.context_table.size)
+    return StrategyFastLearner(learner.policy, learner.statistics, start(zero))

@@ -1,0 +1,106 @@
+"""The tables of latent search beside other rules."""
+
+import csv
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scripts import ROOT, load_script
+from small_runs import tiny_maesn, tiny_settings
+
+from maesn import api
+from maesn.runs.run import Run
+from maesn.runtime.search import SearchSettings
+from maesn.search import PriorSettings
+from maesn.search.stored import read_prior, run_prior
+
+
+@pytest.fixture
+def tables(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    return load_script("benchmarks/search_tables.py")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = Run.create(tmp_path_factory.mktemp("source") / "run", tiny_maesn(), tiny_settings())
+    run_prior(run, PriorSettings(draws=4, adapted=False, episodes=2))
+    return run.directory
+
+
+def test_rows_are_those_of_adapt_and_are_made_once(
+    tables: ModuleType, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "enable_compilation_cache", lambda: None)
+    short = tables.Line("best_of", 3)
+    monkeypatch.setitem(tables.GROUPS, "short", {"search": tables.Line(episodes=3), "best": short})
+    out = tmp_path / "rows"
+    settings = tables.Settings(
+        out, runs=(f"tiny={source}",), lines=("short",), num_tasks=3, tasks="validation"
+    )
+    tables.main(settings)
+    with (out / "tiny-best-0.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    asked = tables.evaluation(Run.open(source), short, "validation", 3, 0, 1)
+    outcome = api.adapt(source, asked, out=tmp_path / "table.csv").outcome
+    assert [(row["task"], row["episodes"]) for row in rows[:4]] == [("0", str(n)) for n in range(4)]
+    last = [row for row in rows if row["episodes"] == "3"]
+    deployed = [float(row["deployed"]) for row in last]
+    np.testing.assert_allclose(deployed, outcome.deployed.mean_return[:, 3], rtol=1e-4)
+    searching = [float(row["searching"]) for row in last]
+    np.testing.assert_allclose(searching, outcome.explored.mean_return[:, :3].mean(1), rtol=1e-4)
+    reached = (outcome.explored.success_rate[:, :3] > 0).any(axis=1)
+    assert [float(row["reached"]) for row in last] == reached.tolist()
+
+    (out / "tiny-search-0.csv").unlink()
+    kept = (out / "tiny-best-0.csv").stat().st_mtime_ns
+    monkeypatch.setattr(tables, "write_row", lambda path, rows: path.write_text(path.name))
+    tables.make(settings)
+    assert (out / "tiny-best-0.csv").stat().st_mtime_ns == kept
+    assert (out / "tiny-search-0.csv").read_text() == "tiny-search-0.csv"
+
+
+def test_differences_are_paired_by_task(tables: ModuleType, tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    names = ("deployed", "success", "drawn", "drawn_success", "searching", "reached")
+    values = {}
+    for line, tasks, episodes in (("search", 6, 20), ("other", 4, 50)):
+        values[line] = generator.normal(size=tasks)
+        tables.write_row(
+            tmp_path / f"run-{line}-0.csv",
+            [
+                {"task": task, "episodes": episodes, "at_reset": 0.0}
+                | dict.fromkeys(names, float(value))
+                for task, value in enumerate(values[line])
+            ],
+        )
+    (row,) = (one for one in tables.summarize(tmp_path) if one["line"] == "other")
+    gap = values["search"][:4] - values["other"]
+    assert row["behind_search"] == pytest.approx(gap.mean(), abs=1e-4)
+    assert row["behind_half"] == pytest.approx(1.96 * gap.std(ddof=1) / 2, rel=1e-3)
+    assert row["deployed"] == pytest.approx(values["other"].mean(), abs=1e-4)
+
+
+def test_the_ceiling_is_selected_and_judged_on_different_episodes(tables: ModuleType) -> None:
+    # Latent 0 always returns 1; latent 1 returns 10 and 0 in the two halves.
+    returns = np.array([[[1.0, 1.0], [10.0, 0.0]]])
+    (row,) = tables.ceiling_rows(returns)
+    # Selected on the first half: latent 1, judged 0. On the second: latent 0, judged 1.
+    assert row["deployed"] == pytest.approx(0.5)
+
+
+def test_a_permutation_keeps_what_each_latent_returns(tables: ModuleType, source: Path) -> None:
+    settings = SearchSettings()
+    (path,) = (source / "priors").iterdir()
+    model = settings.model(read_prior(path)[0])
+    mixed = tables.permuted(model, settings)
+    for name in ("latents", "noise"):
+        np.testing.assert_array_equal(getattr(mixed.prior, name), getattr(model.prior, name))
+    before, after = model.prior.excess, mixed.prior.excess
+    np.testing.assert_array_equal(np.sort(before, axis=0), np.sort(after, axis=0))
+    assert (before != after).any()
+    alone = tables.Stationary.of(model, settings)
+    np.testing.assert_allclose(
+        alone.task_means(model.archive)[0], model.task_means(model.archive).mean(axis=0)
+    )
