@@ -2,15 +2,12 @@
 
 import csv
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scripts import ROOT, load_script
-from small_runs import create, tiny_maesn
+from scripts import ROOT
 
-from maesn.evaluation.evaluation import Evaluation
 from maesn.report.reading import read_adaptation
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
@@ -80,35 +77,3 @@ def test_what_is_said_of_the_chain_is_what_its_tables_say(directory: str, reward
         success = np.mean([float(row["final_success_rate"]) for row in seeds])
         cells = f"{found} of {runs} | {early} | {lucky} of {len(seeds)} | {success:.2f} |"
         assert f"| `{name}` | {cells}" in "\n".join(part.splitlines()[:4])
-
-
-def test_a_default_configuration_stays_unless_another_is_better_beyond_chance() -> None:
-    tuning = load_script("results/tuning.py")
-    default = np.array([-10.0, -20.0, -30.0, -40.0])
-    # On average 1 better, with a standard error of the difference of 2.3.
-    hardly = default + np.array([5.0, -3.0, 5.0, -3.0])
-    clearly = default + np.array([1.5, 0.5, 1.5, 0.5])
-    assert tuning.standard_error(hardly - default) == pytest.approx(4 / math.sqrt(3))
-    assert tuning.chosen({"default": default, "other": hardly}) == "default"
-    assert tuning.chosen({"default": default, "other": clearly}) == "other"
-    assert tuning.chosen({"default": default, "other": default - 1}) == "default"
-
-
-@pytest.mark.long
-def test_every_configuration_has_a_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    create(tmp_path / "runs" / "maesn", tiny_maesn())
-    tuning = load_script("results/tuning.py")
-    small = Evaluation(tasks="validation", num_tasks=3, episodes=8, episodes_per_update=2)
-    monkeypatch.setattr(tuning, "TRAINED", small)
-    asked = [str(tmp_path / "runs"), "--out", str(tmp_path / "out"), "--only", "maesn"]
-    monkeypatch.setattr(sys, "argv", ["tuning.py", *asked])
-    tuning.main()
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| `maesn` ")]
-    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
-    assert [name.strip("*") for _, name, *_ in cells] == list(tuning.PACES)
-    assert sum(name.startswith("**") for _, name, *_ in cells) == 1
-    assert {(tasks, updates) for _, _, tasks, updates, *_ in cells} == {("3", "4")}
-    # Only the first two of the four steps have the same size in two of them.
-    assert len({returned for *_, returned, _ in cells}) == 3
