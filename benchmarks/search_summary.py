@@ -41,7 +41,7 @@ def summarize(out: Path) -> list[Curve]:
 
 def _means(here: dict[str, np.ndarray]) -> Curve:
     nothing = np.full(len(here["deployed"]), np.nan)
-    fresh = here.get("at_reset", nothing * 0) == 0  # tasks that are not solved at reset
+    fresh = here.get("at_reset", np.zeros(len(nothing))) == 0  # tasks that are not solved at reset
     values = {name: here.get(name, nothing) for name in ("deployed", "drawn", "searching")}
     result: Curve = {"tasks": len(nothing)}
     for name, value in values.items():
