@@ -115,10 +115,10 @@ def test_the_band_is_the_interval() -> None:
 def test_the_note_says_which_lines_judge_the_deployed_agent() -> None:
     fresh = replace(adaptation_table(), purpose=DEPLOY)
     (_, one) = note(plot_adaptation_curves([method("maesn", fresh)], {})).splitlines()
-    assert one == "judged on fresh episodes of the deployed latent"
+    assert one == "judged on fresh episodes of the deployed agent"
     lines = [method("maesn", fresh), method("maml", adaptation_table())]
     said = note(plot_adaptation_curves(lines, {})).replace("\n", " ")
-    assert "MAESN: judged on fresh episodes of the deployed latent; MAML: judged on the" in said
+    assert "MAESN: judged on fresh episodes of the deployed agent; MAML: judged on the" in said
 
 
 def test_two_numbers_of_episodes_share_no_axis() -> None:

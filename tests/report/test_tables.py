@@ -149,7 +149,7 @@ def test_the_summary_of_a_file_is_printed(tmp_path: Path) -> None:
     assert "No episode" not in output
     fresh = printed(tmp_path, TABLES[0], TABLES[1])
     assert f"{TABLES[1].mean_return[:, -1].mean():.1f}" in fresh
-    assert "Judged on fresh episodes of the deployed latent." in fresh
+    assert "Judged on fresh episodes of the deployed agent." in fresh
 
 
 def test_each_of_few_tasks_has_a_row(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset"
 EXPLORE, DEPLOY = "explore", "deploy"
 JUDGED = {
     EXPLORE: "judged on the episodes that were learned from, z drawn, as in the paper",
-    DEPLOY: "judged on fresh episodes of the deployed latent",
+    DEPLOY: "judged on fresh episodes of the deployed agent",
 }
 
 
