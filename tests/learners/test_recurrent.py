@@ -15,7 +15,7 @@ from maesn.context import Latent
 from maesn.envs import HiddenEnd, TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
 from maesn.learners import (
     PRESETS,
@@ -57,25 +57,17 @@ def small(**settings: Any) -> RecurrentMetaLearner:
     )
 
 
-class Watching:
-    """`Collect` that keeps what was asked and played."""
+class Watching(Collector):
+    """A collector that keeps what was asked and played."""
 
-    def __init__(self, collect: Collect) -> None:
-        self.collect = collect
+    def __init__(self, collect: Collector) -> None:
+        super().__init__(collect.world, collect.episodes_per_task)
         self.trial_states: list[TrialState | None] = []
         self.stages: list[int] = []
         self.played: list[Episodes] = []
 
-    @property
-    def num_tasks(self) -> int:
-        return self.collect.num_tasks
-
-    @property
-    def episodes_per_task(self) -> int:
-        return self.collect.episodes_per_task
-
     def __call__(self, keys: TaskKeys, agents: Agents, task_index: Any, stage: int = 0) -> Episodes:
-        episodes = self.collect(keys, agents, task_index, stage)
+        episodes = super().__call__(keys, agents, task_index, stage)
         self.trial_states.append(agents.trial_state)
         self.stages.append(stage)
         self.played.append(episodes)
