@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maesn.runtime.archive import read_arrays, write_arrays, write_whole
+from maesn.runtime.archive import DEEPEST, parse_json, read_arrays, write_arrays, write_whole
 
 ARRAYS = {
     "goal": np.arange(6.0).reshape(3, 2),
@@ -160,3 +160,16 @@ def test_a_failed_write_keeps_the_file_that_was_there(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     write_whole(tmp_path / "file", b"new")
     assert (tmp_path / "file").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
+def test_a_text_that_is_nested_deeply_is_refused_before_anything_walks_through_it(
+    opening: str, closing: str
+) -> None:
+    def text(levels: int) -> str:
+        return opening * levels + "0" + closing * levels
+
+    assert parse_json(text(DEEPEST - 1)) is not None
+    for levels in (DEEPEST + 1, 900, 10**6):
+        with pytest.raises(ValueError, match="nested too deeply"):
+            parse_json(text(levels))

@@ -30,6 +30,8 @@ _METADATA = "metadata"
 
 # Bytes that the arrays of a file may have in memory. A file of a few kilobytes can state terabytes.
 LARGEST_FILE = 2**30
+# Levels that a JSON text may have. No file of ours has ten.
+DEEPEST = 100
 
 _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 
@@ -150,10 +152,22 @@ def parse_json(text: str | bytes) -> Any:
     Raises:
         ValueError: it is no JSON, or nested too deeply.
     """
+    too_deep = "it is nested too deeply"
     try:
-        return json.loads(text)
+        document = json.loads(text)
     except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
+        raise ValueError(too_deep) from error
+    inner = [document]
+    for _ in range(DEEPEST):
+        inner = [
+            value
+            for one in inner
+            if isinstance(one, dict | list)
+            for value in (one.values() if isinstance(one, dict) else one)
+        ]
+    if inner:  # what walks through it later would fail
+        raise ValueError(too_deep)
+    return document
 
 
 def write_archive(
