@@ -20,20 +20,20 @@ from synthetic_runs import (
     latents,
 )
 
-from maesn.report.figures.exploration import (
+from maesn.reporting.figures.exploration import (
     ExplorationPanel,
     plot_exploration,
     plot_latents,
     plot_structured_noise,
     plot_task_distribution,
 )
-from maesn.report.figures.plane import (
+from maesn.reporting.figures.plane import (
     direction_scale,
     directions,
     final_positions,
     shared_limits,
 )
-from maesn.report.style import METHOD_STYLES
+from maesn.reporting.style import METHOD_STYLES
 
 
 def exploration_figure() -> Figure:

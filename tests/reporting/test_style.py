@@ -7,7 +7,7 @@ import matplotlib as mpl
 import pytest
 from matplotlib.colors import to_rgb
 
-from maesn.report.style import (
+from maesn.reporting.style import (
     METHOD_STYLES,
     TWO_COLUMNS,
     MethodStyle,
