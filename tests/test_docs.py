@@ -22,11 +22,11 @@ PAGES = sorted(
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
 LONG = [
-    "docs/own_environment_gymnasium.md",
-    "docs/own_environment_mujoco.md",
-    "docs/comparing.md",
-    "docs/methods/latent_search.md",
-    "docs/methods/scratch.md",
+    "docs/howto/own_environment_gymnasium.md",
+    "docs/howto/own_environment_mujoco.md",
+    "docs/howto/compare.md",
+    "docs/explanation/methods/latent_search.md",
+    "docs/explanation/methods/scratch.md",
 ]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
 
@@ -112,9 +112,9 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
     ],
 )
 def test_every_metric_is_described(prefix: str, info: type) -> None:
-    page = (ROOT / "docs" / "files.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "files.md").read_text("utf-8")
     rows = "".join(re.findall(r"^(\|[^|]*\|)", page, re.MULTILINE))
-    told = prose(ROOT / "docs" / "files.md").split("## metrics.jsonl")[1].split("\n## ")[0]
+    told = prose(ROOT / "docs" / "reference" / "files.md").split("## metrics.jsonl")[1].split("\n## ")[0]
     for field in dataclasses.fields(info):
         name = f"{prefix}{field.name}"
         assert f"`{name}" in told or f"`.../{field.name}`" in rows, name

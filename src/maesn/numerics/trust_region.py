@@ -53,7 +53,7 @@ class TrustRegion(eqx.Module):
     """Bound on the mean KL divergence of one step. Reference: 0.01."""
     cg_steps: int = 20
     """Steps of the conjugate gradient method. Reference: 10, with a curvature product by finite
-    differences. docs/design.md compares runs with 10 and with 20."""
+    differences. docs/explanation/design.md compares runs with 10 and with 20."""
     damping: float = 1e-5
     """Added to the curvature of every parameter. Reference: 1e-5."""
     backtrack_ratio: float = 0.8
