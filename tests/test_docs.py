@@ -114,7 +114,11 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_metric_is_described(prefix: str, info: type) -> None:
     page = (ROOT / "docs" / "reference" / "files.md").read_text("utf-8")
     rows = "".join(re.findall(r"^(\|[^|]*\|)", page, re.MULTILINE))
-    told = prose(ROOT / "docs" / "reference" / "files.md").split("## metrics.jsonl")[1].split("\n## ")[0]
+    told = (
+        prose(ROOT / "docs" / "reference" / "files.md")
+        .split("## metrics.jsonl")[1]
+        .split("\n## ")[0]
+    )
     for field in dataclasses.fields(info):
         name = f"{prefix}{field.name}"
         assert f"`{name}" in told or f"`.../{field.name}`" in rows, name
