@@ -155,12 +155,14 @@ GENERATORS: dict[str, Callable[[], str]] = {
 }
 
 
-def fill(app: Sphinx, name: str, source: list[str]) -> None:  # noqa: ARG001
-    """Replace the markers in the text of a page."""
+def fill(app: Sphinx, name: str, source: list[str]) -> None:
+    """Replace the markers in the text of a page; give tables that have no title their path as one."""
     source[0] = MARKER.sub(lambda marker: GENERATORS[marker[1]](), source[0])
+    if not source[0].startswith("# "):
+        source[0] = f"# {name}\n\n{source[0]}"
 
 
-def quote(app: Sphinx, what: str, name: str, *rest: Any) -> None:  # noqa: ARG001
+def quote(app: Sphinx, what: str, name: str, *rest: Any) -> None:
     """Turn the backticks of docstrings into those of reStructuredText."""
     lines = rest[-1]
     lines[:] = SINGLE_BACKTICKS.sub(r"``\1``", "\n".join(lines)).split("\n")
@@ -168,7 +170,7 @@ def quote(app: Sphinx, what: str, name: str, *rest: Any) -> None:  # noqa: ARG00
         ATTRIBUTES[name] = lines[:]
 
 
-def keep_attribute(app: Sphinx, what: str, name: str, *rest: Any) -> None:  # noqa: ARG001
+def keep_attribute(app: Sphinx, what: str, name: str, *rest: Any) -> None:
     """Undo what Napoleon makes of an attribute's text, where it takes a colon to end a type."""
     if what == "attribute":
         rest[-1][:] = ATTRIBUTES[name]
