@@ -8,6 +8,7 @@ import contextlib
 import io
 import os
 import re
+import textwrap
 from collections import defaultdict
 from collections.abc import Callable
 from importlib import import_module
@@ -76,7 +77,8 @@ def help_of(words: list[str]) -> str:
         cli.run([*words, "--help"])
     if not printed.getvalue():
         raise RuntimeError(f"`maesn {' '.join(words)} --help` must print something.")
-    return "\n".join(line.rstrip() for line in printed.getvalue().strip().splitlines())
+    lines = printed.getvalue().strip().splitlines()
+    return "\n".join(textwrap.fill(line.rstrip(), WIDTH) for line in lines)
 
 
 def python_api() -> str:
@@ -156,7 +158,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
 
 
 def fill(app: Sphinx, name: str, source: list[str]) -> None:
-    """Replace the markers in the text of a page; give tables that have no title their path as one."""
+    """Replace the markers in a page; tables without a title get their path as one."""
     source[0] = MARKER.sub(lambda marker: GENERATORS[marker[1]](), source[0])
     if not source[0].startswith("# "):
         source[0] = f"# {name}\n\n{source[0]}"

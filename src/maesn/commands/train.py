@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -102,9 +101,9 @@ def _method(arguments: list[str]) -> tuple[str, list[str]]:
             f"METHOD is one of: {known}.\n"
             f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.\n"
             "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
-            "the method on that family."
+            "the method on that family. Those of `maesn`:\n"
         )
-        sys.exit(0)
+        read_options("maesn", arguments)
     method, *rest = arguments
     if method in learners.SCRATCH:
         raise RunError(
