@@ -25,19 +25,17 @@ _EXTRAS = {"gym": "gymnasium", "gpu": "mujoco-mjx", "ray": "ray", "cmaes": "cmae
 def doctor() -> None:
     """Show versions, engine, cores, graphics card, cache and policies; let a robot drive."""
     packages = {"maesn": __version__} | installed_versions("mujoco.batch")
-    _say("versions", ", ".join(f"{name} {number}" for name, number in packages.items()))
-    _say(
-        "extras", ", ".join(e for e, package in _EXTRAS.items() if any(distributions(name=package)))
-    )
-    _say("cores", str(len(os.sched_getaffinity(0))))
-    _say("JAX runs on", ", ".join(map(str, jax.devices())))
-    _say("cache", _cache())
-    _say("policies", ", ".join(policy_names()))
-    _say("self test", _drive())
-
-
-def _say(name: str, text: str) -> None:
-    print(f"{name:12s} {text or 'none'}")
+    facts = {
+        "versions": [f"{name} {number}" for name, number in packages.items()],
+        "extras": [extra for extra, name in _EXTRAS.items() if any(distributions(name=name))],
+        "cores": [len(os.sched_getaffinity(0))],
+        "JAX runs on": jax.devices(),
+        "cache": [_cache()],
+        "policies": policy_names(),
+    }
+    for name, found in facts.items():
+        print(f"{name:12s} {', '.join(map(str, found)) or 'none'}")
+    print(f"{'self test':12s} {_drive()}")
 
 
 def _cache() -> str:
