@@ -1,12 +1,20 @@
-"""The documentation: every link leads somewhere, every Python example runs."""
+"""The documentation: every link leads somewhere, every example and every command runs."""
 
 import ast
 import dataclasses
+import importlib
 import re
+import shlex
+import sys
 from pathlib import Path
 
 import pytest
+from guides import Guide
 
+import maesn
+from maesn import cli
+from maesn.commands import options, train
+from maesn.learners import PRESETS
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
@@ -14,6 +22,8 @@ from maesn.learners.wrappers.meta_bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "docs" / "extensions"))
+generated_reference = importlib.import_module("generated_reference")
 PAGES = sorted(
     page
     for pattern in ("*.md", "docs/**/*.md", "results/**/*.md", "examples/**/*.md")
@@ -22,12 +32,17 @@ PAGES = sorted(
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
 LONG = [
+    "README.md",
+    "docs/howto/latents.md",
     "docs/howto/own_environment_gymnasium.md",
     "docs/howto/own_environment_mujoco.md",
     "docs/howto/compare.md",
     "docs/explanation/methods/latent_search.md",
     "docs/explanation/methods/scratch.md",
 ]
+UNDERSTOOD = 77
+# Commands that read no options of tyro's.
+NO_OPTIONS = (["--version"], ["list"], ["--help"])
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
 
 
@@ -49,11 +64,22 @@ def leads_somewhere(page: Path, link: str) -> bool:
     )
 
 
+def blocks_of(page: Path, wanted: str) -> list[str]:
+    return [code for language, code in FENCE.findall(page.read_text("utf-8")) if language == wanted]
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """The library's commands in the blocks of a page for a terminal, as lists of words."""
+    blocks = blocks_of(page, "console") + blocks_of(page, "bash")
+    text = "\n".join(blocks).replace("\\\n", " ")
+    lines = [line.removeprefix("$ ") for line in text.splitlines()]
+    split = [shlex.split(line, comments=True) for line in lines if line.startswith("maesn ")]
+    return [words[1:] for words in split]
+
+
 def examples(page: Path) -> str:
     """The Python examples of one page, as one program: later ones may use the names of earlier."""
-    return "\n".join(
-        code for language, code in FENCE.findall(page.read_text("utf-8")) if language == "python"
-    )
+    return "\n".join(blocks_of(page, "python"))
 
 
 def test_the_readme_is_among_the_pages() -> None:
@@ -98,6 +124,41 @@ def test_python_examples_import_what_there_is() -> None:
 def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(examples(page), page.name, "exec"), {"__name__": "__main__"})
+
+
+def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Guide("own_rule.md", "my_rules").write(tmp_path)  # named by options, which import it
+    monkeypatch.syspath_prepend(tmp_path)
+    for module in (options, train):  # what follows the reading of options
+        monkeypatch.setattr(module, "enable_compilation_cache", lambda: sys.exit(UNDERSTOOD))
+    # Results keep the commands of their time.
+    pages = [page for page in PAGES if not page.is_relative_to(ROOT / "results")]
+    commands = [(name_of(page), words) for page in pages for words in commands_of(page)]
+    assert len(commands) > 70
+    for page, words in commands:
+        with pytest.raises(SystemExit) as end:
+            sys.exit(cli.run(words))
+        assert end.value.code == UNDERSTOOD or words in NO_OPTIONS, (page, words)
+
+
+def test_every_study_can_be_understood(tmp_path: Path) -> None:
+    blocks = [code for page in PAGES for code in blocks_of(page, "toml") if "family =" in code]
+    assert len(blocks) >= 2
+    for code in blocks:
+        (tmp_path / "mine.toml").write_text(code)
+        assert maesn.Study.load(tmp_path / "mine.toml").plan.jobs
+
+
+def test_settings_of_the_site_describe_every_method() -> None:
+    assert {"maesn", "rl2", "oracle"} <= set(PRESETS)
+    for method in PRESETS:
+        assert f"## {method}" in generated_reference.settings_of(method)
+
+
+def test_the_python_reference_names_everything_public() -> None:
+    page = generated_reference.python_api()
+    assert not [name for name in maesn._MODULE_OF if f"maesn.{name}\n" not in page]
+    assert "maesn.runtime.Explorer" in page
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
-
-from sphinx.application import Sphinx
+from typing import TYPE_CHECKING, Any
 
 import maesn
 from maesn import cli
@@ -22,6 +20,9 @@ from maesn.envs import FAMILIES
 from maesn.learners import PRESETS, recommended
 from maesn.runs.serialization import TAG, fields_to_json
 from maesn.settings import leaves
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 WIDTH = 100  # characters of a help text
 MARKER = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
@@ -157,14 +158,14 @@ GENERATORS: dict[str, Callable[[], str]] = {
 }
 
 
-def fill(app: Sphinx, name: str, source: list[str]) -> None:
+def fill(app: "Sphinx", name: str, source: list[str]) -> None:
     """Replace the markers in a page; tables without a title get their path as one."""
     source[0] = MARKER.sub(lambda marker: GENERATORS[marker[1]](), source[0])
     if not source[0].startswith("# "):
         source[0] = f"# {name}\n\n{source[0]}"
 
 
-def quote(app: Sphinx, what: str, name: str, *rest: Any) -> None:
+def quote(app: "Sphinx", what: str, name: str, *rest: Any) -> None:
     """Turn the backticks of docstrings into those of reStructuredText."""
     lines = rest[-1]
     lines[:] = SINGLE_BACKTICKS.sub(r"``\1``", "\n".join(lines)).split("\n")
@@ -172,13 +173,13 @@ def quote(app: Sphinx, what: str, name: str, *rest: Any) -> None:
         ATTRIBUTES[name] = lines[:]
 
 
-def keep_attribute(app: Sphinx, what: str, name: str, *rest: Any) -> None:
+def keep_attribute(app: "Sphinx", what: str, name: str, *rest: Any) -> None:
     """Undo what Napoleon makes of an attribute's text, where it takes a colon to end a type."""
     if what == "attribute":
         rest[-1][:] = ATTRIBUTES[name]
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: "Sphinx") -> dict[str, bool]:
     """Connect this extension."""
     app.connect("source-read", fill)
     app.connect("autodoc-process-docstring", quote, priority=400)

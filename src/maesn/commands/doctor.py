@@ -1,6 +1,7 @@
 """`maesn doctor`: what is installed and found, and whether a robot moves."""
 
 import os
+from collections.abc import Sequence
 from importlib.metadata import distributions
 from tempfile import TemporaryFile
 
@@ -17,7 +18,6 @@ from maesn.runs.run import Run
 from maesn.runs.sources import policy_names
 from maesn.storage import RunError
 
-# Extra -> what it brings.
 _EXTRAS = {"gym": "gymnasium", "gpu": "mujoco-mjx", "ray": "ray", "cmaes": "cmaes"}
 
 
@@ -25,7 +25,7 @@ _EXTRAS = {"gym": "gymnasium", "gpu": "mujoco-mjx", "ray": "ray", "cmaes": "cmae
 def doctor() -> None:
     """Show versions, engine, cores, graphics card, cache and policies; let a robot drive."""
     packages = {"maesn": __version__} | installed_versions("mujoco.batch")
-    facts = {
+    facts: dict[str, Sequence[object]] = {
         "versions": [f"{name} {number}" for name, number in packages.items()],
         "extras": [extra for extra, name in _EXTRAS.items() if any(distributions(name=name))],
         "cores": [len(os.sched_getaffinity(0))],
@@ -39,8 +39,7 @@ def doctor() -> None:
 
 
 def _cache() -> str:
-    directory = cache_directory()
-    if directory is None:
+    if (directory := cache_directory()) is None:
         return "off"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -57,5 +56,5 @@ def _drive() -> str:
     few = Evaluation(num_tasks=2, episodes=20, episodes_per_update=10)
     returns = evaluate(Run.open("wheeled"), few)[0].explored.mean_return
     if not np.isfinite(returns).all():
-        raise RunError(f"the policy `wheeled` returned {returns}, which is not finite.")
+        raise RunError(f"`wheeled` returned {returns}, which is not finite.")
     return "`wheeled` drove in two tasks; all is well"
