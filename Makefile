@@ -90,7 +90,7 @@ docs: $(DOCS_READY) ## Build the documentation's site in build/site
 	@echo "open build/site/docs/index.html"
 
 test-docs: $(TEST_READY) ## Run every example and every command of the documentation, in minutes
-	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/test_docs_commands.py
+	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
 	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

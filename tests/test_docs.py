@@ -4,12 +4,12 @@ import ast
 import dataclasses
 import importlib
 import re
-import shlex
 import sys
 from pathlib import Path
 
 import pytest
 from guides import Guide
+from pages import PAGES, ROOT, blocks_of, commands_of, name_of, prose
 
 import maesn
 from maesn import cli
@@ -21,15 +21,8 @@ from maesn.learners.recurrent.meta_learner import RecurrentInfo
 from maesn.learners.wrappers.meta_bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 generated_reference = importlib.import_module("generated_reference")
-PAGES = sorted(
-    page
-    for pattern in ("*.md", "docs/**/*.md", "results/**/*.md", "examples/**/*.md")
-    for page in ROOT.glob(pattern)
-)
-FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
 LONG = [
     "README.md",
@@ -46,10 +39,6 @@ NO_OPTIONS = (["--version"], ["list"], ["--help"])
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
 
 
-def prose(page: Path) -> str:
-    return FENCE.sub("", page.read_text(encoding="utf-8"))
-
-
 def anchors(page: Path) -> set[str]:
     """The fragments under which a page's headings can be reached."""
     headings = re.findall(r"^#+\s+(.+?)\s*$", prose(page), re.MULTILINE)
@@ -62,19 +51,6 @@ def leads_somewhere(page: Path, link: str) -> bool:
     return target.exists() and (
         not fragment or target.suffix != ".md" or fragment in anchors(target)
     )
-
-
-def blocks_of(page: Path, wanted: str) -> list[str]:
-    return [code for language, code in FENCE.findall(page.read_text("utf-8")) if language == wanted]
-
-
-def commands_of(page: Path) -> list[list[str]]:
-    """The library's commands in the blocks of a page for a terminal, as lists of words."""
-    blocks = blocks_of(page, "console") + blocks_of(page, "bash")
-    text = "\n".join(blocks).replace("\\\n", " ")
-    lines = [line.removeprefix("$ ") for line in text.splitlines()]
-    split = [shlex.split(line, comments=True) for line in lines if line.startswith("maesn ")]
-    return [words[1:] for words in split]
 
 
 def examples(page: Path) -> str:
@@ -91,10 +67,6 @@ def test_links_lead_somewhere(page: Path) -> None:
     links = [first or second for first, second in LINK.findall(prose(page))]
     local = [link for link in links if not re.match(r"[a-z]+:", link)]
     assert not [link for link in local if not leads_somewhere(page, link)]
-
-
-def name_of(page: Path) -> str:
-    return str(page.relative_to(ROOT))
 
 
 def test_python_examples_import_what_there_is() -> None:
