@@ -45,7 +45,7 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest \
-	  sb3-contrib torch
+	  sb3-contrib torch wandb
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and which package imports which
