@@ -30,6 +30,7 @@ from maesn.learners.gradient.objective import (
     start_agents,
 )
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.numerics.mesh import over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
@@ -179,7 +180,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         pre: list[Experience] = []
         updated: list[Agents] = []
         for phase in range(self.inner_updates):
-            keys = task_keys(play_key, phase, index.shape[0])
+            keys = task_keys(play_key, phase, self.meta_batch_size)
             episodes = collect(keys, agents, index, stage=phase)
             advantages = self._advantages(episodes)
             agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
@@ -215,7 +216,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     ) -> Episodes:
         """Collect the episodes that the outer step learns from."""
         keys = [
-            task_keys(key, self.inner_updates + batch, index.shape[0])
+            task_keys(key, self.inner_updates + batch, self.meta_batch_size)
             for batch in range(self.outer_batches)
         ]
         batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
@@ -225,11 +226,10 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
         return start_agents(self.context, state.parameters, index, state.statistics)
 
-    @eqx.filter_jit
     def _advantages(self, episodes: Episodes) -> Advantages:
-        return self.advantage.of_tasks(episodes)
+        _, advantages = over_tasks(_estimated, self.advantage, episodes)
+        return advantages  # type: ignore[no-any-return]
 
-    @eqx.filter_jit
     def _adapt(
         self,
         adaptation: Adaptation,
@@ -238,9 +238,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         episodes: Episodes,
         advantages: Advantages,
     ) -> Agents:
-        return adaptation(agents, sizes, self.context, episodes, advantages)
+        shared, own = agents.parts()
+        settings = adaptation, self.context
+        _, moved = over_tasks(_adapted, (settings, shared, sizes), (own, episodes, advantages))
+        return Agents.of_parts(shared, moved)
 
-    @eqx.filter_jit
     def _improve(
         self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
@@ -252,6 +254,18 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             updated: those who played after each inner update, `objective.updated(parameters)`.
             key: draws the steps that the curvature takes.
         """
+        shared, rows = objective.parts()
+        common, own = (
+            zip(*(agents.parts() for agents in updated), strict=True) if updated else ((), ())
+        )
+        (after, info), _ = over_tasks(self._improved, (state, key, shared, common), (rows, own))
+        return after, info
+
+    def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
+        """Do what `_improve` does, of this device's tasks."""
+        state, key, common, common_agents = shared
+        objective = MetaObjective.of_parts(common, rows[0])
+        updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
         outer, inner = self._thinnings(key, objective.post.action.shape[-2])
         improved, step = self.trust_region.step(
@@ -262,7 +276,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             step_weights(objective.post.every(*outer)),
         )
         after = GradientState(improved, state.iteration + 1, objective.statistics_after())
-        return after, describe_step(objective, parameters, improved, step)
+        return (after, describe_step(objective, parameters, improved, step)), None
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
         """Draw which steps the curvature takes: after the update, and before it."""
@@ -272,3 +286,14 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         outer_key, inner_key = jax.random.split(key)
         outer = Thinning.draw(outer_key, self.curvature_stride, time)
         return outer, Thinning.draw(inner_key, self.hessian_stride, time)
+
+
+def _estimated(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
+    return None, estimator.of_tasks(episodes)
+
+
+def _adapted(shared: Any, rows: Any) -> tuple[None, Any]:
+    (adaptation, context), common, sizes = shared
+    own, episodes, advantages = rows
+    agents = Agents.of_parts(common, own)
+    return None, adaptation(agents, sizes, context, episodes, advantages).parts()[1]
