@@ -159,24 +159,24 @@ def gather(tree: Tree) -> Tree:
     return gathered
 
 
-def take(tree: Tree, rows: Int[Array, " row"]) -> Tree:
-    """Return this device's part of some rows.
+def share(tree: Tree, rows: Int[Array, " row"]) -> Tree:
+    """Return this device's share of some rows; without a mesh, all of them.
 
     On a mesh every device takes an equal number of them. Where that does not divide evenly the
     last parts are filled up with rows of zeros, in which no step is valid.
 
     Args:
-        tree: arrays with a row for each sample of this device.
-        rows: which samples of those of all devices.
+        tree: arrays with a row for each sample of all devices.
+        rows: which samples.
     """
     if not _is_inside():
         return jax.tree.map(lambda x: x[rows], tree)
-    everything, devices = gather(tree), num_shards()
-    samples = jax.tree.leaves(everything)[0].shape[0]
+    devices = num_shards()
+    samples = jax.tree.leaves(tree)[0].shape[0]
     size = -(-rows.shape[0] // devices)
     filled = jnp.full(size * devices, samples).at[: rows.shape[0]].set(rows)
     own = jax.lax.dynamic_slice(filled, (jax.lax.axis_index(AXIS) * size,), (size,))
-    return jax.tree.map(lambda x: x.at[own].get(mode="fill", fill_value=0), everything)
+    return jax.tree.map(lambda x: x.at[own].get(mode="fill", fill_value=0), tree)
 
 
 def part_of_mean(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
