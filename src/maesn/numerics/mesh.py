@@ -27,7 +27,8 @@ Tree = TypeVar("Tree")
 Function = Callable[[Any, Any], tuple[Any, Any]]
 
 AXIS = "task"
-_WHOLE, _CUT = PartitionSpec(), PartitionSpec(AXIS)
+_WHOLE = PartitionSpec()  # type: ignore[no-untyped-call]
+_CUT = PartitionSpec(AXIS)  # type: ignore[no-untyped-call]
 
 _mesh: ContextVar[Mesh | None] = ContextVar("mesh", default=None)
 
@@ -45,6 +46,28 @@ def sharing_tasks(devices: Sequence[jax.Device]) -> Iterator[None]:
         yield
     finally:
         _mesh.reset(token)
+
+
+def check_split(meta_batch_size: int) -> None:
+    """Refuse a meta-batch that cannot be cut into equal parts.
+
+    Raises:
+        ValueError: the number of devices does not divide the number of tasks.
+    """
+    mesh = _mesh.get()
+    if mesh is None or meta_batch_size % mesh.size == 0:
+        return
+    divisors = [n for n in range(1, meta_batch_size + 1) if meta_batch_size % n == 0]
+    raise ValueError(
+        f"`meta_batch_size` is {meta_batch_size}, which {mesh.size} devices cannot share evenly: "
+        f"take {', '.join(map(str, divisors[:-1]))} or {divisors[-1]} of them."
+    )
+
+
+def num_devices() -> int:
+    """Return how many devices share the tasks, those of all processes."""
+    mesh = _mesh.get()
+    return 1 if mesh is None else mesh.size
 
 
 def own_slots(rows: Tree) -> Tree:
@@ -135,19 +158,23 @@ def _is_inside() -> bool:
 
 
 def num_shards() -> int:
-    """Return how many devices the function being compiled is for."""
+    """Return how many devices the function is for that is being compiled."""
     return jax.lax.axis_size(AXIS) if _is_inside() else 1
 
 
 def total(tree: Tree) -> Tree:
     """Return the sum over all devices."""
-    summed: Tree = jax.lax.psum(tree, AXIS) if _is_inside() else tree
+    if not _is_inside():
+        return tree
+    summed: Tree = jax.lax.psum(tree, AXIS)  # type: ignore[no-untyped-call]
     return summed
 
 
 def mean(tree: Tree) -> Tree:
     """Return the mean over all devices, which hold equally many tasks."""
-    averaged: Tree = jax.lax.pmean(tree, AXIS) if _is_inside() else tree
+    if not _is_inside():
+        return tree
+    averaged: Tree = jax.lax.pmean(tree, AXIS)  # type: ignore[no-untyped-call]
     return averaged
 
 

@@ -227,8 +227,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return start_agents(self.context, state.parameters, index, state.statistics)
 
     def _advantages(self, episodes: Episodes) -> Advantages:
+        advantages: Advantages
         _, advantages = over_tasks(_estimated, self.advantage, episodes)
-        return advantages  # type: ignore[no-any-return]
+        return advantages
 
     def _adapt(
         self,

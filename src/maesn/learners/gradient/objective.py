@@ -71,8 +71,8 @@ class MetaObjective(eqx.Module):
     @staticmethod
     def of_parts(shared: Any, rows: Any) -> "MetaObjective":
         """Return the objective of these parts."""
-        context, adaptation, statistics = shared
-        return MetaObjective(context, adaptation, *rows, statistics)
+        (context, adaptation, statistics), (index, pre, post, advantages) = shared, rows
+        return MetaObjective(context, adaptation, index, pre, post, advantages, statistics)
 
     def start(self, parameters: MetaParameters) -> Agents:
         """Return the agents before the inner updates."""

@@ -155,8 +155,9 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
             trial_state = episodes[-1].trial_end if episodes else None
             agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
             episodes.append(collect(keys, agents, index, stage=number))
+        outcome: Any
         outcome, _ = over_tasks(self._improve, (learn_key, state), tuple(episodes))
-        return outcome  # type: ignore[no-any-return]
+        return outcome
 
     def _improve(
         self, shared: tuple[Key, RecurrentMetaState], episodes: tuple[Episodes, ...]
