@@ -7,17 +7,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.axes import Key, TaskKeys
-from maesn.numerics.mesh import check_split, own_slots
+from maesn.numerics.mesh import own_slots
 
 
 def check_enough_tasks(num_tasks: int, meta_batch_size: int) -> None:
     """Refuse a training set from which no meta-batch can be drawn.
 
     Raises:
-        ValueError: the training set holds fewer tasks than one meta-batch, or the devices that are
-            to share a meta-batch cannot do so evenly.
+        ValueError: the training set holds fewer tasks than one meta-batch.
     """
-    check_split(meta_batch_size)
     if num_tasks < meta_batch_size:
         raise ValueError(
             f"`meta_batch_size` is {meta_batch_size}, but the training set holds only "

@@ -188,8 +188,7 @@ class Run:
 
     def structure(self, more_tasks: int = 0) -> Any:
         """Return the shapes and types of a state, for that many tasks more than the run has."""
-        with refusals():
-            return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
+        return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged: one dictionary per iteration, name -> number.

@@ -63,6 +63,7 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     with refusals():
         check_number("iterations", total, 0)
         check_number("keep", keep, 0)
+        run.learner.check_batch(run.settings.episodes_per_task)
     with contextlib.ExitStack() as stack:
         if is_lead():
             stack.enter_context(run.alone())

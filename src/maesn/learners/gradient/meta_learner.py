@@ -30,7 +30,7 @@ from maesn.learners.gradient.objective import (
     start_agents,
 )
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
-from maesn.numerics.mesh import over_tasks
+from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
@@ -142,6 +142,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        check_split(self.meta_batch_size)
         needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
         Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
 

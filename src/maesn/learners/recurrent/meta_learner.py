@@ -24,7 +24,7 @@ from maesn.learners.recurrent.fast_learner import RecurrentFastLearner
 from maesn.learners.recurrent.value import RecurrentValue, ValueState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import mesh, standardize, trial_advantages
-from maesn.numerics.mesh import over_tasks
+from maesn.numerics.mesh import check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
@@ -126,6 +126,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""
+        check_split(self.meta_batch_size)
         trials = self.meta_batch_size * episodes_per_task
         parts = {
             "policy_step": self.policy_step.minibatches,
