@@ -7,8 +7,8 @@ from maesn.commands.options import command
 from maesn.evaluation.film import render as render_run
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
-from maesn.report.tables import print_adaptation_summary, print_side_by_side
 from maesn.numerics.processes import is_lead
+from maesn.report.tables import print_adaptation_summary, print_side_by_side
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run

@@ -112,6 +112,27 @@ def wait_for_all(step: str) -> None:
         multihost_utils.sync_global_devices(step)
 
 
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Do what all processes of the run do.
+
+    Raises:
+        RunError: another process has gone away meanwhile. JAX soon says which one, and ends this
+            process too if it has not ended by then.
+    """
+    try:
+        yield
+    except jax.errors.JaxRuntimeError as error:
+        if not jax.distributed.is_initialized():
+            raise
+        first = (str(error).splitlines() or [""])[0]
+        raise RunError(
+            f"process {jax.process_index()} of {jax.process_count()} has lost another process of "
+            f"this run, whose own output says why ({first}). JAX names it below. `maesn resume` "
+            "goes on from the last checkpoint."
+        ) from error
+
+
 def total_of_processes(number: int) -> int:
     """Return the sum of a number over the processes of the run."""
     if not jax.distributed.is_initialized():

@@ -19,7 +19,7 @@ from rich.table import Column
 
 from maesn.experience.episodes import Episodes
 from maesn.numerics.mesh import num_devices
-from maesn.numerics.processes import check_agreement, is_lead, total_of_processes
+from maesn.numerics.processes import check_agreement, is_lead, together, total_of_processes
 from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
 from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import installed_versions
@@ -112,9 +112,10 @@ class _Training:
         before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
         start, compiled = time.perf_counter(), compile_seconds()
-        state, info = run.learner.step(key, before.state, collect)
-        jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
-        self.steps = total_of_processes(self.steps)
+        with together():
+            state, info = run.learner.step(key, before.state, collect)
+            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+            self.steps = total_of_processes(self.steps)
         seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
         after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
