@@ -13,22 +13,12 @@ import numpy as np
 import pytest
 
 from maesn.numerics.processes import Sharing
-from maesn.runs.run import Run
+from maesn.runs.checkpoint import checkpoint_paths
 from maesn.storage import RunError, read_json_lines
 
 SETTINGS = [
-    "--family",
-    "point",
-    "--meta-batch-size",
-    "8",
-    "--episodes-per-task",
-    "5",
-    "--num-threads",
-    "1",
-    "--checkpoint-every",
-    "2",
-    "--trust-region.cg-steps",
-    "5",
+    *("--family", "point", "--meta-batch-size", "8", "--episodes-per-task", "5"),
+    *("--num-threads", "1", "--checkpoint-every", "2", "--trust-region.cg-steps", "5"),
 ]
 
 
@@ -76,9 +66,9 @@ def test_two_processes_train_what_one_does_and_one_goes_on(tmp_path: Path) -> No
     assert "3/3" in starter.said("said-0")
     assert "3/3" not in starter.said("said-1")
     assert "trained" not in starter.said("said-1")
-    starter.run("resumed", "resume", "two", "--iterations", "5")
-    starter.run("one", *train, "one")
-    starter.run("with two devices", "resume", "one", "--iterations", "5", "--devices", "2")
+    starter.run("said-resumed", "resume", "two", "--iterations", "5")
+    starter.run("said-alone", *train, "one")
+    starter.run("said-devices", "resume", "one", "--iterations", "5", "--devices", "2")
     for together, alone in zip(metrics(tmp_path / "two"), metrics(tmp_path / "one"), strict=True):
         np.testing.assert_allclose(list(together.values()), list(alone.values()), rtol=1e-4)
     devices = [line["devices"] for line in read_json_lines(tmp_path / "two" / "timing.jsonl")]
@@ -103,9 +93,9 @@ def test_a_process_that_dies_ends_the_other_and_is_named(
     other = 1 - dies
     assert processes[other].wait(timeout=60) != 0
     assert named in starter.said(f"said-{other}")
-    reached = Run.open(tmp_path / "run").latest().iteration
+    reached = int(checkpoint_paths(tmp_path / "run" / "checkpoints")[-1].stem.split("-")[1])
     assert reached >= 2
-    starter.run("resumed", "resume", "run", "--iterations", str(reached + 1))
+    starter.run("said-resumed", "resume", "run", "--iterations", str(reached + 1))
     assert len(metrics(tmp_path / "run")) == reached + 1
 
 

@@ -104,7 +104,7 @@ def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
         return outcome
     placed = _placed(mesh, shared, _WHOLE), _placed(mesh, rows, _CUT)
     common, own = _call_sharded(mesh, function, *placed)
-    return jax.tree.map(lambda x: x.addressable_data(0), common), jax.tree.map(_own_rows, own)
+    return jax.tree.map(_own_copy, common), jax.tree.map(_own_rows, own)
 
 
 @eqx.filter_jit
@@ -148,8 +148,13 @@ def _placed(mesh: Mesh, tree: Any, spec: PartitionSpec) -> Any:
 def _own_rows(x: Array) -> Array:
     """Return the rows of this process, on its first device."""
     shards = sorted(x.addressable_shards, key=lambda shard: shard.index[0].start or 0)
-    first = shards[0].device
-    return jnp.concatenate([jax.device_put(shard.data, first) for shard in shards])
+    return jnp.asarray(np.concatenate([np.asarray(shard.data) for shard in shards]))
+
+
+def _own_copy(x: Array) -> Array:
+    # By way of NumPy, here and above: an array that is bound to its device would have programs
+    # compiled again that have been compiled for one that is not.
+    return jnp.asarray(np.asarray(x.addressable_data(0)))
 
 
 def _is_inside() -> bool:
