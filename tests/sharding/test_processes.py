@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -89,7 +90,8 @@ def test_a_process_that_dies_ends_the_other_and_is_named(
         assert processes[0].poll() is None, starter.said("said-0")
         assert time.monotonic() < deadline, "it never got there"
         time.sleep(0.1)
-    processes[dies].send_signal(signal.SIGKILL)
+    processes[dies].kill()
+    assert processes[dies].wait() == -signal.SIGKILL
     other = 1 - dies
     assert processes[other].wait(timeout=60) != 0
     assert named in starter.said(f"said-{other}")
@@ -114,6 +116,7 @@ def test_what_cannot_be_shared_is_said(settings: dict[str, int], message: str) -
 
 
 def test_devices_are_asked_for_before_jax_begins() -> None:
+    jax.devices()
     with (
         pytest.raises(RunError, match="`devices` is 64, but JAX has begun with"),
         Sharing(devices=64).begun(),
