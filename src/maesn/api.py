@@ -18,7 +18,7 @@ from maesn.evaluation import running, tables
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.learners import AbstractMetaLearner
-from maesn.numerics.processes import Sharing, is_lead, wait_for_all
+from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
 from maesn.rules import AbstractRule, GradientRule, SearchRule
@@ -34,8 +34,6 @@ from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, check_writable, read_json
 from maesn.worlds.budget import warn_of_duration
-
-ALONE = Sharing()
 
 
 def train(

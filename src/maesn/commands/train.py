@@ -13,7 +13,7 @@ from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
 from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
-from maesn.numerics.processes import Sharing
+from maesn.numerics.processes import ALONE, Sharing
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
@@ -38,7 +38,7 @@ class Options:
     init_from: Path | None = None
     """Directory of a run, or name of a policy that comes with the library, whose policy and step
     sizes to start from."""
-    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = api.ALONE
+    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE
     keep: int = KEEP
     """Latest checkpoints that stay, beside the first of each power of ten; 0: all of them."""
 

@@ -84,6 +84,9 @@ class Sharing:
             ) from error
 
 
+ALONE = Sharing()
+
+
 def _ask_for_devices(number: int) -> None:
     # Refused once JAX has begun; then those count that there are.
     with contextlib.suppress(RuntimeError):

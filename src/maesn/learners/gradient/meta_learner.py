@@ -17,12 +17,13 @@ from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
-from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
-from maesn.inner.advantage import AdvantageEstimator, Advantages
+from maesn.inner.adaptation import Adaptation, StepSchedule
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.base import AbstractMetaLearner, Capabilities
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
+from maesn.learners.gradient.inner_update import adapt, estimate
 from maesn.learners.gradient.objective import (
     Experience,
     MetaObjective,
@@ -183,8 +184,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         for phase in range(self.inner_updates):
             keys = task_keys(play_key, phase, self.meta_batch_size)
             episodes = collect(keys, agents, index, stage=phase)
-            advantages = self._advantages(episodes)
-            agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
+            advantages = estimate(self.advantage, episodes)
+            sizes = parameters.step_sizes
+            agents = adapt(adaptation, self.context, agents, sizes, episodes, advantages)
             pre.append((episodes, advantages))
             updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
@@ -194,7 +196,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             index,
             tuple(pre),
             post,
-            self._advantages(post),
+            estimate(self.advantage, post),
             state.statistics,
         )
         return self._improve(state, objective, tuple(updated), curvature_key)
@@ -226,24 +228,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
         return start_agents(self.context, state.parameters, index, state.statistics)
-
-    def _advantages(self, episodes: Episodes) -> Advantages:
-        advantages: Advantages
-        _, advantages = over_tasks(_estimated, self.advantage, episodes)
-        return advantages
-
-    def _adapt(
-        self,
-        adaptation: Adaptation,
-        agents: Agents,
-        sizes: StepSizes,
-        episodes: Episodes,
-        advantages: Advantages,
-    ) -> Agents:
-        shared, own = agents.parts()
-        settings = adaptation, self.context
-        _, moved = over_tasks(_adapted, (settings, shared, sizes), (own, episodes, advantages))
-        return Agents.of_parts(shared, moved)
 
     def _improve(
         self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
@@ -288,14 +272,3 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         outer_key, inner_key = jax.random.split(key)
         outer = Thinning.draw(outer_key, self.curvature_stride, time)
         return outer, Thinning.draw(inner_key, self.hessian_stride, time)
-
-
-def _estimated(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
-    return None, estimator.of_tasks(episodes)
-
-
-def _adapted(shared: Any, rows: Any) -> tuple[None, Any]:
-    (adaptation, context), common, sizes = shared
-    own, episodes, advantages = rows
-    agents = Agents.of_parts(common, own)
-    return None, adaptation(agents, sizes, context, episodes, advantages).parts()[1]
