@@ -8,13 +8,14 @@ PYTEST_OPTIONS ?= --quiet --tb=short --numprocesses=auto --dist=loadfile
 
 RUN_READY := $(VENV)/.ready-to-run
 TEST_READY := $(VENV)/.ready-to-test
+DOCS_READY := $(VENV)/.ready-for-docs
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-faults test-long soak test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo check test test-faults test-long test-docs soak test-external fast unit lint style types imports bench docs clean
 
 help: ## Show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures
 	@$(BIN)/maesn demo
@@ -44,7 +45,7 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest \
-	  sb3-contrib torch
+	  sb3-contrib torch wandb
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and which package imports which
@@ -84,8 +85,12 @@ imports: $(TEST_READY)
 bench: $(RUN_READY) ## Time a whole meta-iteration against the bare simulator
 	@$(BIN)/python benchmarks/meta_iteration.py --family wheeled
 
-docs: $(TEST_READY) ## Check the links and run the Python examples of the documentation
-	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py
+docs: $(DOCS_READY) ## Build the documentation's site in build/site
+	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -c docs . build/site
+	@echo "open build/site/docs/index.html"
+
+test-docs: $(TEST_READY) ## Run every example and every command of the documentation, in minutes
+	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
 	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
@@ -102,6 +107,11 @@ $(RUN_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn into $(VENV)"
 	@$(INSTALL) --editable .
 	@touch $@
+
+$(DOCS_READY): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "== installing maesn and Sphinx into $(VENV)"
+	@$(INSTALL) --editable '.[docs]'
+	@touch $(RUN_READY) $@
 
 $(TEST_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn and its development tools into $(VENV)"

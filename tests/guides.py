@@ -25,7 +25,7 @@ _SMALL = {
 
 @dataclass(frozen=True)
 class Guide:
-    """A page below `docs/` whose file `module`.py is a family of one's own."""
+    """A page below `docs/howto/` whose file `module`.py is a family of one's own."""
 
     page: str
     module: str
@@ -66,4 +66,4 @@ class Guide:
 
     @property
     def _blocks(self) -> list[tuple[str, str]]:
-        return _FENCE.findall((ROOT / "docs" / self.page).read_text("utf-8"))
+        return _FENCE.findall((ROOT / "docs" / "howto" / self.page).read_text("utf-8"))

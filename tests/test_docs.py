@@ -1,38 +1,42 @@
-"""The documentation: every link leads somewhere, every Python example runs."""
+"""The documentation: every link leads somewhere, every example and every command runs."""
 
 import ast
 import dataclasses
+import importlib
 import re
+import sys
 from pathlib import Path
 
 import pytest
+from guides import Guide
+from pages import PAGES, ROOT, blocks_of, commands_of, name_of, prose
 
+import maesn
+from maesn import cli
+from maesn.commands import options, train
+from maesn.learners import PRESETS
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
 from maesn.learners.wrappers.meta_bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted(
-    page
-    for pattern in ("*.md", "docs/**/*.md", "results/**/*.md", "examples/**/*.md")
-    for page in ROOT.glob(pattern)
-)
-FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+sys.path.insert(0, str(ROOT / "docs" / "extensions"))
+generated_reference = importlib.import_module("generated_reference")
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
 LONG = [
-    "docs/own_environment_gymnasium.md",
-    "docs/own_environment_mujoco.md",
-    "docs/comparing.md",
-    "docs/methods/latent_search.md",
-    "docs/methods/scratch.md",
+    "README.md",
+    "docs/howto/latents.md",
+    "docs/howto/own_environment_gymnasium.md",
+    "docs/howto/own_environment_mujoco.md",
+    "docs/howto/compare.md",
+    "docs/explanation/methods/latent_search.md",
+    "docs/explanation/methods/scratch.md",
 ]
+UNDERSTOOD = 77
+# Commands that read no options of tyro's.
+NO_OPTIONS = (["--version"], ["list"], ["--help"])
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
-
-
-def prose(page: Path) -> str:
-    return FENCE.sub("", page.read_text(encoding="utf-8"))
 
 
 def anchors(page: Path) -> set[str]:
@@ -51,9 +55,7 @@ def leads_somewhere(page: Path, link: str) -> bool:
 
 def examples(page: Path) -> str:
     """The Python examples of one page, as one program: later ones may use the names of earlier."""
-    return "\n".join(
-        code for language, code in FENCE.findall(page.read_text("utf-8")) if language == "python"
-    )
+    return "\n".join(blocks_of(page, "python"))
 
 
 def test_the_readme_is_among_the_pages() -> None:
@@ -65,10 +67,6 @@ def test_links_lead_somewhere(page: Path) -> None:
     links = [first or second for first, second in LINK.findall(prose(page))]
     local = [link for link in links if not re.match(r"[a-z]+:", link)]
     assert not [link for link in local if not leads_somewhere(page, link)]
-
-
-def name_of(page: Path) -> str:
-    return str(page.relative_to(ROOT))
 
 
 def test_python_examples_import_what_there_is() -> None:
@@ -100,6 +98,41 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
     exec(compile(examples(page), page.name, "exec"), {"__name__": "__main__"})
 
 
+def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Guide("own_rule.md", "my_rules").write(tmp_path)  # named by options, which import it
+    monkeypatch.syspath_prepend(tmp_path)
+    for module in (options, train):  # what follows the reading of options
+        monkeypatch.setattr(module, "enable_compilation_cache", lambda: sys.exit(UNDERSTOOD))
+    # Results keep the commands of their time.
+    pages = [page for page in PAGES if not page.is_relative_to(ROOT / "results")]
+    commands = [(name_of(page), words) for page in pages for words in commands_of(page)]
+    assert len(commands) > 70
+    for page, words in commands:
+        with pytest.raises(SystemExit) as end:
+            sys.exit(cli.run(words))
+        assert end.value.code == UNDERSTOOD or words in NO_OPTIONS, (page, words)
+
+
+def test_every_study_can_be_understood(tmp_path: Path) -> None:
+    blocks = [code for page in PAGES for code in blocks_of(page, "toml") if "family =" in code]
+    assert len(blocks) >= 2
+    for code in blocks:
+        (tmp_path / "mine.toml").write_text(code)
+        assert maesn.Study.load(tmp_path / "mine.toml").plan.jobs
+
+
+def test_settings_of_the_site_describe_every_method() -> None:
+    assert {"maesn", "rl2", "oracle"} <= set(PRESETS)
+    for method in PRESETS:
+        assert f"## {method}" in generated_reference.settings_of(method)
+
+
+def test_the_python_reference_names_everything_public() -> None:
+    page = generated_reference.python_api()
+    assert not [name for name in maesn._MODULE_OF if f"maesn.{name}\n" not in page]
+    assert "maesn.runtime.Explorer" in page
+
+
 @pytest.mark.parametrize(
     ("prefix", "info"),
     [
@@ -112,9 +145,13 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
     ],
 )
 def test_every_metric_is_described(prefix: str, info: type) -> None:
-    page = (ROOT / "docs" / "files.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "files.md").read_text("utf-8")
     rows = "".join(re.findall(r"^(\|[^|]*\|)", page, re.MULTILINE))
-    told = prose(ROOT / "docs" / "files.md").split("## metrics.jsonl")[1].split("\n## ")[0]
+    told = (
+        prose(ROOT / "docs" / "reference" / "files.md")
+        .split("## metrics.jsonl")[1]
+        .split("\n## ")[0]
+    )
     for field in dataclasses.fields(info):
         name = f"{prefix}{field.name}"
         assert f"`{name}" in told or f"`.../{field.name}`" in rows, name

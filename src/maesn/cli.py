@@ -23,11 +23,15 @@ COMMANDS = {
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
+    "doctor": "show versions, engine, cores, graphics card and cache; let a robot drive",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
-_FILES = {"train": "train", "list": "list", "compare": "studies", "study": "studies"}
+_FILES = {name: name for name in ("doctor", "list", "train")} | {
+    "compare": "studies",
+    "study": "studies",
+}
 
 # Shows the traceback of an error behind its sentence.
 TRACEBACK = "MAESN_TRACEBACK"

@@ -93,7 +93,7 @@ class Stepper:
 
     @property
     def action_space(self) -> Box:
-        """Of one episode: [-1, 1] covers the range of the actuators, see `docs/gymnasium.md`."""
+        """Of one episode: [-1, 1] covers the actuators' range, see `docs/howto/gymnasium.md`."""
         return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
 
     def choose(self, task: TaskChoice = None) -> Int[np.ndarray, " episode"] | None:

@@ -145,7 +145,7 @@ def rl2(**settings: Any) -> RecurrentMetaLearner:
     """RL2: a recurrent policy, trained by PPO on trials of two episodes (Duan et al. 2016).
 
     The paper gives no settings for it. Clip 0.2, lambda 0.95, discount 0.99 and 64 units are those
-    of garage's RL2; docs/methods/rl2.md says where the others are from.
+    of garage's RL2; docs/explanation/methods/rl2.md says where the others are from.
     """
     return RecurrentMetaLearner(**settings)
 

@@ -1,8 +1,8 @@
 """MuJoCo on an accelerator: the models of the native engine as pure functions of JAX.
 
 MJX computes what MuJoCo computes, in single precision and for one simulation at a time, so that
-`jax.vmap` makes a batch of it and `jax.lax.scan` an episode. `docs/engines.md` says where the two
-differ.
+`jax.vmap` makes a batch of it and `jax.lax.scan` an episode. `docs/explanation/engines.md` says
+where the two differ.
 """
 
 import contextlib

@@ -16,7 +16,7 @@ class SearchRule(AbstractRule):
     """Search for the best latent, with what training tasks return for latents as the prior.
 
     One latent per episode; deployed is the one with the highest posterior mean
-    (`docs/methods/latent_search.md`).
+    (`docs/explanation/methods/latent_search.md`).
     """
 
     budget: ClassVar[Budget] = Budget(20, 1, 5)

@@ -1,6 +1,6 @@
 """Run directories: everything about one training run, and nothing that could be executed.
 
-`docs/files.md` lists what is in one.
+`docs/reference/files.md` lists what is in one.
 """
 
 import contextlib

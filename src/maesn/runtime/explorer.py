@@ -26,7 +26,7 @@ class Explorer:
     policy gradient (section "Using the Latent Spaces for Exploration").
 
     A policy that was exported with the rule `search` chooses z instead, by what `adapt` has learned
-    of the returns (`docs/methods/latent_search.md`): adapt after every episode.
+    of the returns (`docs/explanation/methods/latent_search.md`): adapt after every episode.
 
     A method that raises has changed nothing: the call can be repeated with better arguments. Not
     to be shared between threads.

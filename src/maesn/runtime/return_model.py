@@ -6,7 +6,7 @@ A new task is like one of the training tasks, up to a residual. With latent z an
 
 where x_i is the excess return of training task i, c is what an episode of full length returns that
 never comes near the goal, and l is how long the episode lasted, as a share of the horizon.
-`docs/methods/latent_search.md` has the equations.
+`docs/explanation/methods/latent_search.md` has the equations.
 """
 
 from dataclasses import dataclass, replace

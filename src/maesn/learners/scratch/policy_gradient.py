@@ -168,7 +168,7 @@ def trpo(
 
     Without control costs this is so until an episode reaches the goal. Steps in random directions
     are then a search among policies, which finds goals that the noise of actions alone does not
-    (docs/methods/scratch.md). The published runs drifted, by their implementation.
+    (docs/explanation/methods/scratch.md). The published runs drifted, by their implementation.
 
     Args:
         observation_size: components of an observation.
