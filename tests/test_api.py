@@ -105,7 +105,7 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     table = trained / "adaptation" / "test-sparse.csv"
     before = table.read_bytes()
     Run.open(trained).checkpoints()[-1].touch()
-    api.report([trained], tmp_path).files
+    api.report([trained], tmp_path)
     assert table.read_bytes() == before
 
 
