@@ -67,6 +67,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in
     from maesn.learners import rl2_trpo as rl2_trpo
     from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
     from maesn.numerics import MinibatchDescent as MinibatchDescent
+    from maesn.numerics.processes import Sharing as Sharing
     from maesn.numerics.trust_region import TrustRegion as TrustRegion
     from maesn.policies import CategoricalMLP as CategoricalMLP
     from maesn.policies import GaussianMLP as GaussianMLP
@@ -186,6 +187,7 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     ),
     "maesn.learners.wrappers.curiosity": ("CuriosityBonus",),
     "maesn.numerics": ("MinibatchDescent",),
+    "maesn.numerics.processes": ("Sharing",),
     "maesn.numerics.trust_region": ("TrustRegion",),
     "maesn.policies": (
         "CategoricalMLP",

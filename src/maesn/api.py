@@ -18,6 +18,7 @@ from maesn.evaluation import running, tables
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.learners import AbstractMetaLearner
+from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.report.plot import plot_run_directories
 from maesn.report.reading import RECORD
 from maesn.rules import AbstractRule, GradientRule, SearchRule
@@ -43,6 +44,7 @@ def train(
     init_from: str | Path | None = None,
     family: TaskFamily | None = None,
     keep: int = KEEP,
+    sharing: Sharing = ALONE,
 ) -> Run:
     """Meta-train in a new run directory, with a live display.
 
@@ -54,13 +56,19 @@ def train(
             and step sizes to start from.
         family: a family of your own; None for the one that `settings.family` names.
         keep: the latest checkpoints that stay, beside the first of each power of ten; 0 for all.
+        sharing: several devices or processes that train this run together.
 
     Raises:
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    run = Run.create(directory, learner, settings, family=family, init_from=init_from)
-    train_live(run, keep=keep)
+    with sharing.begun():
+        if is_lead():
+            run = Run.create(directory, learner, settings, family=family, init_from=init_from)
+        wait_for_all("the run is there")
+        if not is_lead():
+            run = Run.open(directory, settings.own_family if family is None else family)
+        train_live(run, keep=keep)
     return run
 
 
@@ -70,6 +78,7 @@ def resume(
     family: running.AnyFamily = None,
     change: running.AnyChange = None,
     keep: int = KEEP,
+    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
@@ -80,15 +89,20 @@ def resume(
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
             trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
         keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
+        sharing: several devices or processes that go on with it together.
 
     Raises:
         RunError: there is no such run, or it cannot be changed so.
         EpisodeError: as for `train`.
     """
-    run = Run.open(run, family=family)
-    if change:
-        run = change_run(run, change)
-    train_live(run, iterations, keep)
+    with sharing.begun():
+        run = Run.open(run, family=family)
+        if change and is_lead():
+            run = change_run(run, change)
+        wait_for_all("the run is changed")
+        if not is_lead():
+            run = Run.open(run)
+        train_live(run, iterations, keep)
     return run
 
 

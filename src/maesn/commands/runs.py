@@ -7,6 +7,7 @@ from maesn.commands.options import command
 from maesn.evaluation.film import render as render_run
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
+from maesn.numerics.processes import is_lead
 from maesn.report.tables import print_adaptation_summary, print_side_by_side
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
@@ -16,7 +17,8 @@ from maesn.storage import RunError, refusals
 
 def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
-    print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.family_option}")
+    if is_lead():
+        print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.family_option}")
 
 
 def _say_adapted(done: Adapted) -> None:

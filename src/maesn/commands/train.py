@@ -12,6 +12,7 @@ from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
 from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
+from maesn.numerics.processes import ALONE, Sharing
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.serialization import differing
@@ -36,6 +37,7 @@ class Options:
     init_from: Path | None = None
     """Directory of a run, or name of a policy that comes with the library, whose policy and step
     sizes to start from."""
+    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE
     keep: int = KEEP
     """Latest checkpoints that stay, beside the first of each power of ten; 0: all of them."""
 
@@ -51,7 +53,14 @@ def train(arguments: list[str]) -> None:
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
-    run = api.train(learner, settings, directory, init_from=options.init_from, keep=options.keep)
+    run = api.train(
+        learner,
+        settings,
+        directory,
+        init_from=options.init_from,
+        keep=options.keep,
+        sharing=options.sharing,
+    )
     say_what_is_next(run)
 
 

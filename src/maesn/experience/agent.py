@@ -51,6 +51,18 @@ class Agents(eqx.Module):
         """Return the same agents, with every context held at its mean."""
         return replace(self, context=self.context.at_mean())
 
+    def parts(self) -> tuple[Any, Any]:
+        """Return what all tasks share, and what has a row for each; `of_parts` joins them."""
+        shared, own = (self.policy, None) if self.shares_policy else (None, self.policy)
+        return (shared, self.statistics), (own, self.context, self.trial_state)
+
+    @staticmethod
+    def of_parts(shared: Any, rows: Any) -> "Agents":
+        """Return the agents of these parts. An own policy goes before a shared one."""
+        (policy, statistics), (own, context, trial_state) = shared, rows
+        chosen = policy if own is None else own
+        return Agents(chosen, context, own is None, statistics, trial_state)
+
     def map(self, function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
         """Map `function(agent, *row)` over the tasks.
 

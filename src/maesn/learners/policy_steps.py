@@ -18,7 +18,7 @@ from maesn.numerics import (
     MinibatchDescent,
     first_order_step,
     if_finite,
-    masked_mean,
+    mesh,
 )
 from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
@@ -107,9 +107,9 @@ class GradientStep(AbstractPolicyStep):
     ) -> tuple[AbstractPolicy, Any, GradientStepInfo]:
         def loss(varied: AbstractPolicy) -> Float[Array, ""]:
             log_prob = trials.distributions(varied).log_prob(trials.action)
-            return -masked_mean(log_prob * advantages, trials.valid)
+            return -mesh.part_of_mean(log_prob * advantages, trials.valid)
 
-        value, gradient = jax.value_and_grad(loss)(policy)
+        value, gradient = mesh.total(jax.value_and_grad(loss)(policy))
         moved, opt_state = first_order_step(self._optimizer, policy, gradient, opt_state)
         return moved, opt_state, GradientStepInfo(value, optax.tree.norm(gradient))
 
@@ -183,7 +183,7 @@ class ProximalStep(AbstractPolicyStep):
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[Float[Array, ""], ProximalInfo]:
-        """Return L, and what is logged of it.
+        """Return L, and what is logged of it; of this device, where devices share the trials.
 
         Args:
             new: distributions that vary, `[trial time action]`.
@@ -193,13 +193,13 @@ class ProximalStep(AbstractPolicyStep):
         valid = trials.valid
         ratio = probability_ratio(new, trials)
         bounded = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
-        gain = masked_mean(jnp.minimum(ratio * advantages, bounded * advantages), valid)
-        value = -gain - self.entropy_weight * masked_mean(new.entropy(), valid)
+        gain = mesh.part_of_mean(jnp.minimum(ratio * advantages, bounded * advantages), valid)
+        value = -gain - self.entropy_weight * mesh.part_of_mean(new.entropy(), valid)
         return value, ProximalInfo(
             accepted=jnp.ones((), bool),
             loss=value,
-            kl=masked_mean(trials.behaviour.kl(new), valid),
-            clipped=masked_mean((ratio != bounded).astype(ratio.dtype), valid),
+            kl=mesh.part_of_mean(trials.behaviour.kl(new), valid),
+            clipped=mesh.part_of_mean((ratio != bounded).astype(ratio.dtype), valid),
         )
 
 
@@ -233,9 +233,12 @@ class TrustRegionStep(AbstractPolicyStep):
         advantages: Float[Array, "trial time"],
     ) -> tuple[AbstractPolicy, None, TrustRegionInfo]:
         def evaluate(varied: AbstractPolicy) -> Candidate:
+            """Return this device's part."""
             new = trials.distributions(varied)
-            gain = masked_mean(probability_ratio(new, trials) * advantages, trials.valid)
-            return Candidate(-gain, masked_mean(trials.behaviour.kl(new), trials.valid))
+            gain = mesh.part_of_mean(probability_ratio(new, trials) * advantages, trials.valid)
+            return Candidate(-gain, mesh.part_of_mean(trials.behaviour.kl(new), trials.valid))
+
+        differentiate = jax.value_and_grad(lambda varied: evaluate(varied).loss)
 
         is_recurrent = policy.initial_recurrent_state() is not None
         draw = trials.sample_trials if is_recurrent else trials.sample_steps
@@ -243,10 +246,10 @@ class TrustRegionStep(AbstractPolicyStep):
         weight = sample.valid.astype(float)
         improved, info = self.trust_region.step(
             policy,
-            evaluate,
-            jax.value_and_grad(lambda varied: evaluate(varied).loss),
+            lambda varied: mesh.total(evaluate(varied)),
+            lambda varied: mesh.total(differentiate(varied)),
             sample.distributions,
-            weight / jnp.maximum(weight.sum(), 1.0),
+            weight / jnp.maximum(mesh.total(weight.sum()), 1.0),
         )
         return improved, None, info
 

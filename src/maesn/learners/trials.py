@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Key
 from maesn.experience.agent import Agent
 from maesn.experience.episodes import Episodes, Thinning
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import AbstractDistribution, mesh
 from maesn.policies import AbstractPolicy, PolicyInput
 
 
@@ -46,10 +46,10 @@ class Trials(eqx.Module):
         return policy.unroll(self.inputs, self.valid, self.z, fresh)[0]
 
     def sample_trials(self, key: Key, stride: int) -> "Trials":
-        """Draw one of `stride` trials, at least one in all."""
-        count = self.valid.shape[0]
+        """Draw one of `stride` trials, at least one in all; of all devices that share them."""
+        count = self.valid.shape[0] * mesh.num_shards()
         rows = jax.random.permutation(key, count)[: max(count // stride, 1)]
-        return jax.tree.map(lambda x: x[rows], self)
+        return mesh.share(mesh.gather(self), rows)
 
     def sample_steps(self, key: Key, stride: int) -> "Trials":
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from maesn.numerics import mesh
 from maesn.numerics.first_order import first_order_step
 
 Parameters = TypeVar("Parameters")
@@ -57,13 +58,15 @@ class MinibatchDescent(eqx.Module):
             key: draws the minibatches.
             parameters: where to start.
             opt_state: of `init` or of an earlier run.
-            loss: of parameters and a minibatch; returns extras beside it.
-            data: a pytree whose arrays have a common leading axis of samples.
+            loss: of parameters and a minibatch; returns extras beside it. Where devices share the
+                data (`maesn.numerics.mesh`), it is of this device's part of a minibatch, and the
+                parts of loss and extras add up.
+            data: a pytree whose arrays have a common leading axis of samples; of this device.
 
         Raises:
             ValueError: there are fewer samples than minibatches.
         """
-        samples = jax.tree.leaves(data)[0].shape[0]
+        samples = jax.tree.leaves(data)[0].shape[0] * mesh.num_shards()
         size = samples // self.minibatches
         if size == 0:
             raise ValueError(
@@ -72,12 +75,13 @@ class MinibatchDescent(eqx.Module):
             )
         gradient = jax.grad(loss, has_aux=True)
         transformation = self._transformation()
+        everything = mesh.gather(data)
 
         def step(
             now: tuple[Parameters, optax.OptState], rows: Array
         ) -> tuple[tuple[Parameters, optax.OptState], Auxiliary]:
             varied, opt_state = now
-            slopes, extras = gradient(varied, jax.tree.map(lambda x: x[rows], data))
+            slopes, extras = mesh.total(gradient(varied, mesh.share(everything, rows)))
             return first_order_step(transformation, varied, slopes, opt_state), extras
 
         def shuffled(epoch_key: PRNGKeyArray) -> Array:

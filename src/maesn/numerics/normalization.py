@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from maesn.numerics import mesh
+
 # Added to the variance, as Gymnasium's `NormalizeObservation` does: components that never change
 # must not be divided by 0.
 EPSILON = 1e-8
@@ -45,15 +47,15 @@ class ObservationStatistics(eqx.Module):
         (Chan, Golub and LeVeque 1979, "Updating formulae and a pairwise algorithm").
 
         Args:
-            observation: of any number of steps.
+            observation: of any number of steps; of this device, where devices share the tasks.
             seen: which of them count; the others may be anything.
         """
         axes, some = tuple(range(seen.ndim)), seen[..., None]
-        new = seen.sum().astype(float)
+        new = mesh.total(seen.sum()).astype(float)
         safe = jnp.maximum(new, 1.0)
-        mean = jnp.where(some, observation, 0.0).sum(axes) / safe
+        mean = mesh.total(jnp.where(some, observation, 0.0).sum(axes)) / safe
         centred = jnp.where(some, observation - jnp.broadcast_to(mean, observation.shape), 0.0)
-        variance = (centred**2).sum(axes) / safe
+        variance = mesh.total((centred**2).sum(axes)) / safe
         total = jnp.maximum(self.count + new, 1.0)
         old_share, new_share = self.count / total, new / total
         gap = mean - self.mean

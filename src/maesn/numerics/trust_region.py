@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.numerics import AbstractDistribution, conjugate_gradient, multiply
+from maesn.numerics.mesh import total
 
 Parameters = TypeVar("Parameters")
 Vector = Float[Array, " parameter"]
@@ -89,7 +90,9 @@ class TrustRegion(eqx.Module):
             evaluate: loss and KL to the distributions at `parameters`; it is not differentiated.
             loss_and_gradient: the same loss, and its gradient.
             distribution: action distributions `[*batch, action]` that the curvature is taken of.
-            weight: weight of each of them in the mean KL; sums to 1.
+            weight: weight of each of them in the mean KL; sums to 1. Where devices share the tasks
+                (`maesn.numerics.mesh`), `distribution` and `weight` are a device's own part, and
+                the losses are those of all tasks.
         """
         flat, unravel = ravel_pytree(parameters)
         before, slopes = loss_and_gradient(parameters)
@@ -127,7 +130,7 @@ class TrustRegion(eqx.Module):
             image = at.fisher_product(jacobian(vector))
             weighted = jax.tree.map(lambda x: weight[..., None] * x, image)
             (back,) = transposed(weighted)
-            return back + self.damping * vector
+            return total(back) + self.damping * vector
 
         return product
 

@@ -44,6 +44,8 @@ class Progress(NamedTuple):
     """The part of `seconds` in which programs were compiled: the first iteration, mostly."""
     steps_per_second: float
     """Control steps per second of the time without compilation."""
+    devices: int
+    """Devices that shared the tasks."""
     info: dict[str, float]
     """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
 

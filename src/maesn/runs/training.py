@@ -18,6 +18,8 @@ from rich.progress import Progress as Bar
 from rich.table import Column
 
 from maesn.experience.episodes import Episodes
+from maesn.numerics.mesh import num_devices
+from maesn.numerics.processes import check_agreement, is_lead, together, total_of_processes
 from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
 from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import installed_versions
@@ -61,10 +63,18 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     with refusals():
         check_number("iterations", total, 0)
         check_number("keep", keep, 0)
+        run.learner.check_batch(run.settings.episodes_per_task)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(run.alone())
+        if is_lead():
+            stack.enter_context(run.alone())
         start = run.latest()
-        log = stack.enter_context(open_log(run.directory, start.iteration, start.environment_steps))
+        # Before anything is written: all have read the same by then.
+        check_agreement(start.iteration, "the iteration that they begin with")
+        check_agreement(int(run.config.digest()[:8], 16), "the settings")
+        log = None
+        if is_lead():
+            opened = open_log(run.directory, start.iteration, start.environment_steps)
+            log = stack.enter_context(opened)
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
@@ -82,7 +92,8 @@ class _Training:
     """A run between two iterations."""
 
     run: Run
-    log: RunLog
+    log: RunLog | None
+    """None in a process that leaves writing to another one."""
     checkpoint: Checkpoint
     keep: int
     saved: int
@@ -101,8 +112,10 @@ class _Training:
         before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
         start, compiled = time.perf_counter(), compile_seconds()
-        state, info = run.learner.step(key, before.state, collect)
-        jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+        with together():
+            state, info = run.learner.step(key, before.state, collect)
+            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
+            self.steps = total_of_processes(self.steps)
         seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
         after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
@@ -113,8 +126,10 @@ class _Training:
             compile_seconds=compiling,
             steps_per_second=self.steps / max(seconds - compiling, 1e-9),
             environment_steps=after.environment_steps,
+            devices=num_devices(),
         )
-        self.log.write(progress)
+        if self.log is not None:
+            self.log.write(progress)
         # One assignment, so that Ctrl-C finds either all of this iteration or nothing.
         self.checkpoint = after
         self._watch(progress)
@@ -124,7 +139,7 @@ class _Training:
 
     def save(self) -> None:
         """Write a checkpoint unless it is there already, and delete those that are not kept."""
-        if self.saved == self.checkpoint.iteration:
+        if self.log is None or self.saved == self.checkpoint.iteration:
             return
         # The log first: whoever finds a checkpoint can rely on the log up to it.
         self.log.sync()
@@ -135,7 +150,8 @@ class _Training:
 
     def end(self) -> None:
         """Leave log and checkpoint in agreement, whatever was interrupted."""
-        self.log.cut(self.checkpoint.iteration)
+        if self.log is not None:
+            self.log.cut(self.checkpoint.iteration)
         self.save()
 
     def _watch(self, progress: Progress) -> None:
@@ -177,7 +193,7 @@ def train_live(
 
     Returns the last iteration, None if nothing was left to do. All else is as for `train`.
     """
-    console = console or Console()
+    console = console or Console(quiet=not is_lead())
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
     try:

@@ -14,6 +14,7 @@ from maesn.inner.adaptation import StepSizes
 from maesn.inner.surrogate import post_distributions
 from maesn.learners.gradient.objective import Experience, MetaObjective, MetaParameters
 from maesn.numerics import AbstractDistribution, multiply
+from maesn.numerics.mesh import num_shards
 from maesn.numerics.tasks import map_tasks
 
 
@@ -60,10 +61,10 @@ def sampled_distributions(
 
 
 def step_weights(episodes: Episodes) -> Float[Array, "task episode time"]:
-    """Return the weight of each step in a mean over tasks of means over valid steps."""
+    """Return the weight of each step in a mean over all tasks of means over valid steps."""
     valid = episodes.valid.astype(float)
     per_task = jnp.maximum(valid.sum((1, 2), keepdims=True), 1.0)
-    return valid / (per_task * valid.shape[0])
+    return valid / (per_task * valid.shape[0] * num_shards())
 
 
 def _moved(

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSizes
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
-from maesn.numerics import masked_mean
+from maesn.numerics import mesh
 from maesn.numerics.trust_region import TrustRegionInfo
 
 
@@ -56,10 +56,10 @@ def describe_step(
     first = objective.pre[0][0] if objective.pre else objective.post
     count, first_task = _nonfinite_tasks(objective, old, step.loss_before)
     return GradientInfo(
-        return_before=first.undiscounted_return.mean(),
-        return_after=objective.post.undiscounted_return.mean(),
-        success_after=(objective.post.solved & objective.post.valid).any(-1).mean(),
-        penalty=objective.penalties(old).mean(),
+        return_before=mesh.mean(first.undiscounted_return.mean()),
+        return_after=mesh.mean(objective.post.undiscounted_return.mean()),
+        success_after=mesh.mean((objective.post.solved & objective.post.valid).any(-1).mean()),
+        penalty=mesh.mean(objective.penalties(old).mean()),
         action_std=_mean_std(objective.post),
         trust_region=step,
         shares=_group_shares(old, new),
@@ -83,7 +83,7 @@ def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
 
 
 def _mean_std(episodes: Episodes) -> Float[Array, ""]:
-    return masked_mean(episodes.behaviour.std().mean(-1), episodes.valid)
+    return mesh.mean_of_valid(episodes.behaviour.std().mean(-1), episodes.valid)
 
 
 def _nonfinite_tasks(
@@ -95,8 +95,9 @@ def _nonfinite_tasks(
     """
 
     def search() -> tuple[Int[Array, ""], Int[Array, ""]]:
-        broken = ~jnp.isfinite(objective.task_losses(parameters))
-        return broken.sum(), jnp.where(broken.any(), objective.index[broken.argmax()], -1)
+        broken = mesh.gather(~jnp.isfinite(objective.task_losses(parameters)))
+        index = mesh.gather(objective.index)
+        return broken.sum(), jnp.where(broken.any(), index[broken.argmax()], -1)
 
     nothing = (jnp.zeros((), int), jnp.full((), -1, int))
     return jax.lax.cond(jnp.isfinite(loss), lambda: nothing, search)

@@ -17,12 +17,13 @@ from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
-from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
-from maesn.inner.advantage import AdvantageEstimator, Advantages
+from maesn.inner.adaptation import Adaptation, StepSchedule
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.base import AbstractMetaLearner, Capabilities
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
+from maesn.learners.gradient.inner_update import adapt, estimate
 from maesn.learners.gradient.objective import (
     Experience,
     MetaObjective,
@@ -30,6 +31,7 @@ from maesn.learners.gradient.objective import (
     start_agents,
 )
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
@@ -141,6 +143,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        check_split(self.meta_batch_size)
         needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
         Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
 
@@ -179,10 +182,11 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         pre: list[Experience] = []
         updated: list[Agents] = []
         for phase in range(self.inner_updates):
-            keys = task_keys(play_key, phase, index.shape[0])
+            keys = task_keys(play_key, phase, self.meta_batch_size)
             episodes = collect(keys, agents, index, stage=phase)
-            advantages = self._advantages(episodes)
-            agents = self._adapt(adaptation, agents, parameters.step_sizes, episodes, advantages)
+            advantages = estimate(self.advantage, episodes)
+            sizes = parameters.step_sizes
+            agents = adapt(adaptation, self.context, agents, sizes, episodes, advantages)
             pre.append((episodes, advantages))
             updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
@@ -192,7 +196,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             index,
             tuple(pre),
             post,
-            self._advantages(post),
+            estimate(self.advantage, post),
             state.statistics,
         )
         return self._improve(state, objective, tuple(updated), curvature_key)
@@ -215,7 +219,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     ) -> Episodes:
         """Collect the episodes that the outer step learns from."""
         keys = [
-            task_keys(key, self.inner_updates + batch, index.shape[0])
+            task_keys(key, self.inner_updates + batch, self.meta_batch_size)
             for batch in range(self.outer_batches)
         ]
         batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
@@ -225,22 +229,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
         return start_agents(self.context, state.parameters, index, state.statistics)
 
-    @eqx.filter_jit
-    def _advantages(self, episodes: Episodes) -> Advantages:
-        return self.advantage.of_tasks(episodes)
-
-    @eqx.filter_jit
-    def _adapt(
-        self,
-        adaptation: Adaptation,
-        agents: Agents,
-        sizes: StepSizes,
-        episodes: Episodes,
-        advantages: Advantages,
-    ) -> Agents:
-        return adaptation(agents, sizes, self.context, episodes, advantages)
-
-    @eqx.filter_jit
     def _improve(
         self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
@@ -252,6 +240,18 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             updated: those who played after each inner update, `objective.updated(parameters)`.
             key: draws the steps that the curvature takes.
         """
+        shared, rows = objective.parts()
+        common, own = (
+            zip(*(agents.parts() for agents in updated), strict=True) if updated else ((), ())
+        )
+        (after, info), _ = over_tasks(self._improved, (state, key, shared, common), (rows, own))
+        return after, info
+
+    def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
+        """Do what `_improve` does, of this device's tasks."""
+        state, key, common, common_agents = shared
+        objective = MetaObjective.of_parts(common, rows[0])
+        updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
         outer, inner = self._thinnings(key, objective.post.action.shape[-2])
         improved, step = self.trust_region.step(
@@ -262,7 +262,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             step_weights(objective.post.every(*outer)),
         )
         after = GradientState(improved, state.iteration + 1, objective.statistics_after())
-        return after, describe_step(objective, parameters, improved, step)
+        return (after, describe_step(objective, parameters, improved, step)), None
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
         """Draw which steps the curvature takes: after the update, and before it."""

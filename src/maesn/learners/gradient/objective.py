@@ -15,7 +15,7 @@ from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import Adaptation, StepSizes
 from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import outer_loss, post_distributions
-from maesn.numerics import AbstractDistribution, masked_mean
+from maesn.numerics import AbstractDistribution, masked_mean, mesh
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.numerics.tasks import map_tasks
 from maesn.numerics.trust_region import Candidate
@@ -62,6 +62,17 @@ class MetaObjective(eqx.Module):
     post: Episodes
     advantages: Advantages
     statistics: ObservationStatistics | None = None
+
+    def parts(self) -> tuple[Any, Any]:
+        """Return what all tasks share, and what has a row for each; `of_parts` joins them."""
+        shared = self.context, self.adaptation, self.statistics
+        return shared, (self.index, self.pre, self.post, self.advantages)
+
+    @staticmethod
+    def of_parts(shared: Any, rows: Any) -> "MetaObjective":
+        """Return the objective of these parts."""
+        (context, adaptation, statistics), (index, pre, post, advantages) = shared, rows
+        return MetaObjective(context, adaptation, index, pre, post, advantages, statistics)
 
     def start(self, parameters: MetaParameters) -> Agents:
         """Return the agents before the inner updates."""
@@ -147,4 +158,4 @@ class MetaObjective(eqx.Module):
 
 
 def _mean_over_tasks(stacked: Any) -> Any:
-    return jax.tree.map(lambda x: x.mean(0), stacked)
+    return mesh.mean(jax.tree.map(lambda x: x.mean(0), stacked))

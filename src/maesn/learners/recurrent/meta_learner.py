@@ -23,7 +23,8 @@ from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner
 from maesn.learners.recurrent.value import RecurrentValue, ValueState
 from maesn.learners.trials import Trials, join_episodes
-from maesn.numerics import masked_mean, standardize, trial_advantages
+from maesn.numerics import mesh, standardize, trial_advantages
+from maesn.numerics.mesh import check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
@@ -125,6 +126,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
 
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""
+        check_split(self.meta_batch_size)
         trials = self.meta_batch_size * episodes_per_task
         parts = {
             "policy_step": self.policy_step.minibatches,
@@ -150,27 +152,29 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         episodes: list[Episodes] = []
         for number in range(self.trial_episodes):
-            keys = task_keys(play_key, number, index.shape[0])
+            keys = task_keys(play_key, number, self.meta_batch_size)
             trial_state = episodes[-1].trial_end if episodes else None
             agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
             episodes.append(collect(keys, agents, index, stage=number))
-        return self._improve(learn_key, state, tuple(episodes))
+        outcome: Any
+        outcome, _ = over_tasks(self._improve, (learn_key, state), tuple(episodes))
+        return outcome
 
-    @eqx.filter_jit
     def _improve(
-        self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
-    ) -> tuple[RecurrentMetaState, RecurrentInfo]:
+        self, shared: tuple[Key, RecurrentMetaState], episodes: tuple[Episodes, ...]
+    ) -> tuple[tuple[RecurrentMetaState, RecurrentInfo], None]:
+        key, state = shared
         policy_key, value_key = jax.random.split(key)
         trials = join_episodes(episodes)
         expected = self.value.values(state.value, trials)
         advantages = self.advantages(trials, expected)
-        standard = standardize(advantages, trials.valid)
+        standard = standardize(advantages, trials.valid, mean=mesh.mean_of_valid)
         policy, opt_state, step = self.policy_step(
             policy_key, state.policy, state.opt_state, trials, standard
         )
         value, accepted = self.value.fit(value_key, state.value, trials, advantages + expected)
         info = _describe(episodes, trials, advantages, expected, accepted, step)
-        return RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info
+        return (RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info), None
 
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
@@ -199,11 +203,11 @@ def _describe(
     spread = _variance(advantages + expected, trials)
     unknown = _variance(advantages, trials) / jnp.where(spread > 0, spread, 1.0)
     return RecurrentInfo(
-        return_before=first.undiscounted_return.mean(),
-        return_after=last.undiscounted_return.mean(),
-        success_after=(last.solved & last.valid).any(-1).mean(),
-        action_std=masked_mean(behaviour.std().mean(-1), valid),
-        entropy=masked_mean(behaviour.entropy(), valid),
+        return_before=mesh.mean(first.undiscounted_return.mean()),
+        return_after=mesh.mean(last.undiscounted_return.mean()),
+        success_after=mesh.mean((last.solved & last.valid).any(-1).mean()),
+        action_std=mesh.mean_of_valid(behaviour.std().mean(-1), valid),
+        entropy=mesh.mean_of_valid(behaviour.entropy(), valid),
         explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
         value_accepted=value_accepted,
         policy_step=policy_step,
@@ -211,5 +215,5 @@ def _describe(
 
 
 def _variance(values: Float[Array, "trial time"], trials: Trials) -> Float[Array, ""]:
-    mean = masked_mean(values, trials.valid)
-    return masked_mean((values - mean) ** 2, trials.valid)
+    mean = mesh.mean_of_valid(values, trials.valid)
+    return mesh.mean_of_valid((values - mean) ** 2, trials.valid)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Key
 from maesn.learners.trials import Trials
 from maesn.networks import RecurrentNetwork, init_recurrent_network
-from maesn.numerics import MinibatchDescent, if_finite, masked_mean
+from maesn.numerics import MinibatchDescent, if_finite, mesh
 from maesn.policies import input_features, input_size
 
 # Ours: weight of the past in the running mean and standard deviation of returns, which then follow
@@ -79,7 +79,7 @@ class RecurrentValue(eqx.Module):
             network: RecurrentNetwork, batch: tuple[Trials, Array]
         ) -> tuple[Float[Array, ""], None]:
             played, wanted = batch
-            return masked_mean((_outputs(network, played) - wanted) ** 2, played.valid), None
+            return mesh.part_of_mean((_outputs(network, played) - wanted) ** 2, played.valid), None
 
         network, opt_state, _ = self.descent.run(
             key, state.network, state.opt_state, loss, (trials, (returns - mean) / std)
@@ -102,7 +102,7 @@ def _outputs(network: RecurrentNetwork, trials: Trials) -> Float[Array, "trial t
 def _moments_after(
     moments: Float[Array, " 3"], trials: Trials, returns: Float[Array, "trial time"]
 ) -> Float[Array, " 3"]:
-    means = [masked_mean(power, trials.valid) for power in (returns, returns**2)]
+    means = [mesh.mean_of_valid(power, trials.valid) for power in (returns, returns**2)]
     new = jnp.stack([jnp.ones(()), *means])
     return STATISTICS_DECAY * moments + (1.0 - STATISTICS_DECAY) * new
 

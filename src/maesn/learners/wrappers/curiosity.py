@@ -22,7 +22,7 @@ from maesn.axes import Key
 from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
-from maesn.numerics import DiagonalGaussian, Ring, first_order_step
+from maesn.numerics import DiagonalGaussian, Ring, first_order_step, mesh
 
 # Transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
@@ -136,10 +136,10 @@ class CuriosityBonus(eqx.Module):
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
-        pool = state.pool.extend(*self._draw_additions(pool_key, played))
+        pool = state.pool.extend(*self._draw_additions(pool_key, mesh.gather(played)))
         gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), played)
-        median = jnp.nanmedian(jnp.where(played.valid, gain, jnp.nan))
-        counts = state.has_learned & played.valid.any()
+        median = jnp.nanmedian(mesh.gather(jnp.where(played.valid, gain, jnp.nan)))
+        counts = state.has_learned & mesh.gather(played.valid).any()
         medians = state.medians.extend(median[None, None], counts[None])
         # 0 if there are none.
         typical = medians.moments()[0][0]

@@ -14,6 +14,8 @@ from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner, Info
 from maesn.learners.wrappers.bonus import BonusFastLearner, with_bonus
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
+from maesn.numerics import mesh
+from maesn.numerics.mesh import over_tasks
 
 
 class BonusMetaState(eqx.Module):
@@ -164,17 +166,22 @@ class _CollectWithBonus:
     ) -> Episodes:
         episodes = self._collect(keys, agents, task_index, stage)
         key = jax.random.fold_in(self._key, len(self._returns))
-        self.state, bonus = _judge(self._curiosity, key, self.state, episodes)
-        self._returns.append((stage, episodes.undiscounted_return.mean()))
-        self.bonus = bonus.sum(-1).mean()
+        self.state, bonus = over_tasks(_judge, (self._curiosity, key, self.state), episodes)
+        sums = episodes.undiscounted_return, bonus.sum(-1)
+        (mean_return, self.bonus), _ = over_tasks(_means, None, sums)
+        self._returns.append((stage, mean_return))
         return with_bonus(episodes, bonus)
 
 
-@eqx.filter_jit
 def _judge(
-    curiosity: CuriosityBonus, key: Key, state: CuriosityState, episodes: Episodes
+    shared: tuple[CuriosityBonus, Key, CuriosityState], episodes: Episodes
 ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
+    curiosity, key, state = shared
     return curiosity.judge(key, state, episodes)
+
+
+def _means(_: None, rows: Any) -> tuple[Any, None]:
+    return mesh.mean(jax.tree.map(jnp.mean, rows)), None
 
 
 @eqx.filter_jit

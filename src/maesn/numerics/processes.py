@@ -1,0 +1,159 @@
+"""Processes and devices that train one run together: how they find each other, and who writes."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+from maesn.numerics.mesh import sharing_tasks
+from maesn.storage import RunError
+
+# A process that is silent for so long counts as dead, and ends the others, in seconds.
+HEARTBEAT_TIMEOUT = 20
+# How long a process waits at its end for the others, in seconds.
+SHUTDOWN_TIMEOUT = 20
+# Of `coordinator`: the scheduler's environment says all.
+AUTO = "auto"
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Which devices and processes share the tasks of a meta-batch. No result depends on it."""
+
+    devices: int = 1
+    """Devices of each process that share the tasks of a meta-batch. On a CPU they are threads."""
+    coordinator: str | None = None
+    """HOST:PORT at which process 0 listens, if several processes train one run; `auto` under Slurm
+    and Open MPI, which say all by themselves."""
+    num_processes: int | None = None
+    """Number of processes that train one run."""
+    process: int | None = None
+    """Which of them this one is, from 0 on. Process 0 writes and prints."""
+
+    def __post_init__(self) -> None:
+        given = self.num_processes, self.process
+        if self.devices < 1:
+            raise RunError(f"`devices` must be at least 1, got {self.devices}.")
+        if self.coordinator in (None, AUTO):
+            if given != (None, None):
+                raise RunError(
+                    "`num_processes` and `process` need a `coordinator`, the HOST:PORT at which "
+                    "process 0 listens."
+                )
+        elif None in given:
+            raise RunError("`coordinator` needs `num_processes` and `process` beside it.")
+        if self.num_processes is not None and not 0 <= (self.process or 0) < self.num_processes:
+            raise RunError(
+                f"`process` must be from 0 to {self.num_processes - 1}, got {self.process}."
+            )
+
+    @contextlib.contextmanager
+    def begun(self) -> Iterator[None]:
+        """Let the devices share the tasks until the block ends.
+
+        Raises:
+            RunError: JAX has begun with fewer devices, or the processes do not find each other.
+        """
+        if self.devices > 1:
+            _ask_for_devices(self.devices)
+        if self.coordinator is not None and not jax.distributed.is_initialized():
+            self._connect(self.coordinator)
+        several = self.devices > 1 or self.coordinator is not None
+        devices = _first_of_each_process(self.devices) if several else []
+        with sharing_tasks(devices):
+            yield
+
+    def _connect(self, coordinator: str) -> None:
+        address = None if coordinator == AUTO else coordinator
+        try:
+            jax.distributed.initialize(
+                address,
+                self.num_processes,
+                self.process,
+                heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT,
+                shutdown_timeout_seconds=SHUTDOWN_TIMEOUT,
+            )
+        except (RuntimeError, ValueError) as error:
+            raise RunError(
+                f"the processes of this run cannot begin together: {error} Give `coordinator`, "
+                "`num_processes` and `process` before anything else uses JAX."
+            ) from error
+
+
+ALONE = Sharing()
+
+
+def _ask_for_devices(number: int) -> None:
+    # Refused once JAX has begun; then those count that there are.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", number)  # type: ignore[no-untyped-call]
+
+
+def _first_of_each_process(number: int) -> list[jax.Device]:
+    found = jax.local_device_count()
+    if found < number:
+        raise RunError(
+            f"`devices` is {number}, but JAX has begun with {found}: ask for them before anything "
+            f"uses JAX, or set XLA_FLAGS=--xla_force_host_platform_device_count={number} (on CPUs)."
+        )
+    grouped = groupby(jax.devices(), key=lambda device: device.process_index)
+    return [device for _, own in grouped for device in list(own)[:number]]
+
+
+def is_lead() -> bool:
+    """Whether this process writes and prints: one does of those that share a run."""
+    return not jax.distributed.is_initialized() or jax.process_index() == 0
+
+
+def wait_for_all(step: str) -> None:
+    """Wait until all processes of the run have come to this step."""
+    if jax.distributed.is_initialized():
+        multihost_utils.sync_global_devices(step)
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Do what all processes of the run do.
+
+    Raises:
+        RunError: another process has gone away meanwhile. JAX soon says which one, and ends this
+            process too if it has not ended by then.
+    """
+    try:
+        yield
+    except jax.errors.JaxRuntimeError as error:
+        if not jax.distributed.is_initialized():
+            raise
+        first = (str(error).splitlines() or [""])[0]
+        raise RunError(
+            f"process {jax.process_index()} of {jax.process_count()} has lost another process of "
+            f"this run, whose own output says why ({first}). JAX names it below. `maesn resume` "
+            "goes on from the last checkpoint."
+        ) from error
+
+
+def total_of_processes(number: int) -> int:
+    """Return the sum of a number over the processes of the run."""
+    if not jax.distributed.is_initialized():
+        return number
+    return int(multihost_utils.process_allgather(np.asarray(number)).sum())
+
+
+def check_agreement(number: int, what: str) -> None:
+    """Refuse to train on if the processes of a run differ in a number.
+
+    Raises:
+        RunError: they do.
+    """
+    if not jax.distributed.is_initialized():
+        return
+    found = multihost_utils.process_allgather(np.asarray(number)).tolist()
+    if len(set(found)) > 1:
+        raise RunError(
+            f"the processes of this run differ in {what} ({', '.join(map(str, found))}): give all "
+            "of them the same settings, and a run directory that all of them see."
+        )

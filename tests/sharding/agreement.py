@@ -1,0 +1,112 @@
+"""Compare meta-iterations over several virtual devices with those on one device.
+
+    python tests/sharding/agreement.py METHOD FAMILY ITERATIONS [same]
+
+Prints, for each number of devices, the largest deviation of state and information, relative to the
+largest number of each array. With `same` all devices learn from the same episodes.
+"""
+
+import json
+import sys
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from maesn.envs.sources import resolve_family
+from maesn.experience.episodes import Collect, Episodes
+from maesn.learners import METHODS, GradientMetaLearner
+from maesn.numerics.mesh import sharing_tasks
+from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
+
+DEVICES = (1, 2, 4)
+# Conjugate gradients enlarge rounding, tenfold to a thousandfold in each step (docs/cluster.md).
+CG_STEPS = 5
+# A sum that cancels, such as the mean of standardised advantages, is rounding alone.
+SMALLEST = 1e-9
+
+
+class Replay:
+    """Plays each batch once, and returns the same episodes when it is asked again."""
+
+    def __init__(self, collect: Collect) -> None:
+        self._collect = collect
+        self._played: list[Episodes] = []
+        self.position = 0
+
+    @property
+    def num_tasks(self) -> int:
+        return self._collect.num_tasks
+
+    @property
+    def episodes_per_task(self) -> int:
+        return self._collect.episodes_per_task
+
+    def __call__(self, *arguments: Any, **named: Any) -> Episodes:
+        if self.position == len(self._played):
+            self._played.append(self._collect(*arguments, **named))
+        self.position += 1
+        return self._played[self.position - 1]
+
+
+def numbers(tree: Any) -> dict[str, np.ndarray]:
+    """All arrays by their paths."""
+    found = jax.tree_util.tree_leaves_with_path(tree)
+    return {jax.tree_util.keystr(path): np.asarray(x, dtype=float) for path, x in found}
+
+
+def deviations(reference: Any, other: Any) -> dict[str, float]:
+    """The largest deviation of each array, relative to its largest number."""
+    first, second = numbers(reference), numbers(other)
+    return {
+        name: float(np.abs(x - second[name]).max() / max(np.abs(x).max(), SMALLEST))
+        for name, x in first.items()
+        if x.size
+    }
+
+
+def small(method: str) -> Any:
+    """A learner of eight tasks, a multiple of all numbers of devices."""
+    learner = METHODS[method](meta_batch_size=8)
+    found = getattr(learner, "learner", learner)
+    if isinstance(found, GradientMetaLearner):
+        fewer = replace(found, trust_region=replace(found.trust_region, cg_steps=CG_STEPS))
+        return fewer if found is learner else replace(learner, learner=fewer)
+    return learner
+
+
+def outcomes(method: str, family: str, iterations: int, *, same: bool) -> dict[int, Any]:
+    """State and information after some iterations, by number of devices."""
+    found = resolve_family(family)
+    env = found.make_env(reward_kind="dense")
+    world = make_world(env, found.task_set("training"), num_threads=1)
+    # Five trials in each of eight tasks: minibatches of RL2 that four devices share unevenly.
+    learner, collect = small(method), Collector(world, 5)
+    replay = Replay(collect)
+    results = {}
+    for number in DEVICES:
+        replay.position = 0
+        with sharing_tasks(jax.devices()[:number]):
+            sizes = env.observation_size, env.action_size, collect.num_tasks
+            state, info = learner.init(jax.random.key(0), *sizes), None
+            for iteration in range(iterations):
+                key = jax.random.key(iteration)
+                state, info = learner.step(key, state, replay if same else collect)
+        results[number] = state, info
+    world.close()
+    return results
+
+
+def main() -> None:
+    method, family, iterations, *same = sys.argv[1:]
+    found = outcomes(method, family, int(iterations), same=bool(same))
+    worst = {number: deviations(found[1], found[number]) for number in DEVICES[1:]}
+    print(json.dumps(worst))
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_num_cpu_devices", max(DEVICES))
+    jax.config.update("jax_enable_x64", True)
+    main()
