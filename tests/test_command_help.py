@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maesn import cli
-from maesn.commands import doctor
+from maesn.commands import doctor, options
 
 WORDS = [[name] for name in cli.COMMANDS] + [["train", "maesn"], ["study", "run"]]
 
@@ -91,6 +91,7 @@ def test_doctor_names_what_is_missing(
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("MAESN_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(options, "enable_compilation_cache", lambda: None)
     assert cli.run(["doctor"]) == cli.USAGE_ERROR
     assert "MAESN_CACHE=off" in capsys.readouterr().err
 

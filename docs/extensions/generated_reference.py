@@ -148,7 +148,7 @@ def flat(learner: object) -> dict[str, object]:
 def shown(value: object) -> str:
     """Return a setting as it is written on the command line."""
     text = " ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return f"`{text}`"
+    return f"`{text or '()'}`"
 
 
 GENERATORS: dict[str, Callable[[], str]] = {

@@ -161,7 +161,7 @@ def test_the_iteration_is_counted(preset: str) -> None:
 @every_preset
 def test_nothing_is_compiled_after_the_first_step(preset: str) -> None:
     done = run(preset)
-    assert "jit(_improve)" in done.compiled[0]
+    assert "jit(_call)" in done.compiled[0]
     assert not [name for names in done.compiled[1:] for name in names]
 
 
