@@ -169,7 +169,7 @@ def test_help_answers_within_half_a_second() -> None:
         (["train", "maesn", "--tasks", "{}/absent.npz", "--run", "{}/new"], "absent.npz"),
         (["resume", "{}/absent"], "absent"),
         (["adapt", "{}/absent"], "absent"),
-        (["report"], "name at least one run directory"),
+        (["report"], "name at least one run or study"),
         (["train"], "name a method"),
         (["train", "maesn", "--run", "{}/new", "--seed", "-1"], "`seed` must be at least 0"),
         (["train", "maesn", "--run", "{}/new", "--meta-batch-size", "0"], "`meta_batch_size`"),

@@ -7,7 +7,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-from figure_checks import check_saved_whole, line
+from figure_checks import check_saved_whole, labels, line
 from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named

@@ -68,7 +68,7 @@ def test_every_figure_is_saved_with_nothing_cut_off(
 
 
 def test_exploration() -> None:
-    figure = exploration_figure()
+    figure = exploration_figure().figure
     maesn, maml, untrained = figure.axes
     share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
     assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
@@ -148,7 +148,7 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
     adapted_to = np.stack([layout - 5.0] * NUM_TASKS)
     figure = plot_task_distribution(
         replace(exploration(), training_landmarks=training, landmarks=adapted_to)
-    )
+    ).figure
     (axes,) = figure.axes
     drawn = line(axes, "objects of training tasks")
     np.testing.assert_array_equal(drawn, np.concatenate([layout, layout + 5.0]))

@@ -75,7 +75,7 @@ def test_several_runs_share_figures(tmp_path: Path) -> None:
         "task-distribution",
         "exploration",
     }
-    assert f"No exploration trajectories in `{runs[0]}`: " in said
+    assert f"No exploration trajectories in `{runs[1]}`, `{runs[0]}`: " in said
     assert f"No metrics in `{runs[2]}`: " in said
 
 
@@ -101,7 +101,7 @@ def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) 
         f"No metrics in `{bare}`: `maesn train` or `maesn resume DIR` writes them.",
         f"No adaptation in `{bare}`: `maesn adapt DIR` writes it.",
         f"No exploration trajectories in `{bare}`: `maesn report DIR` records them, if the family "
-        "says where agent and goal are in a plane.",
+        "says where things are in a plane.",
     ]
 
 

@@ -113,7 +113,7 @@ def _exploration(series: Sequence[Series], say: Say) -> Figures:
                 f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
             )
         panels[one.name] = exploration.ExplorationPanel(one.style, recorded, reach)
-    missing = [one.runs[0] for one in series if one.name not in panels]
+    missing = [run for one in series if one.name not in panels for run in one.runs]
     _say_missing(missing, "exploration trajectories", _RECORDING, say)
     if panels:
         first, *_ = panels.values()
