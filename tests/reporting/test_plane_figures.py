@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figure_checks import check_saved_whole, crowd, ellipses, legend, line, segments
-from maesn.reporting.style import Drawn
 from matplotlib.patches import Circle
 from synthetic_runs import (
     NUM_EPISODES,
@@ -33,7 +32,7 @@ from maesn.reporting.figures.plane import (
     final_positions,
     shared_limits,
 )
-from maesn.reporting.style import METHOD_STYLES
+from maesn.reporting.style import METHOD_STYLES, Drawn
 
 
 def exploration_figure() -> Drawn:
