@@ -10,7 +10,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float, Real
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from maesn.reporting.adaptation_table import Line, by_text, note_on_judging
 from maesn.reporting.published import PublishedCurve
@@ -199,3 +199,4 @@ def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
     if len(shortest) > 1:
         axes.set_xscale("symlog", linthresh=min(filter(None, shortest)), linscale=0.5)
         axes.set_xlim(left=0)
+        axes.xaxis.set_major_formatter(ScalarFormatter())
