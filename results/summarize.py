@@ -20,10 +20,10 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from maesn.context import Latent, LatentContext
-from maesn.report.adaptation_table import AdaptationTable, solved_at_reset, stack_seeds
-from maesn.report.runs import read_run
-from maesn.report.statistics import bootstrap, difference
-from maesn.report.tables import (
+from maesn.reporting.adaptation_table import AdaptationTable, solved_at_reset, stack_seeds
+from maesn.reporting.runs import read_run
+from maesn.reporting.statistics import bootstrap, difference
+from maesn.reporting.tables import (
     UNITS,
     TextTable,
     labels_of,

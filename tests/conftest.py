@@ -35,7 +35,8 @@ os.environ["MAESN_CACHE"] = "off"
 import jax
 import jaxtyping
 import pytest
-from matplotlib.figure import Figure
+
+from maesn.reporting.style import Drawn
 
 # Tests interrupt themselves, which what a shell runs in the background would ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -79,18 +80,18 @@ def forget_compiled_programs() -> Iterator[None]:
 def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write an empty file for each figure instead of laying it out, which takes a second.
 
-    For tests of what is drawn when; `tests/report` looks at the pictures.
+    For tests of what is drawn when; `tests/reporting` looks at the pictures.
     """
 
-    def touch(figure: Figure, directory: Path, name: str) -> list[Path]:
-        assert figure.axes
+    def touch(drawn: Drawn, directory: Path, name: str) -> list[Path]:
+        assert drawn.figure.axes
         directory.mkdir(parents=True, exist_ok=True)
         files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
         for file in files:
             file.touch()
         return files
 
-    for module in ("maesn.report.plot", "maesn.report.study"):
+    for module in ("maesn.reporting.run_figures", "maesn.reporting.study"):
         monkeypatch.setattr(f"{module}.save_figure", touch)
 
 

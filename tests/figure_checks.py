@@ -8,22 +8,22 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from synthetic_runs import run
 
-from maesn.report.series import Series, group_series
-from maesn.report.style import METHOD_STYLES, save_figure
+from maesn.reporting.series import Series, group_series
+from maesn.reporting.style import METHOD_STYLES, Drawn, save_figure
 
 
-def check_saved_whole(figure: Figure, directory: Path) -> None:
+def check_saved_whole(drawn: Drawn, directory: Path) -> None:
     """Save a figure, and check that no label sticks out of it."""
-    png, pdf = save_figure(figure, directory, "figure")
+    png, pdf = save_figure(drawn, directory, "figure")
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
     assert min(file.stat().st_size for file in (png, pdf)) > 5000
-    drawn = figure.get_tightbbox()  # inches
-    width, height = figure.get_size_inches()
-    assert drawn.x0 >= -0.01
-    assert drawn.y0 >= -0.01
-    assert drawn.x1 <= width + 0.01
-    assert drawn.y1 <= height + 0.01
+    around = drawn.figure.get_tightbbox()  # inches
+    width, height = drawn.figure.get_size_inches()
+    assert around.x0 >= -0.01
+    assert around.y0 >= -0.01
+    assert around.x1 <= width + 0.01
+    assert around.y1 <= height + 0.01
 
 
 def crowd() -> list[Series]:
@@ -37,8 +37,9 @@ def legend(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-def note(figure: Figure) -> str:
-    return figure.legends[0].get_title().get_text()
+def labels(axes: Axes) -> list[str]:
+    """The labels beside the lines of a panel, the lowest first."""
+    return [text.get_text().replace("\n", " ") for text in axes.texts]
 
 
 def segments(axes: Axes) -> list[np.ndarray]:

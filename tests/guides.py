@@ -17,7 +17,7 @@ _SMALL = {
     "train": [*_FEW, "--iterations", "1", "--checkpoint-every", "1"],
     "adapt": ["--episodes", "4", "--episodes-per-update", "4"],
     "compare": ["--num-tasks", "2", "--episodes", "4", "--episodes-per-update", "4"],
-    "plot": [],
+    "report": [],
     "render": ["--after", "0", "--shown", "1", "--episodes", "2", "--episodes-per-update", "2"],
     "export": [],
 }

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from maesn.report.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable, Line
-from maesn.report.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
-from maesn.report.series import Series, group_series
-from maesn.report.style import METHOD_STYLES, MethodStyle
+from maesn.reporting.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable, Line
+from maesn.reporting.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
+from maesn.reporting.series import Series, group_series
+from maesn.reporting.style import METHOD_STYLES, MethodStyle
 
 NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
 RADIUS = 0.8

@@ -17,7 +17,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
-from maesn.report.reading import LATENTS
+from maesn.reporting.reading import LATENTS
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
@@ -98,14 +98,14 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
 ) -> None:
     api.adapt(trained, episodes=3, episodes_per_update=3)
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    written = api.plot([trained], tmp_path)
+    written = api.report([trained], tmp_path).files
     names = {path.name for path in written}
     assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names
     assert all(path.exists() for path in written)
     table = trained / "adaptation" / "test-sparse.csv"
     before = table.read_bytes()
     Run.open(trained).checkpoints()[-1].touch()
-    api.plot([trained], tmp_path)
+    api.report([trained], tmp_path)
     assert table.read_bytes() == before
 
 
@@ -169,7 +169,7 @@ def test_help_answers_within_half_a_second() -> None:
         (["train", "maesn", "--tasks", "{}/absent.npz", "--run", "{}/new"], "absent.npz"),
         (["resume", "{}/absent"], "absent"),
         (["adapt", "{}/absent"], "absent"),
-        (["plot"], "name at least one run directory"),
+        (["report"], "name at least one run or study"),
         (["train"], "name a method"),
         (["train", "maesn", "--run", "{}/new", "--seed", "-1"], "`seed` must be at least 0"),
         (["train", "maesn", "--run", "{}/new", "--meta-batch-size", "0"], "`meta_batch_size`"),

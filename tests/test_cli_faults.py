@@ -95,7 +95,7 @@ def test_damaged_configurations_get_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], document: str
 ) -> None:
     (tmp_path / "config.json").write_text(document)
-    for words in (["resume"], ["adapt"], ["plot"]):
+    for words in (["resume"], ["adapt"], ["report"]):
         assert "config.json" in said(capsys, *words, str(tmp_path))
 
 

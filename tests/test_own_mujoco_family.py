@@ -17,7 +17,7 @@ from maesn.worlds import NativeWorld, make_world
 from maesn.worlds.simulators import native_simulator
 
 GUIDE = Guide("own_environment_mujoco.md", "puck")
-VERBS = ("train", "adapt", "plot", "render", "export")
+VERBS = ("train", "adapt", "report", "render", "export")
 
 
 @pytest.fixture(scope="module")

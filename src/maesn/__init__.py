@@ -13,8 +13,8 @@ from maesn._version import __version__ as __version__
 if TYPE_CHECKING:  # what a type checker and an editor see; the same names as in the table below
     from maesn.api import adapt as adapt
     from maesn.api import export as export
-    from maesn.api import plot as plot
     from maesn.api import prior as prior
+    from maesn.api import report as report
     from maesn.api import resume as resume
     from maesn.api import train as train
     from maesn.context import BiasContext as BiasContext
@@ -107,8 +107,8 @@ _PUBLIC: dict[str, tuple[str, ...]] = {
     "maesn.api": (
         "adapt",
         "export",
-        "plot",
         "prior",
+        "report",
         "resume",
         "train",
     ),

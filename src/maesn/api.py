@@ -7,7 +7,7 @@ as `module:name`.
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import tyro
 from tyro.conf import Positional
@@ -19,8 +19,10 @@ from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
-from maesn.report.plot import plot_run_directories
-from maesn.report.reading import RECORD
+from maesn.reporting.reading import RECORD
+from maesn.reporting.run_figures import draw_runs
+from maesn.reporting.study import is_study, report_studies
+from maesn.reporting.tables import TextTable
 from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
@@ -223,36 +225,51 @@ def export(
     return Path(path)
 
 
-def plot(
-    runs: Positional[Sequence[running.AnyRun]],
+class Reported(NamedTuple):
+    """What `maesn.report` has written."""
+
+    files: list[Path]
+    """Figures, and tables of a study."""
+    tables: list[TextTable]
+    """Of a study: where each method ends, and who beats whom."""
+
+
+def report(
+    of: Positional[Sequence[running.AnyRun]],
     out: running.OptionalPath = None,
     family: running.AnyFamily = None,
-) -> list[Path]:
-    """Draw the paper's figures from one or several runs, as PNG and PDF.
+) -> Reported:
+    """Draw the figures of one or several runs, or figures and tables of a study.
 
-    Episodes of exploration are played first, and adaptation to the test tasks on sparse reward
-    where no table of it is there yet. A table that is there is drawn as it is: after more
-    training, `adapt` renews it.
+    For runs, episodes of exploration are played first, and adaptation to the test tasks on sparse
+    reward where no table of it is there yet. A table that is there is drawn as it is: after more
+    training, `adapt` renews it. For a study, or a directory with several, nothing is played.
 
     Args:
-        runs: Directories of the runs, or names of policies as for `maesn adapt`; several are
-            compared in one figure.
-        out: Where the figures go; None: `figures` in the first run's directory.
+        of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
+            one figure. Or the directory of a study.
+        out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
+            study go into its directory.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:
-        RunError: no run is named, or one cannot be used.
+        RunError: no run is named, one cannot be used, or a study has nothing to compare yet.
     """
-    if not runs:
-        raise RunError("name at least one run directory: maesn plot DIR [DIR ...]")
-    opened = [running.open_run(run, family) for run in runs]
+    if not of:
+        raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
+    if not isinstance(of[0], Run) and is_study(Path(of[0])):
+        if len(of) > 1 or out is not None:
+            raise RunError("a study is reported by itself, into its directory: maesn report DIR")
+        files: list[Path] = []
+        return Reported(files, report_studies(Path(of[0]), files.append))
+    opened = [running.open_run(run, family) for run in of]
     for run in opened:
         if not tables.adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
             record_exploration(run)
     directories = [run.directory for run in opened]
-    return plot_run_directories(directories, Path(out or directories[0] / "figures"))
+    return Reported(draw_runs(directories, Path(out or directories[0] / "figures"), print), [])
 
 
 def _adapted_start(

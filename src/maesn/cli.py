@@ -19,7 +19,7 @@ COMMANDS = {
     "prior": "play an archive of latents in the training tasks, for the rule `search`",
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
     "study": "train, adapt and compare what a file says; go on with it, show how far it is",
-    "plot": "draw the paper's figures from one or several runs",
+    "report": "draw the figures of runs, or figures and tables of a study",
     "export": "write a trained policy as one file for the NumPy runtime",
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",

@@ -17,8 +17,8 @@ from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import Playback, record_adaptation
 from maesn.evaluation.running import new_tasks
-from maesn.report.filmstrip import Cell, Row, contact_sheet
-from maesn.report.filmstrip import film as make_film
+from maesn.reporting.filmstrip import Cell, Row, contact_sheet
+from maesn.reporting.filmstrip import film as make_film
 from maesn.rules import BestOfRule
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld

@@ -256,14 +256,14 @@ def test_a_rule_of_ones_own_is_found_by_name(
         "    def fast_learner(self, trained, env):\n"
         "        return trained.fast_learner()\n"
     )
-    (tmp_path / "my_rules.py").write_text(source)
+    (tmp_path / "widened_rules.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
-    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--rule", "my_rules:Widened"]
+    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--rule", "widened_rules:Widened"]
     assert cli.run([*command, "factor=3"]) == 0
     (table,) = (trained / "adaptation").glob("file-few-*-sparse-widened-*.csv")
     record = json.loads(table.with_suffix(".settings.json").read_text())
-    assert record["rule"] == "my_rules:Widened(factor=3.0)"
-    del sys.modules["my_rules"]
+    assert record["rule"] == "widened_rules:Widened(factor=3.0)"
+    del sys.modules["widened_rules"]
 
 
 def test_a_label_says_what_is_changed() -> None:

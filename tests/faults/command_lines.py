@@ -80,7 +80,7 @@ def _lines(run: Path, directory: Path) -> list[list[str]]:
         ["compare", there, "--out", new],
         ["study", "run", "quick", "--out", new, "--dry-run"],
         ["study", "status", "quick", "--out", new],
-        ["plot", there, "--out", new],
+        ["report", there, "--out", new],
         ["export", there, f"{new}.npz"],
         ["render", there, "--out", new],
         ["list"],

@@ -13,7 +13,7 @@ from small_runs import Drift, create, create_tiny, finish, goals, outcome
 from maesn import api
 from maesn.evaluation import running
 from maesn.evaluation.tables import Adapted
-from maesn.report.reading import RECORD
+from maesn.reporting.reading import RECORD
 from maesn.rules import SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.run import Run

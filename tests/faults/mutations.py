@@ -18,8 +18,8 @@ from faults.table import CLEAR, CONTINUED, EXECUTED, LOSS, Findings, is_of_tests
 from small_runs import finish, tensors
 
 from maesn import api
-from maesn.report.reading import read_adaptation
-from maesn.report.runs import read_learning_curve, read_run
+from maesn.reporting.reading import read_adaptation
+from maesn.reporting.runs import read_learning_curve, read_run
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime import Explorer

@@ -9,7 +9,7 @@ from guides import Guide
 from maesn.runs.run import Run
 
 GUIDE = Guide("own_environment_gymnasium.md", "hidden_gravity")
-VERBS = ("train", "adapt", "plot", "export")
+VERBS = ("train", "adapt", "report", "export")
 
 
 def test_its_commands_do_what_they_say(

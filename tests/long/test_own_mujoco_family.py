@@ -11,7 +11,7 @@ from pictures import can_draw
 GUIDE = Guide("own_environment_mujoco.md", "puck")
 
 
-VERBS = ("train", "adapt", "plot", "render", "export")
+VERBS = ("train", "adapt", "report", "render", "export")
 
 
 @pytest.fixture(scope="module")

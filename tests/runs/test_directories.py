@@ -161,7 +161,7 @@ def test_a_run_that_was_changed_since_it_was_opened_is_not_trained(tmp_path: Pat
 @pytest.mark.parametrize(
     "name", ["metrics.jsonl", "timing.jsonl", "adaptation", "checkpoints/more"]
 )
-@pytest.mark.parametrize("command", ["resume", "adapt", "plot"])
+@pytest.mark.parametrize("command", ["resume", "adapt", "report"])
 def test_nothing_is_written_through_a_link(
     finished_drift: Run, capsys: pytest.CaptureFixture[str], name: str, command: str
 ) -> None:

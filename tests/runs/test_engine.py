@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 from small_runs import create
-from synthetic_runs import run as synthetic_run
 
 from maesn.physics import EngineError
-from maesn.report.series import group_worlds
 from maesn.runs.config import CONFIG
 from maesn.storage import RunError
 
@@ -33,16 +31,3 @@ def test_a_missing_engine_leaves_no_directory(
     with pytest.raises(EngineError, match=r"pip install -e '\.\[gpu\]'"):
         create(tmp_path / "run", family="wheeled", engine="mjx")
     assert not (tmp_path / "run").exists()
-
-
-def test_runs_of_two_engines_share_no_figure() -> None:
-    runs = [
-        synthetic_run(engine="native"),
-        synthetic_run(engine="native", seed=1),
-        synthetic_run(engine="mjx"),
-    ]
-    worlds = group_worlds(runs)
-    assert {name: len(members) for name, members in worlds.items()} == {
-        "wheeled-native": 2,
-        "wheeled-mjx": 1,
-    }

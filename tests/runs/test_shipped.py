@@ -90,7 +90,7 @@ def test_one_can_be_drawn_and_filmed_by_its_name(
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-wheeled")
     api.adapt("wheeled", few)
-    for path in api.plot(["wheeled"]):
+    for path in api.report(["wheeled"]).files:
         assert path.parent == copy / "figures"
     pictures = drawn(lambda: film.render("wheeled", few, after=[0], shown=1))
     parents = {path.parent for path in pictures or []}

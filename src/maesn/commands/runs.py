@@ -8,7 +8,7 @@ from maesn.evaluation.film import render as render_run
 from maesn.evaluation.tables import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
-from maesn.report.tables import print_adaptation_summary, print_side_by_side
+from maesn.reporting.tables import print_adaptation_summary, print_side_by_side, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
@@ -28,13 +28,18 @@ def _say_adapted(done: Adapted) -> None:
         print(f"latents: {done.latents}")
 
 
+def _show(done: api.Reported) -> None:
+    print_tables(done.tables)
+    _print_all(done.files)
+
+
 def _print_all(paths: list[Path]) -> None:
     print(*paths, sep="\n")
 
 
 resume = command(api.resume, say_what_is_next)
 adapt = command(api.adapt, _say_adapted)
-plot = command(api.plot, _print_all)
+report = command(api.report, _show)
 export = command(api.export, print)
 prior = command(api.prior, print)
 render = command(render_run, _print_all)
@@ -69,4 +74,4 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     tables = {"policy gradient": gradient.table, "search": search.table}
     print_side_by_side(tables, "Return in 100 new tasks, by episodes in each of them")
     print("3. figures")
-    _print_all(api.plot([run]))
+    _show(api.report([run]))

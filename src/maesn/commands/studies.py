@@ -7,7 +7,7 @@ import tyro
 from maesn.commands.options import command
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.running import AnyEvaluation, Flag
-from maesn.report.tables import TextTable, print_tables
+from maesn.reporting.tables import TextTable, print_tables
 from maesn.storage import RunError
 from maesn.studies.comparison import compare as compare_runs
 from maesn.studies.execution import Execution

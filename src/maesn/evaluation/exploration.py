@@ -14,7 +14,7 @@ from maesn.context import Latent
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner
-from maesn.report.runs import EXPLORATION, RecordedExploration
+from maesn.reporting.runs import EXPLORATION, RecordedExploration
 from maesn.runs.run import Run
 from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector

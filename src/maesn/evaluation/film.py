@@ -19,7 +19,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
-from maesn.report.filmstrip import Cell, Row, contact_sheet, film
+from maesn.reporting.filmstrip import Cell, Row, contact_sheet, film
 from maesn.storage import RunError, refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector

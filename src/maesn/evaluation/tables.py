@@ -14,8 +14,8 @@ from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.report.reading import LATENTS, RECORD, TableName, read_record
-from maesn.report.runs import Latents
+from maesn.reporting.reading import LATENTS, RECORD, TableName, read_record
+from maesn.reporting.runs import Latents
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
@@ -45,6 +45,7 @@ def adaptation_record(
     return {
         **who,
         "rule": evaluation.rule_text,
+        "label": evaluation.label,
         "world": describe_env(world.env),
         "engine": engine_of(world.env, engine),
         "task_digest": world.tasks.digest(),
@@ -63,22 +64,22 @@ def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int =
 
     `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM-DIGEST` for a
     user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
-    adaptation goes on. Behind the reward stand rule and wrappers, the number of tasks, the sparse
-    radius and the engine, each where it is not the usual one: tables of different kinds never share
-    a file, and so never a figure.
+    adaptation goes on; behind it number of tasks, sparse radius and engine, each where it is not
+    the usual one, so that what cannot be compared never shares a figure. Behind the reward stand
+    rule and wrappers.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
         held = read_arrays(Path(name), "give an .npz file of tasks")
         name = f"file-{Path(name).stem}-{digest_of_arrays(held)[:6]}"
-    start = f"from-{first_update}-" if first_update else ""
     parts = {
+        f"from-{first_update}-{name}" if first_update else name: True,
         f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
         f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
         f"-on-{evaluation.engine}": evaluation.engine,
     }
-    changed = evaluation.suffix + "".join(part for part, given in parts.items() if given)
-    return TableName(start + name, evaluation.reward, changed).path(directory)
+    tasks = "".join(part for part, given in parts.items() if given)
+    return TableName(tasks, evaluation.reward, evaluation.suffix).path(directory)
 
 
 class Adapted(NamedTuple):

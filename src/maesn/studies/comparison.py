@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.learners import SCRATCH
-from maesn.report.runs import read_run
-from maesn.report.series import Series, group_series
+from maesn.reporting.runs import read_run
+from maesn.reporting.series import Series, group_series
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maesn.envs import AnyEnv, RewardKind, TaskSet, describe_env
+from maesn.envs import AnyEnv, RewardKind, TaskSet, Variant, describe_env
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation, written_out
 from maesn.learners import baselines
@@ -55,6 +55,7 @@ class World(NamedTuple):
     """What lines of one comparison have in common."""
 
     family: str
+    variant: Variant
     tasks: str
     reward: RewardKind
     sparse_radius: float | None
@@ -120,7 +121,9 @@ class _Planner:
                     asked = self.evaluation(name, family)
                     for planned in self.line(line, name, asked, family, place):
                         own = planned.evaluation
-                        world = World(family, own.tasks, own.reward, own.sparse_radius)
+                        world = World(
+                            family, self.study.variant, own.tasks, own.reward, own.sparse_radius
+                        )
                         worlds.setdefault(world, []).append(planned)
             for world, lines in worlds.items():
                 yield self.comparison(world, lines)

@@ -1,6 +1,6 @@
 """What a study leaves for its report: one table per line and seed, and what is compared.
 
-`DIR/NAME/study.json` names the tables in `DIR/NAME/tables`. `maesn.report.study` reads both, and
+`DIR/NAME/study.json` names the tables in `DIR/NAME/tables`. `maesn.reporting.study` reads both, and
 nothing else.
 """
 
@@ -8,9 +8,9 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from maesn.report.reading import read_rows
-from maesn.report.study import MANIFEST
-from maesn.report.style import METHOD_STYLES
+from maesn.reporting.reading import read_rows
+from maesn.reporting.study import MANIFEST
+from maesn.reporting.style import METHOD_STYLES
 from maesn.storage import write_json, write_rows
 from maesn.studies.jobs import DONE, ROWS, done_steps
 from maesn.studies.plan import Plan, PlannedComparison, PlannedLine, PlannedSeed

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from maesn.report.study import report_study
-from maesn.report.tables import TextTable
+from maesn.reporting.study import report_study
+from maesn.reporting.tables import TextTable
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
 from maesn.storage import explained, locked, refusals
@@ -100,7 +100,9 @@ class Study:
             if only is not None:
                 return Results(directory, [], execution.failed)
             write_results(self.plan, execution.directory, directory)
-            return Results(directory, report_study(directory, say), execution.failed)
+            return Results(
+                directory, report_study(directory, lambda path: say(str(path))), execution.failed
+            )
 
     def execution(self, out: str | Path, retries: int = 2) -> Execution:
         """Return the jobs and their state in a directory."""

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
 
-from maesn.report.runs import Positions, RecordedExploration
-from maesn.report.style import BLACK, DARK_GREY, GREY
+from maesn.reporting.runs import Positions, RecordedExploration
+from maesn.reporting.style import BLACK, DARK_GREY, GREY
 
 # Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
 _DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from maesn.report import adaptation_table as data
-from maesn.report.adaptation_table import AdaptationTable
-from maesn.report.reading import read_adaptation
-from maesn.report.statistics import Interval, mean_intervals
+from maesn.reporting import adaptation_table as data
+from maesn.reporting.adaptation_table import AdaptationTable
+from maesn.reporting.reading import read_adaptation
+from maesn.reporting.statistics import Interval, mean_intervals
 from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from maesn.report.style import MethodStyle
+from maesn.reporting.style import MethodStyle
 from maesn.storage import RunError
 
 Curves = Float[np.ndarray, "task update"]
@@ -73,6 +73,8 @@ class AdaptationTable:
     """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if no record says so."""
+    rule: str = ""
+    """How figures call rule and wrappers; empty for the method as it is."""
 
     @property
     def num_tasks(self) -> int:
@@ -119,16 +121,6 @@ class AdaptationTable:
             if isinstance(x, np.ndarray)
         }
         return replace(self, **changed)
-
-    def first_part(self, num_tasks: int, updates: int) -> "AdaptationTable":
-        """Return the table of the first so many tasks and updates, or raise a `RunError`."""
-        if self.updates[0] or self.num_tasks < num_tasks or len(self.updates) <= updates:
-            raise RunError(
-                f"Expected {num_tasks} tasks with {updates} updates from the start, got "
-                f"{self.num_tasks} tasks with updates {self.updates[0]} to {self.updates[-1]}; "
-                "delete the table and compare again."
-            )
-        return self.part(slice(num_tasks), slice(updates + 1))
 
 
 def stack_seeds(

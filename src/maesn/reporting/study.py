@@ -1,24 +1,24 @@
 """The report of a study: figures and tables, from the files that it left and nothing else."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from maesn.report.adaptation_table import Line
-from maesn.report.comparison import Comparison, summary_tables, tidy_rows
-from maesn.report.figures.adaptation import plot_comparison
-from maesn.report.figures.ends import plot_ends, plot_profiles
-from maesn.report.reading import read_adaptation
-from maesn.report.style import DARK_GREY, MethodStyle, save_figure, series_styles
-from maesn.report.tables import TextTable, write_tables
+from maesn.reporting.adaptation_table import Line
+from maesn.reporting.comparison import Comparison, summary_tables, tidy_rows
+from maesn.reporting.figures.curves import plot_curves
+from maesn.reporting.figures.ends import plot_ends, plot_profiles
+from maesn.reporting.published import comparable_curve
+from maesn.reporting.reading import read_adaptation
+from maesn.reporting.style import DARK_GREY, Drawn, MethodStyle, save_figure, series_styles
+from maesn.reporting.tables import TextTable, write_tables
 from maesn.storage import RunError, read_json, write_rows
 
 MANIFEST = "study.json"
 TABLE, SUMMARY = "table.csv", "summary.md"
-_DASHED = (0, (2.0, 1.0))
 
-Say: TypeAlias = Callable[[str], None]
+Wrote: TypeAlias = Callable[[Path], None]
 Document: TypeAlias = Mapping[str, Any]
 
 
@@ -32,26 +32,28 @@ def _manifests(directory: Path) -> Iterable[Path]:
     return [own] if own.exists() else sorted(directory.glob(f"*/{MANIFEST}"))
 
 
-def report_studies(directory: Path, say: Say) -> list[TextTable]:
+def report_studies(directory: Path, wrote: Wrote) -> list[TextTable]:
     """Draw figures and write tables of a study, or of all in a directory; return the tables.
 
     Raises:
         RunError: a file is missing or damaged, or there is nothing to compare yet.
     """
-    found = [table for path in _manifests(directory) for table in report_study(path.parent, say)]
+    found = [table for path in _manifests(directory) for table in report_study(path.parent, wrote)]
     if not found:
         raise RunError(f"`{directory}` holds no study that has something to compare yet.")
     return found
 
 
-def report_study(directory: Path, say: Say) -> list[TextTable]:
+def report_study(directory: Path, wrote: Wrote) -> list[TextTable]:
     """Draw figures and write tables of one study, each comparison in a directory of its own."""
     document, found = read_json(directory / MANIFEST, "run the study again"), []
     try:
         for one in document["comparisons"]:
             if one["lines"] and one["baselines"]:
                 comparison = _comparison(one, directory)
-                found += _report(comparison, one, document["figures"], directory / one["name"], say)
+                found += _report(
+                    comparison, one, document["figures"], directory / one["name"], wrote
+                )
     except (KeyError, TypeError) as error:
         raise RunError(
             f"`{directory / MANIFEST}` is not what a study writes ({error!r}): run the study again."
@@ -60,7 +62,7 @@ def report_study(directory: Path, say: Say) -> list[TextTable]:
 
 
 def _comparison(document: Document, directory: Path) -> Comparison:
-    styles = series_styles([line["method"] for line in document["lines"]])
+    styles = _styles(document["lines"])
     lines = [
         _line(one, style, document, directory)
         for one, style in zip(document["lines"], styles, strict=True)
@@ -75,11 +77,21 @@ def _comparison(document: Document, directory: Path) -> Comparison:
     )
 
 
+def _styles(lines: Sequence[Document]) -> list[MethodStyle]:
+    """Return a style for each line: those of one run or method have one colour and other dashes."""
+    sources = list(dict.fromkeys(line["source"] for line in lines))
+    methods = {line["source"]: line["method"] for line in reversed(lines)}
+    own = dict(zip(sources, series_styles([methods[one] for one in sources]), strict=True))
+    styles = []
+    for position, line in enumerate(lines):
+        before = sum(one["source"] == line["source"] for one in lines[:position])
+        styles.append(own[line["source"]].with_rule(before, "more" if before else ""))
+    return styles
+
+
 def _line(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
     """Read the tables of all seeds."""
     style = replace(style, label=line["label"])
-    if line["addition"]:
-        style = replace(style, line=_DASHED, marker="d")
     tables = tuple(
         replace(
             read_adaptation(directory / seed["table"]),
@@ -95,7 +107,7 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
 
 
 def _report(
-    comparison: Comparison, world: Document, figures: Iterable[Document], out: Path, say: Say
+    comparison: Comparison, world: Document, figures: Iterable[Document], out: Path, wrote: Wrote
 ) -> list[TextTable]:
     """Write table, summary and figures of one comparison."""
     write_rows(out / TABLE, tidy_rows(comparison))
@@ -109,11 +121,30 @@ def _report(
         chosen = figure["lines"] or list(sources.values())
         lines = tuple(one for one in comparison.lines if sources[one.name] in chosen)
         if lines:
-            draw = {"curves": plot_comparison, "dots": plot_ends, "profiles": plot_profiles}
-            drawn = draw[figure["kind"]](replace(comparison, lines=lines))
+            drawn = _drawn(figure["kind"], replace(comparison, lines=lines), world)
             for path in save_figure(drawn, out, f"{figure['name']}-{world['name']}"):
-                say(str(path))
+                wrote(path)
     return titled
+
+
+def _drawn(kind: str, comparison: Comparison, world: Document) -> Drawn:
+    """Draw one kind of figure."""
+    radius = f", radius {world['sparse_radius']:g} m" if world["sparse_radius"] else ""
+    title = f"{world['family']}, {world['tasks']} tasks, {world['reward']} reward{radius}"
+    if kind == "dots":
+        return plot_ends(comparison, title)
+    if kind == "profiles":
+        return plot_profiles(comparison, title)
+    bounds = comparison.bounds(max(line.num_tasks for line in comparison.lines))
+    about = (world["family"], world["variant"], world["sparse_radius"])
+    methods = {line["name"]: line["method"] for line in world["lines"] if not line["addition"]}
+    published = {
+        line.name: comparable_curve(*about, methods[line.name], line.table)
+        for line in comparison.lines
+        if line.name in methods
+    }
+    references = dict(zip(("baseline", "oracle"), bounds, strict=True))
+    return plot_curves(comparison.lines, title, references, published)
 
 
 def _titled(table: TextTable, name: str) -> TextTable:

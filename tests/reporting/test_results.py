@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scripts import ROOT
 
-from maesn.report.reading import read_adaptation
+from maesn.reporting.reading import read_adaptation
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
 from maesn.storage import RunError

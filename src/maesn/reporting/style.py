@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import matplotlib.style
 from matplotlib.figure import Figure
@@ -39,6 +39,7 @@ _DASH_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2))
 _DASH_DOT_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
 _DOTS: LineStyle = (0, (1.2, 1.2))
 _SHORT_DASH: LineStyle = (0, (3.0, 1.5))
+_DASHES = ("-", _SHORT_DASH, _DOTS, _DASH_DOT, _LONG_DASH, _DASH_DOT_DOT)
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,12 @@ class MethodStyle:
     colour: str
     line: LineStyle
     marker: str
+
+    def with_rule(self, number: int, rule: str) -> "MethodStyle":
+        """Return the style with another rule, the `number`th of the method in its figure."""
+        if not rule:
+            return self
+        return replace(self, label=f"{self.label} ({rule})", line=_DASHES[number % len(_DASHES)])
 
 
 METHOD_STYLES = {
@@ -94,7 +101,7 @@ def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
 @contextmanager
 def publication_style() -> Iterator[None]:
     """Draw in this style inside the block, whatever the user's own Matplotlib settings are."""
-    with matplotlib.style.context(["default", "maesn.report.publication"]):
+    with matplotlib.style.context(["default", "maesn.reporting.publication"]):
         yield
 
 
@@ -103,18 +110,31 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="compressed")
 
 
-def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
-    """Write `<name>.png` and `<name>.pdf`; the same figure gives the same bytes every time."""
+class Drawn(NamedTuple):
+    """A figure, and what its caption has to say."""
+
+    figure: Figure
+    notes: Sequence[str] = ()
+
+
+def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
+    """Write `<name>.png` and `<name>.pdf`, and the notes as `<name>.txt`; return the pictures.
+
+    The same figure gives the same bytes every time.
+    """
     files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
     with explained("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
+    if drawn.notes:
+        sentences = "".join(f"{note[0].upper()}{note[1:]}.\n" for note in drawn.notes)
+        write_whole(directory / f"{name}.txt", sentences.encode())
     with publication_style():
         for _ in range(_LAYOUT_PASSES):
-            figure.draw_without_rendering()
-        figure.set_layout_engine("none")
+            drawn.figure.draw_without_rendering()
+        drawn.figure.set_layout_engine("none")
         for file in files:
             content = io.BytesIO()
             undated = {"CreationDate": None} if file.suffix == ".pdf" else None
-            figure.savefig(content, format=file.suffix[1:], metadata=undated)
+            drawn.figure.savefig(content, format=file.suffix[1:], metadata=undated)
             write_whole(file, content.getvalue())
     return files

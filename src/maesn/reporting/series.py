@@ -1,21 +1,20 @@
 """Which runs are seeds of one experiment, and which experiments belong in one figure."""
 
 import json
-import re
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from maesn.report.adaptation_table import Line
-from maesn.report.runs import RecordedRun
-from maesn.report.style import METHOD_STYLES, MethodStyle, series_styles
+from maesn.reporting.adaptation_table import AdaptationTable, Line
+from maesn.reporting.reading import read_adaptation
+from maesn.reporting.runs import RecordedRun
+from maesn.reporting.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.settings import leaves
 from maesn.storage import RunError
 
-# What decides, beside the family, whether returns can be compared at all; and what stands before it
-# in a directory's name.
-_WORLD = {"variant": "", "sparse_radius": "radius-", "engine": ""}
+# What decides, beside the family, whether returns can be compared at all.
+_WORLD = ("variant", "sparse_radius", "engine")
 # What two seeds of one experiment may differ in: it changes nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
@@ -34,28 +33,30 @@ class Series:
         """The method's name, with the settings in which it differs from others of that name."""
         return self.style.label
 
-    def adapted(self, tasks: str, reward: str) -> Line | None:
-        """Return the adaptation of those runs that have one; None if none has."""
-        tables = {run.seed: run.adaptation(tasks, reward) for run in self.runs}
-        found = {seed: table for seed, table in tables.items() if table is not None}
-        return Line(self.name, self.style, (*found,), (*found.values(),)) if found else None
+    def adapted(self, tasks: str, reward: str) -> list[Line]:
+        """Return a line for each rule by which runs were adapted to a task set."""
+        found: defaultdict[str, dict[int, AdaptationTable]] = defaultdict(dict)
+        for run in self.runs:
+            for name, file in run.tables().items():
+                if (name.tasks, name.reward) == (tasks, reward):
+                    found[name.changed][run.seed] = read_adaptation(file)
+        lines: list[Line] = []
+        for changed, tables in sorted(found.items()):
+            rule = next(iter(tables.values())).rule or changed.strip("-")
+            style = self.style.with_rule(len(lines), rule)
+            lines.append(Line(self.name + changed, style, (*tables,), (*tables.values(),)))
+        return lines
 
 
-def group_worlds(runs: Sequence[RecordedRun]) -> dict[str, list[RecordedRun]]:
-    """Return the runs of each world, in the order given, by a name for a directory.
-
-    A world is a family, its variant, the sparse radius and the engine. The name has the family, and
-    of the others those in which its runs differ.
-    """
-    worlds: defaultdict[str, list[RecordedRun]] = defaultdict(list)
-    for run in runs:
-        parts = [run.family]
-        for name, prefix in _WORLD.items():
-            found = {_text(one.settings.get(name)) for one in runs if one.family == run.family}
-            if len(found) > 1:
-                parts.append(prefix + _text(run.settings.get(name)))
-        worlds[re.sub(r"[^\w.]+", "-", "-".join(parts))].append(run)
-    return dict(worlds)
+def check_world(runs: Sequence[RecordedRun]) -> None:
+    """Refuse runs whose returns cannot be compared: each needs figures of its own."""
+    for name in ("family", *_WORLD):
+        found = {_text(run.settings.get(name)) for run in runs}
+        if len(found) > 1:
+            raise RunError(
+                f"runs in one figure must have the same `{name}`, got "
+                f"{' and '.join(sorted(found))}: report on each by itself."
+            )
 
 
 def group_series(runs: Sequence[RecordedRun]) -> list[Series]:

@@ -1,10 +1,12 @@
 """Which runs share a line, and which share a figure."""
 
+from typing import Any
+
 import pytest
 from synthetic_runs import run
 
-from maesn.report.series import group_series, group_worlds
-from maesn.report.style import METHOD_STYLES
+from maesn.reporting.series import check_world, group_series
+from maesn.reporting.style import METHOD_STYLES
 from maesn.storage import RunError
 
 
@@ -50,19 +52,10 @@ def test_one_seed_given_twice_is_refused() -> None:
         group_series([run(), run()])
 
 
-def test_worlds_are_named_as_shortly_as_possible() -> None:
-    runs = [run(), run("maml"), run(family="point")]
-    assert {name: len(members) for name, members in group_worlds(runs).items()} == {
-        "wheeled": 2,
-        "point": 1,
-    }
-    runs = [run(), run(variant="paper"), run(sparse_radius=1.0)]
-    assert set(group_worlds(runs)) == {
-        "wheeled-reference-radius-null",
-        "wheeled-paper-radius-null",
-        "wheeled-reference-radius-1.0",
-    }
-
-
-def test_the_name_of_a_world_is_a_file_name() -> None:
-    assert list(group_worlds([run(family="my.module:Maze")])) == ["my.module-Maze"]
+@pytest.mark.parametrize(
+    "other", [{"family": "point"}, {"variant": "paper"}, {"sparse_radius": 1.0}, {"engine": "mjx"}]
+)
+def test_runs_whose_returns_cannot_be_compared_are_refused(other: dict[str, Any]) -> None:
+    check_world([run(), run("maml")])
+    with pytest.raises(RunError, match=f"must have the same `{next(iter(other))}`, got "):
+        check_world([run(), run(**other)])

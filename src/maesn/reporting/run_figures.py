@@ -1,65 +1,58 @@
 """Figures of finished runs. Reads files alone: no learner, no simulator, no JAX.
 
-What a figure shows is in `maesn.report.figures`; here is what it is drawn from and where it goes.
+What a figure shows is in `maesn.reporting.figures`; here is what it is drawn from.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from matplotlib.figure import Figure
-from rich.console import Console
-
-from maesn.report.figures import exploration
-from maesn.report.figures.adaptation import comparable_curve, plot_adaptation_curves
-from maesn.report.figures.curves import plot_learning_curves
-from maesn.report.runs import (
+from maesn.reporting.adaptation_table import Line
+from maesn.reporting.figures import exploration
+from maesn.reporting.figures.curves import plot_curves
+from maesn.reporting.figures.learning import plot_learning_curves
+from maesn.reporting.published import comparable_curve
+from maesn.reporting.runs import (
     LearningCurve,
     RecordedRun,
     read_exploration,
     read_learning_curve,
     read_run,
 )
-from maesn.report.series import Series, group_series, group_worlds
-from maesn.report.style import MethodStyle, save_figure
+from maesn.reporting.series import Series, check_world, group_series
+from maesn.reporting.style import Drawn, MethodStyle, save_figure
 
-_RECORDING = "`maesn plot DIR` records them, if the family says where agent and goal are in a plane"
+_RECORDING = "`maesn report DIR` records them, if the family says where things are in a plane"
 
 _RECORDED_TASKS = "test"  # the tasks whose goals an exploration records
 
 Say: TypeAlias = Callable[[str], None]
-Figures: TypeAlias = Iterator[tuple[str, Figure]]
+Figures: TypeAlias = Iterator[tuple[str, Drawn]]
 """File names without suffix, and what they show."""
 
 
-def plot_run_directories(
-    directories: Sequence[Path], out: Path, console: Console | None = None
-) -> list[Path]:
+def draw_runs(directories: Sequence[Path], out: Path, say: Say) -> list[Path]:
     """Draw every figure that the runs have data for, each as a PNG and a PDF.
 
-    Runs that differ in their seed alone become one line. Runs in different worlds (family, variant,
-    sparse radius or engine) get a directory of figures each, because their returns cannot be
-    compared. Sentences say what is missing, with the command that makes it, and which share of the
-    goals each method reaches before it adapts. A `RunError` says which file is missing or broken.
+    Runs that differ in their seed alone become one line. Sentences say what is missing, with the
+    command that makes it, and which share of the goals each method reaches before it adapts.
 
     Args:
-        directories: at least one run, as `maesn train` and `maesn adapt` leave them.
+        directories: at least one run, as `maesn train` and `maesn adapt` leave them, all on one
+            family with one variant, sparse radius and engine.
         out: where the figures go; made if need be.
-        console: where the sentences go; None for standard output.
+        say: receives the sentences.
+
+    Raises:
+        RunError: a file is missing or broken, or the runs are of different families or the like.
     """
-    console = console or Console()
-    say = partial(console.print, markup=False, highlight=False, soft_wrap=True)
-    distinct: dict[Path, Path] = {}
-    for path in directories:
-        distinct.setdefault(path.resolve(), path)
-    worlds = group_worlds([read_run(path) for path in distinct.values()])
-    written: list[Path] = []
-    for world, runs in worlds.items():
-        directory, series = out / world if len(worlds) > 1 else out, group_series(runs)
-        for figures_of in (_learning, _adaptation, _exploration, _latents):
-            for name, figure in figures_of(series, say):
-                written += save_figure(figure, directory, name)
+    distinct = {path.resolve(): path for path in reversed(directories)}
+    runs = [read_run(path) for path in reversed(distinct.values())]
+    check_world(runs)
+    written, series = [], group_series(runs)
+    for figures_of in (_learning, _adaptation, _exploration, _latents):
+        for name, drawn in figures_of(series, say):
+            written += save_figure(drawn, out, name)
     return written
 
 
@@ -80,30 +73,27 @@ def _learning(series: Sequence[Series], say: Say) -> Figures:
 
 
 def _adaptation(series: Sequence[Series], say: Say) -> Figures:
-    """Draw one figure per task set and reward that some run was adapted to."""
+    """Draw one figure per task set and reward that some run was adapted to, with all rules."""
     runs = [run for one in series for run in one.runs]
-    sets = list(dict.fromkeys(pair for run in runs for pair in _adapted_sets(run)))
+    sets = dict.fromkeys((name.tasks, name.reward) for run in runs for name in run.tables())
     if not sets:
         _say_missing(runs, "adaptation", "`maesn adapt DIR` writes it", say)
-    changed = [file for run in runs for name, file in run.tables().items() if name.changed]
-    if changed:
-        say(
-            "Not drawn, because the rule or the radius was changed in the new tasks or the engine "
-            f"asked for by name: {', '.join(f'`{file}`' for file in changed)}."
-        )
     for tasks, reward in sets:
-        lacking = [run for run in runs if (tasks, reward) not in _adapted_sets(run)]
-        command = f"`maesn adapt DIR --tasks {tasks} --reward {reward}` writes it"
-        _say_missing(lacking, f"adaptation to the {tasks} tasks with {reward} reward", command, say)
-        adapted = [(one, line) for one in series if (line := one.adapted(tasks, reward))]
-        published = {line.name: comparable_curve(one.runs[0], line.table) for one, line in adapted}
-        figure = plot_adaptation_curves([line for _, line in adapted], published)
-        yield f"adaptation-curves-{tasks}-{reward}", figure
-
-
-def _adapted_sets(run: RecordedRun) -> list[tuple[str, str]]:
-    """Return task sets and rewards of a run's adaptations in which nothing was changed."""
-    return [(name.tasks, name.reward) for name in run.tables() if not name.changed]
+        lines: list[Line] = []
+        published = {}
+        for one in series:
+            found = one.adapted(tasks, reward)
+            run = one.runs[0]
+            for line in found:
+                world = (run.settings["variant"], run.settings.get("sparse_radius"))
+                published[line.name] = comparable_curve(run.family, *world, run.method, line.table)
+            if not found:
+                command = f"`maesn adapt DIR --tasks {tasks} --reward {reward}` writes it"
+                what = f"adaptation to the {tasks} tasks with {reward} reward"
+                _say_missing(one.runs, what, command, say)
+            lines += found
+        title = f"{runs[0].family}, {tasks} tasks, {reward} reward"
+        yield f"adaptation-curves-{tasks}-{reward}", plot_curves(lines, title, published=published)
 
 
 def _exploration(series: Sequence[Series], say: Say) -> Figures:
@@ -123,7 +113,7 @@ def _exploration(series: Sequence[Series], say: Say) -> Figures:
                 f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
             )
         panels[one.name] = exploration.ExplorationPanel(one.style, recorded, reach)
-    missing = [one.runs[0] for one in series if one.name not in panels]
+    missing = [run for one in series if one.name not in panels for run in one.runs]
     _say_missing(missing, "exploration trajectories", _RECORDING, say)
     if panels:
         first, *_ = panels.values()
@@ -140,8 +130,9 @@ def _latents(series: Sequence[Series], _: Say) -> Figures:
     for one in series:
         run = one.runs[0]
         recorded = read_exploration(run.path)
-        for tasks, reward in _adapted_sets(run):
-            latents = run.latents(tasks, reward)
+        for name in run.tables():
+            tasks, reward = name.tasks, name.reward
+            latents = None if name.changed else run.latents(tasks, reward)
             if latents is None or latents.mean.shape[-1] < 2:
                 continue
             goals = None

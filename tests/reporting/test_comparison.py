@@ -3,29 +3,28 @@
 import csv
 import dataclasses
 import io
+import itertools
 from pathlib import Path
 
 import numpy as np
-import pytest
-from figure_checks import check_saved_whole, legend, line, note
+from figure_checks import check_saved_whole, labels, line
 from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named
 
 from maesn.evaluation.tables import write_rows
-from maesn.report.adaptation_table import AdaptationTable, Line
-from maesn.report.comparison import Comparison, summary_tables, tidy_rows
-from maesn.report.figures.adaptation import plot_comparison
-from maesn.report.style import METHOD_STYLES, ONE_COLUMN
-from maesn.report.tables import print_tables, write_tables
-from maesn.storage import RunError
+from maesn.reporting.adaptation_table import AdaptationTable, Line
+from maesn.reporting.comparison import Comparison, summary_tables, tidy_rows
+from maesn.reporting.figures.curves import plot_curves
+from maesn.reporting.style import METHOD_STYLES, TWO_COLUMNS, Drawn
+from maesn.reporting.tables import print_tables, write_tables
 
 HORIZON = 20
 
 
 def constant(value: float, num_tasks: int = 8) -> AdaptationTable:
     return dataclasses.replace(
-        adaptation_table(num_tasks).first_part(num_tasks, 0),
+        adaptation_table(num_tasks).part(slice(None), slice(1)),
         mean_return=np.full((num_tasks, 1), value),
     )
 
@@ -113,16 +112,6 @@ def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Pa
     np.testing.assert_allclose(float(row["score"]), score, rtol=1e-6)
 
 
-def test_a_longer_table_is_cut_to_what_is_compared() -> None:
-    table = adaptation_table()
-    cut = table.first_part(3, 1)
-    np.testing.assert_array_equal(cut.mean_return, table.mean_return[:3, :2])
-    assert cut.episodes.tolist() == [0, 50]
-    for tasks, updates in ((9, 1), (3, NUM_UPDATES + 1)):
-        with pytest.raises(RunError, match=f"{tasks} tasks with {updates} updates"):
-            table.first_part(tasks, updates)
-
-
 def test_pairs_are_compared_on_the_tasks_that_both_have() -> None:
     long, short = adaptation_table(), adaptation_table(5, seed=1)
     *_, beats = summary_tables(comparison(named("maesn", long), named("vime", short)))
@@ -206,19 +195,28 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     ]
 
 
-def test_the_figure_counts_steps_and_marks_baseline_and_oracle(tmp_path: Path) -> None:
+def drawn(compared: Comparison) -> Drawn:
+    bounds = compared.bounds(max(line.num_tasks for line in compared.lines))
+    references = dict(zip(("baseline", "oracle"), bounds, strict=True))
+    return plot_curves(compared.lines, "wheeled", references)
+
+
+def test_the_figure_counts_episodes_and_marks_baseline_and_oracle(tmp_path: Path) -> None:
     compared = comparison(named("maesn", adaptation_table()), named("trpo", adaptation_table(5)))
-    figure = plot_comparison(compared)
+    figure, notes = drawn(compared)
     returns, success = figure.axes
-    assert figure.get_size_inches()[0] == ONE_COLUMN
-    drawn = line(returns, "MAESN")
-    np.testing.assert_array_equal(drawn[:, 0], HORIZON * 50 * np.arange(NUM_UPDATES + 1))
-    np.testing.assert_allclose(drawn[:, 1], adaptation_table().mean_return.mean(0))
+    assert figure.get_size_inches()[0] == TWO_COLUMNS
+    shown = line(returns, "MAESN")
+    np.testing.assert_array_equal(shown[:, 0], 50 * np.arange(NUM_UPDATES + 1))
+    np.testing.assert_allclose(shown[:, 1], adaptation_table().mean_return.mean(0))
     assert line(returns, "baseline")[:, 1].tolist() == [-400.0, -400.0]
     assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
     assert success.get_xscale() == "linear"
-    assert set(legend(figure)) == {"MAESN", "TRPO (first 5 tasks)", "baseline", "oracle"}
-    check_saved_whole(figure, tmp_path)
+    assert set(labels(returns)) == {"MAESN", "TRPO", "baseline", "oracle"}
+    assert labels(returns)[0] == "baseline"
+    assert labels(returns)[-1] == "oracle"
+    assert "TRPO: the first 5 of 8 tasks alone" in notes
+    check_saved_whole(drawn(compared), tmp_path)
 
 
 def test_memory_beyond_its_trials_is_faint_and_short_updates_are_seen(tmp_path: Path) -> None:
@@ -233,16 +231,24 @@ def test_memory_beyond_its_trials_is_faint_and_short_updates_are_seen(tmp_path: 
     assert any("is beyond them from update 2 on: after update 1, the last that" in x for x in ends)
     assert any(f"its return is {prepared:.1f} [" in x for x in ends)
     assert f"RL²: after update {NUM_UPDATES}, beyond its trials." in beats
-    figure = plot_comparison(comparison(memory, named("maesn", adaptation_table())))
+    both = comparison(memory, named("maesn", adaptation_table()))
+    figure, notes = drawn(both)
     returns, success = figure.axes
     assert len(line(returns, "RL²")) == 2
     faint = [np.asarray(one.get_xydata()) for one in returns.lines if one.get_alpha()]
     assert [len(points) for points in faint] == [NUM_UPDATES]
-    assert "RL², faint: beyond the 2 episodes" in note(figure).replace("\n", " ")
+    assert any("RL², faint: beyond the 2 episodes" in one for one in notes)
     assert success.get_xscale() == "symlog"
-    check_saved_whole(figure, tmp_path)
+    check_saved_whole(drawn(both), tmp_path)
 
 
-def test_a_crowd_fits_into_a_column(tmp_path: Path) -> None:
+def test_in_a_crowd_five_lines_have_colours_and_no_labels_overlap(tmp_path: Path) -> None:
     lines = [named(name, adaptation_table(seed=i)) for i, name in enumerate(METHOD_STYLES)]
-    check_saved_whole(plot_comparison(comparison(*lines)), tmp_path)
+    figure, _ = drawn(comparison(*lines))
+    returns = figure.axes[0]
+    colours = {str(one.get_color()) for one in returns.lines}
+    assert len(colours) == 5 + 2  # grey, and the references
+    boxes = [text.get_window_extent() for text in returns.texts]
+    assert len(boxes) == len(lines) + 2
+    assert all(above.y0 >= below.y1 - 1 for below, above in itertools.pairwise(boxes))
+    check_saved_whole(drawn(comparison(*lines)), tmp_path)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figure_checks import check_saved_whole, crowd, ellipses, legend, line, segments
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from synthetic_runs import (
     NUM_EPISODES,
@@ -20,23 +19,23 @@ from synthetic_runs import (
     latents,
 )
 
-from maesn.report.figures.exploration import (
+from maesn.reporting.figures.exploration import (
     ExplorationPanel,
     plot_exploration,
     plot_latents,
     plot_structured_noise,
     plot_task_distribution,
 )
-from maesn.report.figures.plane import (
+from maesn.reporting.figures.plane import (
     direction_scale,
     directions,
     final_positions,
     shared_limits,
 )
-from maesn.report.style import METHOD_STYLES
+from maesn.reporting.style import METHOD_STYLES, Drawn
 
 
-def exploration_figure() -> Figure:
+def exploration_figure() -> Drawn:
     maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
     return plot_exploration(
         [
@@ -46,12 +45,12 @@ def exploration_figure() -> Figure:
     )
 
 
-def crowded_exploration_figure() -> Figure:
+def crowded_exploration_figure() -> Drawn:
     reach = adaptation_table().prior_reach
     return plot_exploration([ExplorationPanel(one.style, exploration(), reach) for one in crowd()])
 
 
-FIGURES: dict[str, Callable[[], Figure]] = {
+FIGURES: dict[str, Callable[[], Drawn]] = {
     "exploration": exploration_figure,
     "crowded exploration": crowded_exploration_figure,
     "tasks": lambda: plot_task_distribution(exploration()),
@@ -62,13 +61,13 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 
 @pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
 def test_every_figure_is_saved_with_nothing_cut_off(
-    tmp_path: Path, make: Callable[[], Figure]
+    tmp_path: Path, make: Callable[[], Drawn]
 ) -> None:
     check_saved_whole(make(), tmp_path)
 
 
 def test_exploration() -> None:
-    figure = exploration_figure()
+    figure = exploration_figure().figure
     maesn, maml, untrained = figure.axes
     share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
     assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
@@ -89,7 +88,7 @@ def test_exploration() -> None:
 def test_lower_left_panels_keep_their_labels(number: int) -> None:
     styles = list(METHOD_STYLES.values())[:number]
     panels = [ExplorationPanel(style, exploration(), None) for style in styles]
-    axes = plot_exploration(panels).axes
+    axes = plot_exploration(panels).figure.axes
     assert len(axes) == number + 1
     assert axes[-1].get_xlabel() == "x (m)"
     assert axes[0].get_ylabel() == "y (m)"
@@ -125,7 +124,7 @@ def test_directions_are_degrees_and_colours_cover_them() -> None:
 
 
 def test_task_distribution() -> None:
-    figure = plot_task_distribution(exploration())
+    figure = plot_task_distribution(exploration()).figure
     (axes,) = figure.axes
     assert legend(figure) == [
         "10 training goals",
@@ -148,7 +147,7 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
     adapted_to = np.stack([layout - 5.0] * NUM_TASKS)
     figure = plot_task_distribution(
         replace(exploration(), training_landmarks=training, landmarks=adapted_to)
-    )
+    ).figure
     (axes,) = figure.axes
     drawn = line(axes, "objects of training tasks")
     np.testing.assert_array_equal(drawn, np.concatenate([layout, layout + 5.0]))
@@ -159,7 +158,7 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
 
 
 def test_latents() -> None:
-    figure = plot_latents(latents(), half_circle(NUM_TASKS))
+    figure = plot_latents(latents(), half_circle(NUM_TASKS)).figure
     before, after, bar = figure.axes
     assert (before.get_title(), after.get_title()) == ("before adaptation", "after 3 updates")
     assert legend(figure) == ["prior N(0, I), 1σ", "a task's latent distribution, 1σ"]
@@ -177,7 +176,7 @@ def test_latents() -> None:
 
 
 def test_latents_show_the_components_that_spread_most() -> None:
-    axes = plot_latents(latents(num_components=4)).axes
+    axes = plot_latents(latents(num_components=4)).figure.axes
     assert len(axes) == 2  # without goals there is no scale of directions
     assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == (
         "latent component 3",
@@ -186,12 +185,12 @@ def test_latents_show_the_components_that_spread_most() -> None:
 
 
 def test_latents_that_went_on_have_another_beginning() -> None:
-    axes = plot_latents(replace(latents(), first_update=1)).axes
+    axes = plot_latents(replace(latents(), first_update=1)).figure.axes
     assert [one.get_title() for one in axes] == ["after 1 update", "after 4 updates"]
 
 
 def test_structured_noise() -> None:
-    figure = plot_structured_noise(exploration())
+    figure = plot_structured_noise(exploration()).figure
     drawn, sampled, fixed, bar = figure.axes
     assert sampled.get_title().startswith("z sampled from the prior\n")
     # All episodes with the fixed latent end in one place.
@@ -205,4 +204,4 @@ def test_structured_noise() -> None:
 
 
 def test_structured_noise_without_known_latents_has_two_panels() -> None:
-    assert len(plot_structured_noise(replace(exploration(), prior_latents=None)).axes) == 3
+    assert len(plot_structured_noise(replace(exploration(), prior_latents=None)).figure.axes) == 3

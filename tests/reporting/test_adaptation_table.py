@@ -11,9 +11,9 @@ from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adapt
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.tables import adaptation_file
-from maesn.report.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
-from maesn.report.reading import TableName, read_adaptation, table_name
-from maesn.report.tables import summary_tables
+from maesn.reporting.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
+from maesn.reporting.reading import TableName, read_adaptation, table_name
+from maesn.reporting.tables import summary_tables
 from maesn.storage import RunError
 
 HEADER = ",".join(COLUMNS)
@@ -78,7 +78,7 @@ def test_the_path_of_a_table_says_what_its_name_says() -> None:
     assert table_name(usual) == TableName("test", "sparse")
     changed = Evaluation(tasks="ood", reward="dense", engine="mjx")
     other = adaptation_file(Path("run"), changed, first_update=10)
-    assert table_name(other) == TableName("from-10-ood", "dense", "-on-mjx")
+    assert table_name(other) == TableName("from-10-ood-on-mjx", "dense")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_the_path_of_a_table_says_what_its_name_says() -> None:
         ("from-10-test-dense", ("from-10-test", "dense", "")),
         ("file-my-sparse-goals-0a1b2c-dense", ("file-my-sparse-goals-0a1b2c", "dense", "")),
         ("test-sparse-10-then-trpo", ("test", "sparse", "-10-then-trpo")),
-        ("ood-sparse-3-full-steps-on-mjx", ("ood", "sparse", "-3-full-steps-on-mjx")),
+        ("ood-on-mjx-sparse-3-full-steps", ("ood-on-mjx", "sparse", "-3-full-steps")),
         ("validation-dense-bonus-vime", ("validation", "dense", "-bonus-vime")),
         ("table", ("table", "", "")),
     ],
@@ -141,7 +141,7 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
 
 
 def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
-    single = adaptation_table().first_part(NUM_TASKS, updates=0)
+    single = adaptation_table().part(slice(None), slice(1))
     assert single.episodes_per_update is None
     assert single.prior_reach is None
 
@@ -166,21 +166,36 @@ def test_seeds_with_different_tasks_are_refused() -> None:
     [
         ("", "the column `task` .* got an empty file"),
         ("task,update\n0,0\n", "the column `episodes` .* got task, update"),
-        (f"{HEADER}\n", "one row of purpose explore for each task and update .* got 0 rows"),
-        (f"{HEADER}\n{ROW}\n{ROW}\n", "one row of purpose explore for each .* got 2 rows"),
-        (f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n", "tasks 0 to 1 and 2 updates, got 2 rows"),
+        (f"{HEADER}\n", "its rows of purpose explore are no grid"),
+        (f"{HEADER}\n{ROW}\n{ROW}\n", "its rows of purpose explore are no grid"),
+        (f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n", "its rows of purpose explore are no grid"),
         (
             f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
-            "number for `goal_return` in .*line 2, got good",
+            "cannot be drawn: could not convert string to float: .*good",
         ),
-        (f"{HEADER}\n0,0,0,explore,-396.0\n", "number for `goal_return` in .*line 2, got nothing"),
-        (f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n", "finite number for `mean_return`.*got nan"),
-        (f"{HEADER}\n{ROW}\n1,0,7,{ONES}\n", "the same `update` and `episodes` for every"),
-        (f"{HEADER}\n{ROW.replace('explore', 'play')}\n", "explore or deploy for `purpose`.*play"),
-        (f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n", "purpose explore .* got 0 rows"),
+        (
+            f"{HEADER}\n0,0,0,explore,-396.0\n",
+            "cannot be drawn: could not convert string to float: .*nothing",
+        ),
+        (
+            f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
+            "a number in its column `mean_return` is not finite",
+        ),
+        (
+            f"{HEADER}\n{ROW}\n1,0,7,{ONES}\n",
+            "its rows of purpose explore lack a task or an update",
+        ),
+        (
+            f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
+            "its rows of purpose explore are no grid",
+        ),
+        (
+            f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
+            "its rows of purpose explore are no grid",
+        ),
         (
             f"{HEADER}\n{ROW}\n1,0,0,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
-            "the same `update` and `episodes` for every task and purpose",
+            "the tasks of its two purposes differ",
         ),
     ],
 )

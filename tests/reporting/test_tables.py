@@ -11,9 +11,9 @@ from rich.console import Console
 from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.report.adaptation_table import DEPLOY, MEASURES, AdaptationTable
-from maesn.report.statistics import bootstrap, difference, mean
-from maesn.report.tables import (
+from maesn.reporting.adaptation_table import DEPLOY, MEASURES, AdaptationTable
+from maesn.reporting.statistics import bootstrap, difference, mean
+from maesn.reporting.tables import (
     UNITS,
     TextTable,
     print_adaptation_summary,

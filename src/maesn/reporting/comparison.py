@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from maesn.report import statistics, tables
-from maesn.report.adaptation_table import Line, note_on_judging, solved_at_reset
-from maesn.report.statistics import Interval, bootstrap
-from maesn.report.tables import UNITS, TextTable, Unit
+from maesn.reporting import statistics, tables
+from maesn.reporting.adaptation_table import Line, note_on_judging, solved_at_reset
+from maesn.reporting.statistics import Interval, bootstrap
+from maesn.reporting.tables import UNITS, TextTable, Unit
 
 _SCORE = Unit("score", digits=2)
 _SCORE_INTERVAL = (

@@ -19,7 +19,7 @@ from synthetic_runs import (
     write_run,
 )
 
-from maesn.report.runs import read_exploration, read_learning_curve, read_run
+from maesn.reporting.runs import read_exploration, read_learning_curve, read_run
 from maesn.storage import RunError
 
 
@@ -163,7 +163,7 @@ def test_misshapen_exploration_is_refused(
     write_exploration(file, exploration())
     arrays = {**np.load(file), **change}
     np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
-    with pytest.raises(RunError, match=complaint + ".*delete it, and `maesn plot DIR`"):
+    with pytest.raises(RunError, match=complaint + ".*delete it, and `maesn report DIR`"):
         read_exploration(tmp_path)
 
 

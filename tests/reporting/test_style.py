@@ -7,9 +7,10 @@ import matplotlib as mpl
 import pytest
 from matplotlib.colors import to_rgb
 
-from maesn.report.style import (
+from maesn.reporting.style import (
     METHOD_STYLES,
     TWO_COLUMNS,
+    Drawn,
     MethodStyle,
     new_figure,
     publication_style,
@@ -43,7 +44,7 @@ def test_the_users_settings_are_left_alone_and_not_used(tmp_path: Path) -> None:
         before = dict(mpl.rcParams)
         with publication_style():
             axes = new_figure(2.0, 1.0).subplots()
-        save_figure(axes.figure, tmp_path, "figure")
+        save_figure(Drawn(axes.figure), tmp_path, "figure")
         assert dict(mpl.rcParams) == before
     assert axes.xaxis.label.get_fontsize() == 8.0
     assert axes.figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
@@ -54,7 +55,7 @@ def test_files_are_repeatable_sized_and_embed_their_fonts(tmp_path: Path) -> Non
         with publication_style():
             figure = new_figure(TWO_COLUMNS, 2.0)
             figure.subplots().set_xlabel("update")
-        save_figure(figure, tmp_path / "new" / "directory", name)
+        save_figure(Drawn(figure), tmp_path / "new" / "directory", name)
     folder = tmp_path / "new" / "directory"
     for suffix in ("png", "pdf"):
         first, second = (folder / f"{name}.{suffix}" for name in ("first", "second"))
@@ -63,5 +64,5 @@ def test_files_are_repeatable_sized_and_embed_their_fonts(tmp_path: Path) -> Non
     assert b"/FontFile2" in document  # TrueType, embedded
     assert b"/Type3" not in document
     header = (folder / "first.png").read_bytes()[16:24]  # width and height of a PNG
-    assert int.from_bytes(header[:4], "big") == round(200 * TWO_COLUMNS)
-    assert int.from_bytes(header[4:], "big") == 400
+    assert int.from_bytes(header[:4], "big") == round(300 * TWO_COLUMNS)
+    assert int.from_bytes(header[4:], "big") == 600

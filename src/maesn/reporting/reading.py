@@ -11,13 +11,13 @@ from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
 import numpy as np
 from jaxtyping import Integer, Real
 
-from maesn.report import adaptation_table as table
+from maesn.reporting import adaptation_table as table
 from maesn.runtime import archive
 from maesn.storage import RunError, read_arrays, read_json
 
 Record = TypeVar("Record")
 
-# TASKS-REWARD, and behind it what differs from the usual, as in `-then-trpo` or `-on-mjx`.
+# TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
@@ -28,11 +28,12 @@ class TableName(NamedTuple):
     """What the name of a table says."""
 
     tasks: str
-    """Name of the task set, with `from-UPDATE-` before it if an earlier adaptation went on."""
+    """Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
+    radius, engine and number of tasks where they are not the usual ones."""
     reward: str
     """Reward of the adaptation; empty if the file is called otherwise."""
     changed: str = ""
-    """What differs from the usual rule, radius or engine, with a hyphen before it."""
+    """Rule and wrappers, with a hyphen before them; empty for the method as it is."""
 
     def path(self, directory: Path) -> Path:
         """Return where such a table of a run goes by default."""
@@ -66,87 +67,75 @@ def read_rows(
 def read_adaptation(path: Path) -> table.AdaptationTable:
     """Read a table of `maesn adapt`, rows in any order, and its record where there is one.
 
-    A `RunError` says which column, row or number is missing or occurs twice.
+    A file that is missing, damaged or lacks a row is a `RunError`.
     """
-    rows = list(enumerate(read_rows(path, table.COLUMNS, remedy(path)), start=2))
-    columns = {
-        name: np.array([_value(name, row[name], path, line) for line, row in rows])
-        for name in table.COLUMNS
-    }
-    is_deployed = table.DEPLOY in columns["purpose"]
-    purpose = table.DEPLOY if is_deployed else table.EXPLORE
-    explored, judged = (_grids(columns, one, path) for one in (table.EXPLORE, purpose))
-    episodes = judged["episodes"]
-    if len(judged["task"]) != len(explored["task"]) or (episodes != episodes[:1]).any():
-        what = f"the same `update` and `episodes` for every task and purpose in `{path}`"
-        raise _broken(path, what, "different ones")
-    name = table_name(path)
+    rows = read_rows(path, table.COLUMNS, remedy(path))
+    try:
+        columns = {name: _column(name, rows) for name in table.COLUMNS}
+        has_deployed = (columns["purpose"] == table.DEPLOY).any()
+        purpose = table.DEPLOY if has_deployed else table.EXPLORE
+        explored, judged = (_grids(columns, one) for one in (table.EXPLORE, purpose))
+        if len(judged["task"]) != len(explored["task"]):
+            raise ValueError("the tasks of its two purposes differ")
+    except ValueError as error:
+        raise RunError(f"`{path}` cannot be drawn: {error}; {remedy(path)}.") from error
+    name, (explored_episodes, trial_episodes, rule) = table_name(path), _record(path)
     return table.AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,
         purpose=purpose,
         updates=judged["update"][0].astype(int),
-        episodes=episodes[0].astype(int),
+        episodes=judged["episodes"][0].astype(int),
         **{measure: judged[measure] for measure in (*table.MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
-        explored_episodes=_recorded(path, "episodes_per_update"),
-        trial_episodes=_recorded(path, "trial_episodes"),
+        explored_episodes=explored_episodes,
+        trial_episodes=trial_episodes,
+        rule=rule,
     )
 
 
-def _recorded(path: Path, name: str) -> int | None:
-    """Return a number of the record beside a table; None if there is no record."""
+def _record(path: Path) -> tuple[int | None, int | None, str]:
+    """Return episodes per update, trial length and rule from the record beside a table, if any."""
     record = path.with_suffix(RECORD)
-    value = read_json(record, remedy(path)).get(name) if record.exists() else None
-    if not isinstance(value, int | None):
-        raise _broken(path, f"a whole number or null for `{name}` in `{record}`", repr(value))
-    return value
+    found = read_json(record, remedy(path)) if record.exists() else {}
+    counts = found.get("episodes_per_update"), found.get("trial_episodes")
+    label = found.get("label", "")
+    if not (all(isinstance(one, int | None) for one in counts) and isinstance(label, str)):
+        raise RunError(f"`{record}` is not what `maesn adapt` writes; {remedy(path)}.")
+    return *counts, label
 
 
-def _value(name: str, text: str | None, path: Path, line: int) -> float | str:
-    where, found = f"for `{name}` in `{path}`, line {line}", text or "nothing"
+def _column(name: str, rows: Iterable[Mapping[str, str | None]]) -> np.ndarray:
+    texts = np.array([row[name] or "nothing" for row in rows])
     if name == "purpose":
-        if found not in table.JUDGED:
-            raise _broken(path, f"{' or '.join(table.JUDGED)} {where}", found)
-        return found
-    try:
-        number = float(found)
-    except ValueError as error:
-        raise _broken(path, f"a number {where}", found) from error
-    if not np.isfinite(number):
-        raise RunError(
-            f"Expected a finite number {where}, got {text}; the adaptation of this task failed, "
-            "see what `maesn adapt` reports."
-        )
-    return number
+        return texts
+    numbers = texts.astype(np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"a number in its column `{name}` is not finite, the adaptation failed")
+    return numbers
 
 
-def _grids(columns: Mapping[str, np.ndarray], purpose: str, path: Path) -> dict[str, table.Curves]:
+def _grids(columns: Mapping[str, np.ndarray], purpose: str) -> dict[str, table.Curves]:
     """Arrange the numbers of one purpose as `[task, update]`; tasks count from 0."""
     chosen = columns["purpose"] == purpose
     rows = {name: column[chosen] for name, column in columns.items() if name != "purpose"}
     order = np.lexsort((rows["update"], rows["task"]))
-    updates, num_tasks = np.unique(rows["update"]), len(np.unique(rows["task"]))
-    expected = [np.repeat(np.arange(num_tasks), len(updates)), np.tile(updates, num_tasks)]
-    found = [rows["task"][order], rows["update"][order]]
+    num_tasks, updates = len(np.unique(rows["task"])), np.unique(rows["update"])
+    if not len(order) or len(order) != num_tasks * len(updates):
+        raise ValueError(f"its rows of purpose {purpose} are no grid of tasks and updates")
+    grids = {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
     # A deployed agent need not be judged after every update.
-    gaps = purpose == table.EXPLORE and (np.diff(updates) != 1).any()
-    if not len(order) or not np.array_equal(found, expected) or gaps:
-        what = (
-            f"one row of purpose {purpose} for each task and update in `{path}`, tasks 0 to "
-            f"{num_tasks - 1} and {len(updates)} updates"
-        )
-        raise _broken(path, what, f"{len(order)} rows")
-    return {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
+    whole = purpose == table.DEPLOY or (np.diff(updates) == 1).all()
+    is_grid = (grids["task"] == np.arange(num_tasks)[:, None]).all()
+    same = (grids["update"] == updates).all() and np.ptp(grids["episodes"], axis=0).max() == 0
+    if not (whole and is_grid and same):
+        raise ValueError(f"its rows of purpose {purpose} lack a task or an update, or repeat one")
+    return grids
 
 
 def remedy(path: Path) -> str:
     """Return what to do about a broken file of an adaptation."""
     return f"write `{path.name}` again with `maesn adapt`"
-
-
-def _broken(path: Path, expected: str, found: object) -> RunError:
-    return RunError(f"Expected {expected}, got {found}; {remedy(path)}.")
 
 
 def read_record(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from maesn.report.style import BLACK, BLUISH_GREEN, DARK_GREY
+from maesn.reporting.style import BLACK, BLUISH_GREEN, DARK_GREY
 
 Picture = UInt8[np.ndarray, "height width 3"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from maesn.report.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.report.reading import (
+from maesn.reporting.adaptation_table import AdaptationTable, PriorReach, prior_reach
+from maesn.reporting.reading import (
     LATENTS,
     TableName,
     read_adaptation,
@@ -26,7 +26,7 @@ Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 _METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
-_EXPLORE_REMEDY = "delete it, and `maesn plot DIR` records it again"
+_EXPLORE_REMEDY = "delete it, and `maesn report DIR` records it again"
 
 
 @dataclass(frozen=True)

@@ -2,26 +2,26 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from maesn.report.adaptation_table import Line
-from maesn.report.comparison import Comparison
-from maesn.report.figures.curves import draw_curve, explain, note_on_lines, percent_axis
-from maesn.report.statistics import bootstrap, mean, performance_profile
-from maesn.report.style import (
+from maesn.reporting.adaptation_table import Line
+from maesn.reporting.comparison import Comparison
+from maesn.reporting.figures.curves import draw_curve, note_on_lines, percent_axis
+from maesn.reporting.statistics import bootstrap, mean, performance_profile
+from maesn.reporting.style import (
     DARK_GREY,
-    ONE_COLUMN,
     TWO_COLUMNS,
+    Drawn,
     new_figure,
     publication_style,
 )
 
 _ROW = 0.22  # inches
 _THRESHOLDS = 101
+_NOTE = "dots: means after the last update; bars: 95 % intervals; small dots: seeds"
 
 
 @publication_style()
-def plot_ends(comparison: Comparison) -> Figure:
+def plot_ends(comparison: Comparison, title: str) -> Drawn:
     """Draw each line's last mean return and success as a dot with its 95 % interval."""
     lines = comparison.lines
     figure = new_figure(TWO_COLUMNS, 0.9 + _ROW * len(lines))
@@ -42,7 +42,8 @@ def plot_ends(comparison: Comparison) -> Figure:
             panels[0].axvline(value, color=DARK_GREY, linewidth=0.8, linestyle=style)
     panels[0].set_yticks(range(len(lines)), [line.label for line in reversed(lines)])
     panels[0].set_ylim(-0.6, len(lines) - 0.4)
-    return figure
+    figure.suptitle(title)
+    return Drawn(figure, [_NOTE])
 
 
 def _draw_end(axes: Axes, row: int, line: Line, measure: str) -> None:
@@ -58,13 +59,13 @@ def _draw_end(axes: Axes, row: int, line: Line, measure: str) -> None:
 
 
 @publication_style()
-def plot_profiles(comparison: Comparison) -> Figure:
+def plot_profiles(comparison: Comparison, title: str) -> Drawn:
     """Draw, for each return, in which share of tasks and seeds a line ends above it."""
     lines = comparison.lines
     ends = [line.measure("mean_return")[..., -1] for line in lines]
     low, high = min(map(np.min, ends)), max(map(np.max, ends))
     thresholds = np.linspace(low, high, _THRESHOLDS)
-    figure, labels = new_figure(ONE_COLUMN, 2.2), {}
+    figure, labels = new_figure(TWO_COLUMNS, 2.2), {}
     axes = figure.subplots()
     for line, last in zip(lines, ends, strict=True):
         intervals = performance_profile(last, thresholds)
@@ -73,5 +74,6 @@ def plot_profiles(comparison: Comparison) -> Figure:
         labels[line.label] = intervals[0].label
     axes.set_xlabel(f"{lines[0].table.reward} return τ")
     percent_axis(axes, "tasks that end above τ")
-    explain(figure, axes, note_on_lines(lines, labels), 58)
-    return figure
+    figure.suptitle(title)
+    figure.legend(loc="outside right upper")
+    return Drawn(figure, note_on_lines(lines, labels))

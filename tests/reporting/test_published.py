@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_runs import adaptation_table, run
+from synthetic_runs import adaptation_table
 
-from maesn.report.figures.adaptation import comparable_curve, published_curve
+from maesn.reporting.published import comparable_curve, published_curve
 
 
 @pytest.mark.parametrize(
@@ -46,12 +46,13 @@ def test_what_the_paper_does_not_show(family: str, method: str) -> None:
 def test_only_the_same_protocol_is_comparable() -> None:
     table = adaptation_table()
     per_twenty = replace(table, episodes=20 * np.arange(4))
-    curve = comparable_curve(run(), table)
+    curve = comparable_curve("wheeled", "reference", None, "maesn", table)
     assert curve is not None
     assert curve.name == "MAESN"
-    assert comparable_curve(run(sparse_radius=0.8), table)
-    assert comparable_curve(run(family="blockpush"), per_twenty)
-    for other in ({"sparse_radius": 1.0}, {"variant": "paper"}, {"family": "point"}):
-        assert comparable_curve(run(**other), table) is None
-    assert comparable_curve(run(), replace(table, reward="dense")) is None
-    assert comparable_curve(run(), per_twenty) is None
+    assert comparable_curve("wheeled", "reference", 0.8, "maesn", table)
+    assert comparable_curve("blockpush", "reference", None, "maesn", per_twenty)
+    assert comparable_curve("wheeled", "reference", 1.0, "maesn", table) is None
+    assert comparable_curve("wheeled", "paper", None, "maesn", table) is None
+    assert comparable_curve("point", "reference", None, "maesn", table) is None
+    for other in (replace(table, reward="dense"), per_twenty):
+        assert comparable_curve("wheeled", "reference", None, "maesn", other) is None

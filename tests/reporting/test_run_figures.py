@@ -1,18 +1,18 @@
 """All figures of run directories: what is drawn, what is said, what is refused."""
 
-import io
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from figure_checks import labels
 from matplotlib.figure import Figure
-from rich.console import Console
 from synthetic_runs import write_run
 
-from maesn.report.plot import plot_run_directories
-from maesn.report.runs import Latents
+from maesn.reporting.run_figures import draw_runs
+from maesn.reporting.runs import Latents
+from maesn.reporting.style import Drawn
 from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
@@ -22,28 +22,26 @@ LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
 def unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Touch the files of figures instead of laying them out, which takes a second each."""
 
-    def touch(figure: Figure, directory: Path, name: str) -> list[Path]:
-        assert figure.axes
+    def touch(drawn: Drawn, directory: Path, name: str) -> list[Path]:
+        assert drawn.figure.axes
         directory.mkdir(parents=True, exist_ok=True)
         files = [directory / f"{name}.png", directory / f"{name}.pdf"]
         for file in files:
             file.touch(exist_ok=False)
         return files
 
-    monkeypatch.setattr("maesn.report.plot.save_figure", touch)
+    monkeypatch.setattr("maesn.reporting.run_figures.save_figure", touch)
 
 
 def draw(directories: list[Path], out: Path) -> tuple[set[str], str]:
     """Draw, check that the files are there in pairs, and return their names and what was said."""
-    console = Console(file=io.StringIO(), width=40)
-    written = plot_run_directories(directories, out, console)
+    said: list[str] = []
+    written = draw_runs(directories, out, said.append)
     assert len(written) == len(set(written))
     assert {file for file in out.rglob("*") if file.is_file()} >= set(written)
     names = {str(file.relative_to(out).with_suffix("")) for file in written}
     assert len(written) == 2 * len(names)
-    output = console.file
-    assert isinstance(output, io.StringIO)
-    return names, output.getvalue()
+    return names, "\n".join(said)
 
 
 def test_one_run_gives_every_figure(tmp_path: Path) -> None:
@@ -56,7 +54,7 @@ def test_one_run_gives_every_figure(tmp_path: Path) -> None:
         "structured-noise-maesn",
         "latents-maesn-test-sparse",
     }
-    (sentence,) = said.splitlines()  # not broken at the console's width
+    (sentence,) = said.splitlines()
     assert sentence.startswith("MAESN: ")
     assert sentence.endswith("of the 8 goals (test tasks) are reached within 50 prior episodes.")
 
@@ -77,24 +75,22 @@ def test_several_runs_share_figures(tmp_path: Path) -> None:
         "task-distribution",
         "exploration",
     }
-    assert f"No exploration trajectories in `{runs[0]}`: " in said
+    assert f"No exploration trajectories in `{runs[1]}`, `{runs[0]}`: " in said
     assert f"No metrics in `{runs[2]}`: " in said
 
 
 @pytest.mark.usefixtures("unsaved")
-def test_worlds_and_rewards_are_kept_apart(tmp_path: Path) -> None:
+def test_rewards_are_kept_apart_and_worlds_refused(tmp_path: Path) -> None:
     without = ["adaptation", "exploration"]
     runs = [
         write_run(tmp_path / "a", without=without),
         write_run(tmp_path / "b", without=without, reward="sparse"),
         write_run(tmp_path / "c", without=without, family="point"),
     ]
-    names, _ = draw(runs, tmp_path / "out")
-    assert names == {
-        "wheeled/learning-curves-dense",
-        "wheeled/learning-curves-sparse",
-        "point/learning-curves-dense",
-    }
+    names, _ = draw(runs[:2], tmp_path / "out")
+    assert names == {"learning-curves-dense", "learning-curves-sparse"}
+    with pytest.raises(RunError, match="same `family`, got point and wheeled: report on each"):
+        draw(runs, tmp_path / "other")
 
 
 def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) -> None:
@@ -104,21 +100,33 @@ def test_what_is_missing_is_said_with_the_command_that_makes_it(tmp_path: Path) 
     assert said.splitlines() == [
         f"No metrics in `{bare}`: `maesn train` or `maesn resume DIR` writes them.",
         f"No adaptation in `{bare}`: `maesn adapt DIR` writes it.",
-        f"No exploration trajectories in `{bare}`: `maesn plot DIR` records them, if the family "
-        "says where agent and goal are in a plane.",
+        f"No exploration trajectories in `{bare}`: `maesn report DIR` records them, if the family "
+        "says where things are in a plane.",
     ]
 
 
 @pytest.mark.usefixtures("unsaved")
-def test_tables_of_changed_learners_are_named_and_not_drawn(tmp_path: Path) -> None:
+def test_other_rules_are_lines_of_the_same_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = write_run(tmp_path / "run", without=["exploration", "metrics"])
     table = run / "adaptation" / "test-sparse.csv"
     tuned = table.with_name("test-sparse-10-then-trpo.csv")
     tuned.write_bytes(table.read_bytes())
-    names, said = draw([run], tmp_path / "out")
-    assert names == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
-    assert "Not drawn, because the rule or the radius was changed in the new tasks" in said
-    assert f"engine asked for by name: `{tuned}`." in said
+    tuned.with_suffix(".settings.json").write_text('{"label": "then TRPO"}')
+    figures: dict[str, Drawn] = {}
+
+    def keep(drawn: Drawn, _: Path, name: str) -> list[Path]:
+        figures[name] = drawn
+        return []
+
+    monkeypatch.setattr("maesn.reporting.run_figures.save_figure", keep)
+    draw_runs([run], tmp_path / "out", print)
+    assert set(figures) == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
+    assert set(labels(figures["adaptation-curves-test-sparse"].figure.axes[0])) == {
+        "MAESN",
+        "MAESN (then TRPO)",
+    }
 
 
 @pytest.mark.usefixtures("unsaved")
@@ -155,13 +163,13 @@ def test_the_goals_of_the_test_tasks_colour_no_other_latents(
         file.with_name(name.replace("test", "ood")).write_bytes(file.read_bytes())
     coloured: list[bool] = []
 
-    def plot(_: Latents, goals: np.ndarray | None) -> Figure:
+    def plot(_: Latents, goals: np.ndarray | None) -> Drawn:
         coloured.append(goals is not None)
-        return Figure()
+        return Drawn(Figure())
 
-    monkeypatch.setattr("maesn.report.plot.exploration.plot_latents", plot)
-    monkeypatch.setattr("maesn.report.plot.save_figure", lambda *_: [])
-    plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
+    monkeypatch.setattr("maesn.reporting.run_figures.exploration.plot_latents", plot)
+    monkeypatch.setattr("maesn.reporting.run_figures.save_figure", lambda *_: [])
+    draw_runs([run], tmp_path / "out", print)
     assert coloured == [False, True]  # ood, then test
 
 
@@ -177,18 +185,18 @@ def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: 
     run = write_run(tmp_path / "run", without=["metrics"])
     (run / name).write_text("broken\n")
     with pytest.raises(RunError, match=complaint):
-        plot_run_directories([run], tmp_path / "out", Console(file=io.StringIO()))
+        draw_runs([run], tmp_path / "out", print)
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         RunError, match=r"config.json`, got no such file or directory; .*maesn train METHOD"
     ):
-        plot_run_directories([tmp_path], tmp_path)
+        draw_runs([tmp_path], tmp_path, print)
 
 
 def test_plotting_loads_no_learner_no_physics_and_no_windows() -> None:
-    program = "import sys, maesn.report.plot; print(*sys.modules)"
+    program = "import sys, maesn.reporting.run_figures; print(*sys.modules)"
     command = [sys.executable, "-c", program]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     loaded = set(output.split())

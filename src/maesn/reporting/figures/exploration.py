@@ -9,16 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from maesn.report import style
-from maesn.report.adaptation_table import PriorReach
-from maesn.report.figures import plane
-from maesn.report.runs import Latents, RecordedExploration
-from maesn.report.statistics import count
-from maesn.report.style import MethodStyle
+from maesn.reporting import style
+from maesn.reporting.adaptation_table import PriorReach
+from maesn.reporting.figures import plane
+from maesn.reporting.runs import Latents, RecordedExploration
+from maesn.reporting.statistics import count
+from maesn.reporting.style import MethodStyle
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
 _PANEL_WIDTH = 2.5  # inches of the plane of latents alone
@@ -35,7 +34,7 @@ class ExplorationPanel(NamedTuple):
 
 
 @style.publication_style()
-def plot_task_distribution(exploration: RecordedExploration) -> Figure:
+def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     """Draw the goals of training, those adapted to, and the size of one goal region.
 
     What a task lays out beside its goal, such as blocks, is drawn as well.
@@ -70,7 +69,7 @@ def plot_task_distribution(exploration: RecordedExploration) -> Figure:
     _mark(axes, start, "+", style.BLACK, "start", markersize=6, markeredgewidth=1.0, zorder=3)
     plane.plane_axes(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
-    return figure
+    return style.Drawn(figure)
 
 
 def _mark(
@@ -81,7 +80,7 @@ def _mark(
 
 
 @style.publication_style()
-def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
+def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
     The untrained policy is that of the first run. All are in one world.
@@ -112,11 +111,11 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> Figure:
         if position + columns < len(drawn):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-    return figure
+    return style.Drawn(figure)
 
 
 @style.publication_style()
-def plot_structured_noise(exploration: RecordedExploration) -> Figure:
+def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
     """Draw trajectories with the latent drawn from the prior beside those with it fixed.
 
     Colours are the direction in which an episode ends. If the drawn latents are known and have two
@@ -153,11 +152,11 @@ def plot_structured_noise(exploration: RecordedExploration) -> Figure:
         plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
     _drop_y_label(panels[-1])
     plane.direction_bar(figure, panels, scale, "final direction (°)")
-    return figure
+    return style.Drawn(figure)
 
 
 @style.publication_style()
-def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
+def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.Drawn:
     """Draw every task's latent distribution as its 1-sigma ellipse, before and after adaptation.
 
     The prior N(0, I) is a dashed circle of radius 1. Of more than two components, those whose means
@@ -191,7 +190,7 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> Figure:
         "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
-    return figure
+    return style.Drawn(figure)
 
 
 def _drop_y_label(axes: Axes) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from maesn.report.statistics import (
+from maesn.reporting.statistics import (
     NUM_RESAMPLES,
     bootstrap,
     difference,
