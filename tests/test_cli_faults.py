@@ -54,7 +54,7 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("adapt {} --tasks " + 5000 * "x", "File name too long"),
         ("adapt {} --start " + 5000 * "x", "file name too long"),
         ("export {} " + 5000 * "x", "File name too long"),
-        ("plot " + 5000 * "x", "File name too long"),
+        ("report " + 5000 * "x", "File name too long"),
         ("render " + 5000 * "x", "File name too long"),
         ("resume " + 5000 * "x", "File name too long"),
         ("resume {} --change num_threads=" + 500 * "[", "cannot"),
@@ -67,7 +67,9 @@ def test_wrong_words_get_a_sentence(
 
 
 @pytest.mark.parametrize("word", ["", "a\0b"])
-@pytest.mark.parametrize("words", ["adapt {} --out", "train maesn --run", "adapt", "plot {} --out"])
+@pytest.mark.parametrize(
+    "words", ["adapt {} --out", "train maesn --run", "adapt", "report {} --out"]
+)
 def test_words_that_are_no_path_get_a_sentence(
     run: Run, capsys: pytest.CaptureFixture[str], words: str, word: str
 ) -> None:

@@ -52,7 +52,7 @@ def test_train_shows_settings_without_a_method(
     [
         (["adapt", "wheeled", "--latents", "x"], "--start"),
         (["adapt", "wheeled", "--episode", "5"], "--episodes"),
-        (["plot", "wheeled", "--output=x"], "--out"),
+        (["report", "wheeled", "--output=x"], "--out"),
         (["train", "maesn", "--famly", "point"], "--family"),
         (["train", "maesn", "--epochs", "3"], "--iterations"),
     ],

@@ -73,6 +73,6 @@ def test_commands_do_what_they_say(
     assert commands
     for count, words in enumerate(commands):
         make_runs(words)
-        if words[0] == "plot":  # it would play what is missing with the usual numbers
+        if words[0] == "report":  # it would play what is missing with the usual numbers
             assert cli.run(["adapt", words[1], *_ADAPT[2:]]) == 0
         assert cli.run(small(words, iterations=count + 2)) == 0, words

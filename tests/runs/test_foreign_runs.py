@@ -8,7 +8,7 @@ import pytest
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
 from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
 
-from maesn.api import adapt, plot
+from maesn.api import adapt, report
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
 from maesn.learners import rl2
@@ -57,10 +57,10 @@ def test_figures_that_need_positions_are_left_out_and_said_so(
     family = fragile(tmp_path / "health")
     run = finish(new_run(tmp_path / "run", family), 1)
     adapt(run, episodes=0, episodes_per_update=1)
-    names = {path.name for path in plot([run.directory], family=family)}
+    names = {path.name for path in report([run.directory], family=family).files}
     assert "learning-curves-dense.png" in names
     assert "exploration.png" not in names
-    assert "if the family says where agent and goal are in a plane" in capsys.readouterr().out
+    assert "if the family says where things are in a plane" in capsys.readouterr().out
 
 
 def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> None:

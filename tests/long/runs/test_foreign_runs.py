@@ -10,7 +10,7 @@ from pictures import can_draw, drawn
 from small_runs import finish, tiny_maesn, tiny_settings
 from strangers import HORIZON, draw_walks, make_fragile
 
-from maesn.api import adapt, export, plot
+from maesn.api import adapt, export, report
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
 from maesn.evaluation import exploration
@@ -46,7 +46,7 @@ def test_every_verb_works_on_a_foreign_family(
     outcome = adapt(run, episodes=4, episodes_per_update=4)
     assert outcome.curves.mean_return.shape == (100, 2)
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    names = {path.name for path in plot([run.directory], family=family)}
+    names = {path.name for path in report([run.directory], family=family).files}
     assert {"exploration.png", "adaptation-curves-test-sparse.png"} <= names
     few = Evaluation(episodes=2, episodes_per_update=2)
     pictures = drawn(lambda: render(run, few, after=[0], shown=1)) or []
