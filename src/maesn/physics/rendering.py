@@ -13,14 +13,19 @@ from jaxtyping import Float, UInt8
 from maesn.physics.graphics import open_context
 from maesn.physics.loading import load_model
 
-# The colours of the goal and of trails; the library's own models give their goals the same green.
+# The goal is green in every model, as is what the films say of episodes that reach it.
 _GOAL_COLOUR = (0.16, 0.63, 0.36, 1.0)
 _REGION_COLOUR = (0.16, 0.63, 0.36, 0.18)
+_MATERIALS = {"goal": _GOAL_COLOUR, "reach": _REGION_COLOUR}  # of a model's own marker
+_GLOW = 0.6  # without it the disc is grey in the shade
+_FLOOR_COLOUR = (0.9, 0.9, 0.91, 1.0)
 _TRAIL_COLOUR = (0.3, 0.05, 0.45, 1.0)
 _WAY_COLOUR = (0.04, 0.04, 0.04, 1.0)
-_GOAL_SIZE = 0.1  # metres, as in the library's own models
 _TRAIL_WIDTH, _WAY_WIDTH = 3.0, 1.5  # pixels
-_LINE_HEIGHT = 0.02  # metres above the floor
+# Shares of the longer side of what the camera sees.
+_GOAL_SHARE, _RING_SHARE, _LINE_SHARE = 0.02, 0.035, 0.004
+_RING_CORNERS = 24
+_BRIGHT = 0.6  # of the light from the camera, for models that have no light of their own
 _AZIMUTH = 90.0  # degrees: y points away from the viewer and x to the right, as in a plot
 _ELEVATION = -62.0  # nearly a map, but the robot's shape is seen
 _MARGIN = 1.06  # of what the camera sees over what it must see
@@ -94,6 +99,8 @@ class Renderer:
         radius: float,
         judged: Float[np.ndarray, " 2"],
         trail: Float[np.ndarray, "point 2"] | None = None,
+        *,
+        ringed: bool = False,
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Return a picture of one state.
 
@@ -103,11 +110,13 @@ class Renderer:
             radius: of the goal region in metres.
             judged: position of what has to reach the goal; a thin line joins the two.
             trail: positions on the floor, in metres, that are joined by a line; None for no line.
+            ringed: whether a ring marks what has to reach the goal.
         """
         if not self._close.alive:
             raise RuntimeError("the renderer is closed: make a new one")
         way = np.stack([judged, goal])
-        scene = self._arrangement.of(qpos, goal, radius, way, way[:0] if trail is None else trail)
+        walked = way[:0] if trail is None else trail
+        scene = self._arrangement.of(qpos, goal, radius, way, walked, ringed=ringed)
         self._context.make_current()
         mujoco.mjr_render(self._viewport, scene, self._drawer)
         upside_down = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
@@ -128,10 +137,21 @@ class _Arrangement:
         self._camera = _camera(view, math.radians(model.vis.global_.fovy), aspect)
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._options = mujoco.MjvOption()
-        self._marker = _GoalMarker(model)
+        self._side = float(np.ptp(view, axis=0).max())
+        self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
+        self._floor = _missing_floor(model, self._data)
+        if not model.nlight:
+            model.vis.headlight.ambient[:] = model.vis.headlight.diffuse[:] = _BRIGHT
 
     def of(
-        self, qpos: np.ndarray, goal: np.ndarray, radius: float, way: np.ndarray, trail: np.ndarray
+        self,
+        qpos: np.ndarray,
+        goal: np.ndarray,
+        radius: float,
+        way: np.ndarray,
+        trail: np.ndarray,
+        *,
+        ringed: bool = False,
     ) -> Any:
         """Return the scene of one state."""
         self._data.qpos[:] = qpos
@@ -142,16 +162,38 @@ class _Arrangement:
             int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
         )  # fmt: skip
         self._marker.add_to(self._scene, goal, radius)
-        height = self._marker.height(self._data) + _LINE_HEIGHT
+        if self._floor is not None:
+            size, place = (10 * self._side, 10 * self._side, 0.1), (*goal, self._floor)
+            _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
+        height = self._marker.height(self._data) + _LINE_SHARE * self._side
         _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
         _add_line(self._scene, trail, height, _TRAIL_WIDTH, _TRAIL_COLOUR)
+        if ringed:
+            angles = np.linspace(0.0, 2 * np.pi, _RING_CORNERS + 1)
+            circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            ring = way[0] + _RING_SHARE * self._side * circle
+            _add_line(self._scene, ring, height, _TRAIL_WIDTH, _GOAL_COLOUR)
         return self._scene
+
+
+def _missing_floor(model: Any, data: Any) -> float | None:
+    """Return how high a floor belongs into a model that has none: at 0, or below all of it."""
+    if (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any():
+        return None
+    mujoco.mj_kinematics(model, data)
+    return float((data.geom_xpos[:, 2] - model.geom_rbound).min(initial=0.0))
 
 
 class _GoalMarker:
     """The goal in a scene: the model's own, if it has a movable body `goal`, or two shapes."""
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: Any, size: float) -> None:
+        for name, colour in _MATERIALS.items():
+            material = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MATERIAL, name)
+            if material >= 0:
+                model.mat_rgba[material] = colour
+                model.mat_emission[material] = _GLOW
+        self._size = size
         names = (mujoco.mjtObj.mjOBJ_BODY, "goal"), (mujoco.mjtObj.mjOBJ_SITE, "goal_region")
         body, self._region = (mujoco.mj_name2id(model, kind, name) for kind, name in names)
         self._mocap = int(model.body_mocapid[body]) if body >= 0 else -1
@@ -173,7 +215,7 @@ class _GoalMarker:
         if self._mocap >= 0:
             return
         ball, disc = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
-        _shape(scene, ball, (_GOAL_SIZE,) * 3, (*goal, _GOAL_SIZE), _GOAL_COLOUR)
+        _shape(scene, ball, (self._size,) * 3, (*goal, self._size), _GOAL_COLOUR)
         _shape(scene, disc, (radius, radius, 0.001), (*goal, 0.001), _REGION_COLOUR)
 
 

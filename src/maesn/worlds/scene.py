@@ -13,8 +13,12 @@ from maesn.axes import HostReadings, Readings
 from maesn.envs.base import AbstractMujocoEnv, AnyEnv
 from maesn.physics import Renderer, RenderingError, View, footprint
 
-# The model that stands for whatever moves on a plane without MuJoCo.
-_BALL = "point"
+# The model that stands for whatever moves on a plane without MuJoCo, and the length in metres that
+# suits the size of its ball: the plane is scaled so that what is seen is as long.
+_BALL, _BALL_SCENE = "point", 5.0
+
+# How far beyond tasks and start, in units of the extent of both, the camera follows.
+_FOLLOWED = 0.15
 
 
 class Scene:
@@ -40,7 +44,10 @@ class Scene:
                 "(`position`) and the goal of a task (`goal`) are; define both if there are such."
             )
         self.env = env
-        self._renderer = Renderer(_model(env), view, width, height)
+        side = float(np.ptp(view, axis=0).max())
+        self._scale = 1.0 if isinstance(env, AbstractMujocoEnv) else _BALL_SCENE / side
+        scaled = View(*((self._scale * x, self._scale * y) for x, y in view))
+        self._renderer = Renderer(_model(env), scaled, width, height)
 
     def draw(
         self,
@@ -55,9 +62,17 @@ class Scene:
             task: whose goal is shown, and the way to it that is left.
             trail: positions, in metres, that are joined by a line; None for no line.
         """
-        position, judged, goal = jax.tree.map(np.asarray, _marks(self.env, readings, task))
+        scale, marks = self._scale, _marks(self.env, readings, task)
+        position, judged, goal = (scale * np.asarray(mark) for mark in marks)
         pose = readings["qpos"] if isinstance(self.env, AbstractMujocoEnv) else position
-        return self._renderer.draw(np.asarray(pose), goal, self.env.sparse_radius, judged, trail)
+        return self._renderer.draw(
+            np.asarray(pose),
+            goal,
+            scale * self.env.sparse_radius,
+            judged,
+            None if trail is None else scale * trail,
+            ringed=not np.allclose(position, judged, atol=0.01 * scale * self.env.sparse_radius),
+        )
 
     def close(self) -> None:
         """Give the memory of the drawing library back; may be called twice."""
@@ -81,19 +96,34 @@ def _marks(env: AnyEnv, readings: dict[str, Array], task: Any) -> tuple[Array, A
 
 
 def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View:
-    """Return a view of goals, and of all that moves in some states.
+    """Return a view of the tasks, and of all that moves in some states.
+
+    Who goes astray leaves the picture: it would make everything else too small to see.
 
     Args:
-        env: says where the goals are.
-        tasks: whose goals; a pytree of arrays with a leading `row` axis.
-        readings: of the states, `[state, ...]` each.
+        env: says where the goals are, and what lies beside them.
+        tasks: which; a pytree of arrays with a leading `row` axis.
+        readings: of the states, `[state, ...]` each; the first is the start of an episode.
     """
-    goals = np.asarray(jax.vmap(env.goal)(jax.tree.map(jnp.asarray, tasks)))
-    states = readings["qpos"] if isinstance(env, AbstractMujocoEnv) else places(env, readings)
-    covered = footprint(_model(env), np.asarray(states))
-    lower = np.minimum(goals.min(axis=0) - env.sparse_radius, covered.lower)
-    upper = np.maximum(goals.max(axis=0) + env.sparse_radius, covered.upper)
-    return View((float(lower[0]), float(lower[1])), (float(upper[0]), float(upper[1])))
+    rows = jax.tree.map(jnp.asarray, tasks)
+    goals, objects = (np.asarray(jax.vmap(f)(rows)) for f in (env.goal, env.landmarks))
+    start, covered = _covered(env, jax.tree.map(lambda x: x[:1], readings)), _covered(env, readings)
+    points = np.concatenate([objects.reshape(-1, 2), np.array(start)])
+    low = np.minimum(goals.min(axis=0) - env.sparse_radius, points.min(axis=0))
+    high = np.maximum(goals.max(axis=0) + env.sparse_radius, points.max(axis=0))
+    margin = _FOLLOWED * (high - low).max()
+    lower, upper = np.maximum(covered.lower, low - margin), np.minimum(covered.upper, high + margin)
+    lower, upper = np.minimum(lower, low).tolist(), np.maximum(upper, high).tolist()
+    return View(tuple(lower), tuple(upper))
+
+
+def _covered(env: AnyEnv, readings: Readings | HostReadings) -> View:
+    """Return the part of the plane that moves in some states."""
+    if isinstance(env, AbstractMujocoEnv):
+        return footprint(_model(env), np.asarray(readings["qpos"]))
+    positions = places(env, readings)
+    lower, upper = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
+    return View(tuple(lower), tuple(upper))
 
 
 def _model(env: AnyEnv) -> str | os.PathLike[str]:
