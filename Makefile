@@ -9,10 +9,11 @@ PYTEST_OPTIONS ?= --quiet --tb=short --numprocesses=auto --dist=loadfile
 RUN_READY := $(VENV)/.ready-to-run
 TEST_READY := $(VENV)/.ready-to-test
 DOCS_READY := $(VENV)/.ready-for-docs
+BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-faults test-long test-docs soak test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo check test test-browser test-faults test-long test-docs soak test-external fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
@@ -89,6 +90,9 @@ docs: $(DOCS_READY) ## Build the documentation's site in build/site
 	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -c docs . build/site
 	@echo "open build/site/docs/index.html"
 
+test-browser: $(BROWSER_READY) ## Use the report page in Chromium, which must be installed
+	@$(BIN)/python -m pytest --quiet --tb=short tests/browser
+
 test-docs: $(TEST_READY) ## Run every example and every command of the documentation, in minutes
 	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
@@ -112,6 +116,10 @@ $(DOCS_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn and Sphinx into $(VENV)"
 	@$(INSTALL) --editable '.[docs]'
 	@touch $(RUN_READY) $@
+
+$(BROWSER_READY): $(TEST_READY)
+	@$(INSTALL) playwright
+	@touch $@
 
 $(TEST_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn and its development tools into $(VENV)"

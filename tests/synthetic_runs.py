@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from maesn.reporting.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable, Line
+from maesn.reporting.explorer import LATENT_PATHS, SEARCHES, LatentPaths, RecordedSearches
 from maesn.reporting.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
 from maesn.reporting.series import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
@@ -147,6 +148,29 @@ def write_exploration(path: Path, content: RecordedExploration) -> None:
     np.savez(path, **arrays)
 
 
+def write_explorer(directory: Path) -> None:
+    """Write paths that lead where the latent points, and searches that find that out."""
+    draw = np.random.default_rng(0)
+    axis = np.linspace(-3.0, 3.0, 5)
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    paths = np.linspace(0.0, 1.0, 6)[:, None] * points[:, None]
+    beliefs = draw.normal(size=(2, 2, 4, 5, 5))
+    searches = RecordedSearches(
+        task=np.arange(2.0),
+        edge=3.0,
+        played=draw.normal(size=(2, 3, 2)),
+        returns=np.array([[-300.0, -250.5, -200.0], [-310.0, -260.0, -210.0]]),
+        reached=np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
+        paths=draw.normal(size=(2, 3, 6, 2)),
+        deployed=draw.normal(size=(2, 4, 2)),
+        mean=beliefs[0],
+        std=np.abs(beliefs[1]),
+    )
+    (directory / "figures").mkdir(exist_ok=True)
+    np.savez(directory / LATENT_PATHS, **vars(LatentPaths(points, paths)))
+    np.savez(directory / SEARCHES, **vars(searches))
+
+
 def write_run(
     directory: Path, method: str = "maesn", without: Sequence[str] = (), **settings: Any
 ) -> Path:
@@ -163,6 +187,8 @@ def write_run(
         write_adaptation(table, adaptation_table(seed=record.seed))
         if has_latents:
             np.savez(table.with_suffix(".latents.npz"), **vars(latents()))
+    if has_latents and "explorer" not in without:
+        write_explorer(directory)
     if "exploration" not in without:
         write_exploration(
             directory / "figures" / "exploration.npz", exploration(has_latents=has_latents)

@@ -4,7 +4,7 @@ In Python a run is given as a `Run`, its directory or its policy's name, and a f
 as `module:name`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -17,11 +17,13 @@ from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import running, tables
 from maesn.evaluation.evaluation import USUAL
 from maesn.evaluation.exploration import record_exploration
+from maesn.evaluation.explorer import record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
+from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
 from maesn.reporting.reading import RECORD
 from maesn.reporting.run_figures import draw_runs
-from maesn.reporting.study import is_study, report_studies
+from maesn.reporting.study import is_study, report_studies, studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
@@ -245,6 +247,9 @@ def report(
     reward where no table of it is there yet. A table that is there is drawn as it is: after more
     training, `adapt` renews it. For a study, or a directory with several, nothing is played.
 
+    Beside the figures goes `report.html`: one page that shows them, lets you move through the
+    latents and watch a search. It needs no network; to write it needs the extra `maesn[page]`.
+
     Args:
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
@@ -261,15 +266,32 @@ def report(
         if len(of) > 1 or out is not None:
             raise RunError("a study is reported by itself, into its directory: maesn report DIR")
         files: list[Path] = []
-        return Reported(files, report_studies(Path(of[0]), files.append))
+        found = report_studies(Path(of[0]), files.append)
+        pages = [page for path in studies_in(Path(of[0])) for page in _page(path, study_page, path)]
+        return Reported([*files, *pages], found)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
         if not tables.adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
             record_exploration(run)
+            record_explorer(run)
     directories = [run.directory for run in opened]
-    return Reported(draw_runs(directories, Path(out or directories[0] / "figures"), print), [])
+    folder = Path(out or directories[0] / "figures")
+    written = draw_runs(directories, folder, print)
+    return Reported([*written, *_page(folder, run_page, directories)], [])
+
+
+def _page(
+    folder: Path, document: Callable[[Any], Any], of: Any, say: Callable[[object], None] = print
+) -> list[Path]:
+    """Write the page of runs or a study; return its path, or say why there is none."""
+    try:
+        write_page(folder / PAGE, document(of))
+    except PlotlyMissing as error:
+        say(error)
+        return []
+    return [folder / PAGE]
 
 
 def _adapted_start(

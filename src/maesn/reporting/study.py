@@ -24,12 +24,14 @@ Document: TypeAlias = Mapping[str, Any]
 
 def is_study(directory: Path) -> bool:
     """Whether a directory holds a study, or studies."""
-    return bool(list(_manifests(directory)))
+    return bool(studies_in(directory))
 
 
-def _manifests(directory: Path) -> Iterable[Path]:
-    own = directory / MANIFEST
-    return [own] if own.exists() else sorted(directory.glob(f"*/{MANIFEST}"))
+def studies_in(directory: Path) -> list[Path]:
+    """Return the directory of a study, or those of all in it."""
+    if (directory / MANIFEST).exists():
+        return [directory]
+    return [path.parent for path in sorted(directory.glob(f"*/{MANIFEST}"))]
 
 
 def report_studies(directory: Path, wrote: Wrote) -> list[TextTable]:
@@ -38,7 +40,7 @@ def report_studies(directory: Path, wrote: Wrote) -> list[TextTable]:
     Raises:
         RunError: a file is missing or damaged, or there is nothing to compare yet.
     """
-    found = [table for path in _manifests(directory) for table in report_study(path.parent, wrote)]
+    found = [table for path in studies_in(directory) for table in report_study(path, wrote)]
     if not found:
         raise RunError(f"`{directory}` holds no study that has something to compare yet.")
     return found
@@ -46,19 +48,33 @@ def report_studies(directory: Path, wrote: Wrote) -> list[TextTable]:
 
 def report_study(directory: Path, wrote: Wrote) -> list[TextTable]:
     """Draw figures and write tables of one study, each comparison in a directory of its own."""
-    document, found = read_json(directory / MANIFEST, "run the study again"), []
+    document, compared = read_comparisons(directory)
+    return [
+        table
+        for world, comparison in compared
+        for table in _report(
+            comparison, world, document["figures"], directory / world["name"], wrote
+        )
+    ]
+
+
+def read_comparisons(directory: Path) -> tuple[Document, list[tuple[Document, Comparison]]]:
+    """Read a study's manifest, and its comparisons, each with what the manifest says of it.
+
+    Raises:
+        RunError: a file is missing or damaged.
+    """
+    document = read_json(directory / MANIFEST, "run the study again")
     try:
-        for one in document["comparisons"]:
-            if one["lines"] and one["baselines"]:
-                comparison = _comparison(one, directory)
-                found += _report(
-                    comparison, one, document["figures"], directory / one["name"], wrote
-                )
+        return document, [
+            (one, _comparison(one, directory))
+            for one in document["comparisons"]
+            if one["lines"] and one["baselines"]
+        ]
     except (KeyError, TypeError) as error:
         raise RunError(
             f"`{directory / MANIFEST}` is not what a study writes ({error!r}): run the study again."
         ) from error
-    return found
 
 
 def _comparison(document: Document, directory: Path) -> Comparison:

@@ -11,8 +11,9 @@ from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation, written_out
 from maesn.learners import baselines
 from maesn.runs.config import RunSettings
-from maesn.runs.serialization import digest_of_document
+from maesn.runs.serialization import digest_of_document, fields_to_json
 from maesn.search.prior import USUAL as USUAL_PRIOR
+from maesn.settings import leaves
 from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, Untrained
 from maesn.studies.members import Member, members
 from maesn.studies.reading import Place
@@ -49,6 +50,8 @@ class PlannedLine:
     trial_episodes: int | None = None
     is_addition: bool = False
     """Whether something is added to the method, which is drawn dashed."""
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Of the run, or of the method from scratch, by their path."""
 
 
 class World(NamedTuple):
@@ -161,7 +164,8 @@ class _Planner:
                 self.seed(planned["name"], who, dataclasses.replace(asked, seed=seed), seed, family)
                 for seed in spec.seeds or study.seeds
             ]
-            yield self.planned(planned, spec.method, line.label or spec.label, asked, seeds, family)
+            one = self.planned(planned, spec.method, line.label or spec.label, asked, seeds, family)
+            yield dataclasses.replace(one, settings=fields_to_json(spec))
             return
         run = study.runs[source]
         if run.families and family not in run.families:
@@ -172,7 +176,9 @@ class _Planner:
         seeds = [self.seed_of_run(planned["name"], one, asked, family) for one in runs]
         method = runs[0].run.settings.method
         one = self.planned(planned, method, line.label or run.label, asked, seeds, family)
-        yield dataclasses.replace(one, trial_episodes=trials[0])
+        config = runs[0].run.config.document()
+        settings = leaves({**config["settings"], "learner": config["learner"]})
+        yield dataclasses.replace(one, trial_episodes=trials[0], settings=settings)
 
     def planned(
         self,

@@ -11,6 +11,7 @@ from typing import Any
 from maesn.reporting.reading import read_rows
 from maesn.reporting.study import MANIFEST
 from maesn.reporting.style import METHOD_STYLES
+from maesn.runs.config import installed_versions
 from maesn.storage import write_json, write_rows
 from maesn.studies.jobs import DONE, ROWS, done_steps
 from maesn.studies.plan import Plan, PlannedComparison, PlannedLine, PlannedSeed
@@ -33,6 +34,7 @@ def write_results(plan: Plan, jobs: Path, out: Path) -> list[str]:
         "comparisons": comparisons,
         "figures": [dataclasses.asdict(one) for one in plan.study.figures],
         "jobs": sorted(plan.jobs),
+        "versions": installed_versions("mujoco.batch"),
     }
     write_json(out / MANIFEST, document)
     return [name for name in plan.jobs if not (jobs / name / DONE).exists()]
@@ -105,6 +107,13 @@ def _line(line: PlannedLine, label: str, jobs: Path, tables: Path) -> dict[str, 
         "method": line.method,
         "label": label,
         "addition": line.is_addition,
+        "settings": dict(line.settings),
+        "evaluation": {
+            "rule": line.evaluation.rule_text,
+            **line.evaluation.budget._asdict(),
+            "num_tasks": line.num_tasks,
+            "seed": line.evaluation.seed,
+        },
         "trial_episodes": line.trial_episodes,
         "seeds": [_seed(seed, line.name, jobs, tables) for seed in done],
     }

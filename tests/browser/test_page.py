@@ -1,0 +1,161 @@
+"""The report page in Chromium: `make test-browser`. Its pictures are those of the documentation.
+
+Chromium comes from the system's packages (`apt install chromium`), or CHROMIUM names it.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from synthetic_runs import write_run
+
+from maesn.reporting.page import PAGE, run_page, study_page, write_page
+from maesn.studies.reading import study_of_table
+from maesn.studies.reading import Place
+from maesn.studies.study import Study
+
+HOSTILE = "<img src=x onerror=window.hacked=1>"
+PHONE, DESK = 390, 1180
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    assert path, "install Chromium, or name it by CHROMIUM"
+    with sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+
+
+@pytest.fixture(scope="module")
+def of_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    document = run_page([write_run(folder / "run", note=HOSTILE)])
+    write_page(folder / PAGE, document | {"title": f"MAESN {HOSTILE}"})
+    return folder / PAGE
+
+
+@pytest.fixture(scope="module")
+def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study")
+    table = {
+        "family": "point",
+        "scratch": {"trpo": {"label": HOSTILE}, "reinforce": {}},
+        "evaluations": {"few": {"num_tasks": 4, "episodes": 6, "episodes_per_update": 3}},
+    }
+    Study(study_of_table(table, "small", Place("small"))).run(folder, workers=1)
+    write_page(folder / PAGE, study_page(folder / "small"))
+    return folder / PAGE
+
+
+class Opened:
+    """A page, and what its console has said."""
+
+    def __init__(self, browser: Browser, path: Path, width: int = DESK, scheme: Any = "light") -> None:
+        context = browser.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=scheme, offline=True
+        )
+        self.page: Page = context.new_page()
+        self.said: list[str] = []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.goto(path.as_uri())
+
+    def text(self, selector: str) -> str:
+        return self.page.locator(selector).inner_text()
+
+
+@pytest.mark.parametrize("width", [PHONE, DESK])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["of_run", "of_study"])
+def test_the_page_opens_without_errors_and_fits(
+    browser: Browser, request: pytest.FixtureRequest, name: str, scheme: str, width: int
+) -> None:
+    opened = Opened(browser, request.getfixturevalue(name), width, scheme)
+    opened.page.wait_for_selector(".chart .main-svg")
+    assert opened.said == []
+    assert opened.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert opened.page.evaluate("document.documentElement.dataset.theme") == scheme
+    assert opened.page.evaluate("window.hacked") is None
+
+
+def test_the_point_is_moved_by_pointer_keys_and_tasks(browser: Browser, of_run: Path) -> None:
+    opened = Opened(browser, of_run)
+    page, handle = opened.page, opened.page.locator("#handle")
+    assert "z = (0.0, 0.0) leads to (0.0 m, 0.0 m)" in opened.text("#explorer-said")
+    plane = page.locator(".plane").first.bounding_box()
+    assert plane is not None
+    # From the middle to the middle of the upper right quarter: the latent leads where it points.
+    page.mouse.move(plane["x"] + plane["width"] / 2, plane["y"] + plane["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(plane["x"] + 0.75 * plane["width"], plane["y"] + 0.25 * plane["height"])
+    page.mouse.up()
+    assert "leads to (1.5 m, 1.5 m)" in opened.text("#explorer-said")
+    handle.focus()
+    for _ in range(20):
+        page.keyboard.press("ArrowLeft")
+    assert "leads to (−1.5 m, 1.5 m)" in opened.text("#explorer-said")
+    page.select_option("#explorer-task", "2")
+    assert "from the goal of task 2" in opened.text("#explorer-said")
+    assert page.locator(".ring.now").count() == 1
+    assert page.locator(".region").count() >= 1
+    page.keyboard.press("Tab")
+    assert opened.said == []
+
+
+def test_a_search_is_watched(browser: Browser, of_run: Path) -> None:
+    opened = Opened(browser, of_run)
+    page = opened.page
+    assert opened.text("#search-said").startswith("Before any episode. Next it tries z = (")
+    page.locator("#search-episode").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    assert opened.text("#search-said").startswith("Episode 2 returns −250.5 and reaches the goal.")
+    assert page.locator(".played").count() == 2
+    before = page.locator(".plane rect").first.get_attribute("fill")
+    page.select_option("#search-kind", "std")
+    assert page.locator(".plane rect").first.get_attribute("fill") != before
+    page.select_option("#search-task", "1")
+    assert opened.text("#search-said").startswith("Before any episode.")
+    page.click("#search-play")
+    page.wait_for_function(
+        "document.getElementById('search-said').textContent.startsWith('Episode 3')", timeout=9000
+    )
+    assert "does not reach the goal." in opened.text("#search-said")
+    assert opened.text("#search-play") == "Play"
+
+
+def test_the_theme_changes(browser: Browser, of_run: Path) -> None:
+    page = Opened(browser, of_run).page
+    shown = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(shown)
+    page.click("#theme")
+    assert page.evaluate(shown) != light
+    page.click("#theme")
+    assert page.evaluate(shown) == light
+
+
+def test_tables_sort_and_lines_are_compared(browser: Browser, of_study: Path) -> None:
+    opened = Opened(browser, of_study)
+    page = opened.page
+    first = page.locator("table").first
+
+    def column(number: int) -> list[str]:
+        return first.locator(f"tbody tr td:nth-child({number})").all_inner_texts()
+
+    names = first.locator("thead th").all_inner_texts()
+    returns = names.index("return") + 1
+    first.locator("thead button").nth(returns - 1).click()
+    ascending = [float(text.split()[0]) for text in column(returns)]
+    assert ascending == sorted(ascending)
+    first.locator("thead button").nth(returns - 1).click()
+    assert [float(text.split()[0]) for text in column(returns)] == ascending[::-1]
+    assert HOSTILE in " ".join(column(1))
+    page.select_option(".scatter-up", "2")
+    page.locator("details").first.locator("summary").click()
+    assert "evaluation.episodes" in page.locator("details").first.inner_text()
+    assert page.evaluate("window.hacked") is None
+    assert opened.said == []

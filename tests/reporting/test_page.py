@@ -1,0 +1,100 @@
+"""The report page: what it says, what it cannot be made to do, and what it says of what is missing."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_runs import (
+    NUM_TASKS,
+    NUM_UPDATES,
+    adaptation_table,
+    exploration,
+    learning_curve,
+    write_run,
+)
+
+from maesn.reporting.page import PAGE, PlotlyMissing, run_page, write_page
+from maesn.reporting.page.writing import rounded, script_json
+from maesn.reporting.statistics import mean_intervals
+
+HOSTILE = "</script><script>alert(1)</script><!--"
+
+
+def data_of(page: str) -> object:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+def test_the_page_is_one_file_of_what_the_run_recorded(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run")
+    document = run_page([run])
+    write_page(tmp_path / PAGE, document)
+    page = (tmp_path / PAGE).read_text()
+    assert (tmp_path / PAGE).stat().st_size < 6e6
+    assert data_of(page) == json.loads(json.dumps(document))
+    # Nothing is fetched: no source or style of elsewhere.
+    own = page.replace(re.search(r"<script>(.*?)</script>", page, re.DOTALL)[1], "")  # plotly
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=\"(?!data:)", own)
+    explorer, search = document["explorer"], document["search"]
+    assert np.shape(explorer["paths"]) == (25, 6, 2)
+    assert np.shape(explorer["adapted"]) == (NUM_TASKS, 2)
+    assert np.shape(search["mean"]) == (2, 4, 5, 5)
+    assert search["returns"][0] == [-300.0, -250.5, -200.0]
+    assert document["world"]["goals"] == rounded(exploration().goals)
+
+
+def test_charts_are_the_numbers_of_the_tables(tmp_path: Path) -> None:
+    document = run_page([write_run(tmp_path / "run")])
+    ((returns, success),) = (one["charts"] for one in document["adaptation"])
+    (line,) = returns["lines"]
+    wanted = mean_intervals(adaptation_table().mean_return[None])
+    assert line["x"] == [50.0 * count for count in range(NUM_UPDATES + 1)]
+    for name in ("mean", "low", "high"):
+        np.testing.assert_allclose(line[name], [getattr(one, name) for one in wanted], atol=1e-3)
+    assert success["lines"][0]["label"] == "MAESN"
+    after, before, solved = document["learning"]
+    np.testing.assert_allclose(before["lines"][0]["mean"], learning_curve().return_before)
+    assert after["lines"][0]["x"][-1] == 30.0
+    assert solved["y"] == "success after the inner update"
+
+
+def test_what_is_missing_leaves_a_sentence(tmp_path: Path) -> None:
+    nothing = ["metrics", "adaptation", "exploration", "explorer"]
+    document = run_page([write_run(tmp_path / "bare", without=nothing)])
+    assert "in a plane" in document["explorer"]["missing"]
+    assert "in a plane" in document["exploration"]["missing"]
+    assert document["adaptation"] == document["learning"] == []
+    latentless = run_page([write_run(tmp_path / "maml", "maml")])
+    assert latentless["explorer"]["missing"] == latentless["search"]["missing"]
+    assert "no latent" in latentless["explorer"]["missing"]
+    unsearched = write_run(tmp_path / "unsearched")
+    (unsearched / "figures" / "searches.npz").unlink()
+    assert "maesn prior" in run_page([unsearched])["search"]["missing"]
+
+
+def test_hostile_names_stay_texts(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", note=HOSTILE)
+    document = run_page([run]) | {"title": HOSTILE}
+    write_page(tmp_path / PAGE, document)
+    page = (tmp_path / PAGE).read_text()
+    assert "<script>alert" not in page
+    found = data_of(page)
+    assert found["title"] == HOSTILE
+    assert ["settings.note", HOSTILE] in found["settings"]["rows"]
+
+
+def test_json_has_no_numbers_that_browsers_cannot_read() -> None:
+    text = script_json({"a": np.array([1.5, np.nan, np.inf]), "b": np.float32(2.0), "c": (None,)})
+    assert json.loads(text) == {"a": [1.5, None, None], "b": 2.0, "c": [None]}
+
+
+def test_without_plotly_a_sentence_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(PlotlyMissing, match=re.escape("pip install 'maesn[page]'")):
+        write_page(tmp_path / PAGE, {})
+    assert not (tmp_path / PAGE).exists()
