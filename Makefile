@@ -91,7 +91,7 @@ docs: $(DOCS_READY) ## Build the documentation's site in build/site
 	@echo "open build/site/docs/index.html"
 
 test-browser: $(BROWSER_READY) ## Use the report page in Chromium, which must be installed
-	@$(BIN)/python -m pytest --quiet --tb=short tests/browser
+	@PICTURES=$(PICTURES) $(BIN)/python -m pytest --quiet --tb=short tests/browser
 
 test-docs: $(TEST_READY) ## Run every example and every command of the documentation, in minutes
 	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py

@@ -1,6 +1,7 @@
-"""The report page in Chromium: `make test-browser`. Its pictures are those of the documentation.
+"""The report page in Chromium: `make test-browser`.
 
 Chromium comes from the system's packages (`apt install chromium`), or CHROMIUM names it.
+`make test-browser PICTURES=docs/figures` makes the pictures of the documentation anew.
 """
 
 import os
@@ -13,13 +14,18 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from synthetic_runs import write_run
 
+from maesn import GradientRule, SearchRule, adapt
+from maesn.evaluation.exploration import record_exploration
+from maesn.evaluation.explorer import record_explorer
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
-from maesn.studies.reading import study_of_table
-from maesn.studies.reading import Place
+from maesn.runs.run import Run
+from maesn.studies.reading import Place, study_of_table
 from maesn.studies.study import Study
 
 HOSTILE = "<img src=x onerror=window.hacked=1>"
 PHONE, DESK = 390, 1180
+HEIGHTS = {PHONE: 844, DESK: 1620}
+PICTURES = (("light", DESK, "light"), ("dark", DESK, "dark"), ("phone", PHONE, "light"))
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +60,11 @@ def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Opened:
     """A page, and what its console has said."""
 
-    def __init__(self, browser: Browser, path: Path, width: int = DESK, scheme: Any = "light") -> None:
+    def __init__(
+        self, browser: Browser, path: Path, width: int = DESK, scheme: Any = "light"
+    ) -> None:
         context = browser.new_context(
-            viewport={"width": width, "height": 900}, color_scheme=scheme, offline=True
+            viewport={"width": width, "height": HEIGHTS[width]}, color_scheme=scheme, offline=True
         )
         self.page: Page = context.new_page()
         self.said: list[str] = []
@@ -159,3 +167,22 @@ def test_tables_sort_and_lines_are_compared(browser: Browser, of_study: Path) ->
     assert "evaluation.episodes" in page.locator("details").first.inner_text()
     assert page.evaluate("window.hacked") is None
     assert opened.said == []
+
+
+def test_pictures_of_a_shipped_policy(browser: Browser, tmp_path: Path) -> None:
+    run = tmp_path / "wheeled"
+    shutil.copytree(Run.open("wheeled").directory, run)
+    for rule in (GradientRule(), SearchRule()):
+        adapt(run, rule=rule)
+    record_exploration(Run.open(run))
+    record_explorer(Run.open(run))
+    write_page(tmp_path / PAGE, run_page([run]))
+    assert (tmp_path / PAGE).stat().st_size < 6e6
+    out = Path(os.environ.get("PICTURES") or tmp_path)
+    for name, width, scheme in PICTURES:
+        opened = Opened(browser, tmp_path / PAGE, width, scheme)
+        opened.page.select_option("#explorer-task", "7")
+        opened.page.locator("#search-episode").fill("4")
+        assert "Episode 4" in opened.text("#search-said")
+        opened.page.screenshot(path=out / f"page-{name}.png")
+        assert opened.said == []

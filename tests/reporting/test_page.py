@@ -1,4 +1,4 @@
-"""The report page: what it says, what it cannot be made to do, and what it says of what is missing."""
+"""The report page: its numbers, hostile texts, and what it says of what is missing."""
 
 import json
 import re

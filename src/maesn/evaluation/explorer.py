@@ -103,7 +103,7 @@ def _searches(run: Run) -> RecordedSearches:
     beliefs = np.array([[_beliefs(one, plane) for one in after] for after in searches])
     mean, std = np.moveaxis(beliefs, 2, 0).swapaxes(1, 2)
     return RecordedSearches(
-        task=np.arange(_TASKS),
+        task=np.arange(_TASKS, dtype=float),
         edge=_EDGE,
         played=np.stack([_z(episodes) for episodes in played], axis=1),
         returns=np.stack([episodes.undiscounted_return[:, 0] for episodes in played], axis=1),

@@ -316,10 +316,10 @@ function chart(found) {
 function layout(x, y) {
   const axis = (title) => ({ title: { text: plain(title) }, gridcolor: css("--line"), zeroline: false, automargin: true });
   return {
-    xaxis: axis(x), yaxis: axis(y), margin: { l: 60, r: 12, t: 12, b: 48 }, hovermode: "x unified",
+    xaxis: axis(x), yaxis: axis(y), margin: { l: 60, r: 12, t: 28, b: 48 }, hovermode: "x unified",
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: css("--text"), size: 13 },
     hoverlabel: { bgcolor: css("--card"), font: { color: css("--text") } },
-    legend: { orientation: "h", y: -0.22 },
+    legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
   };
 }
 

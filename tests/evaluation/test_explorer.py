@@ -1,0 +1,75 @@
+"""What is recorded for the report page: paths of latents, and searches."""
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import create, finish, tiny_maesn
+
+from maesn.evaluation import explorer
+from maesn.learners import maml
+from maesn.policies import GaussianMLP
+from maesn.reporting.explorer import read_latent_paths, read_searches
+from maesn.rules import SearchRule
+from maesn.runs.run import Run
+from maesn.search.prior import PriorSettings
+from maesn.search.stored import find_prior, run_prior
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run with a prior over returns, and what is recorded of it."""
+    made = create(tmp_path_factory.mktemp("explorer") / "run", tiny_maesn(), iterations=1)
+    finish(made)
+    run_prior(made, PriorSettings(draws=12, adapted=False, episodes=2))
+    explorer.record_explorer(made)
+    return made
+
+
+def test_latents_are_a_lattice_in_the_plane_and_draws_beyond() -> None:
+    line, plane, space = (explorer.spread_latents(size) for size in (1, 2, 3))
+    assert (line.shape, plane.shape, space.shape) == ((441, 1), (441, 2), (441, 3))
+    assert len(np.unique(plane[:, 0])) == len(np.unique(plane[:, 1])) == 21
+    assert len(np.unique(plane, axis=0)) == 441
+    np.testing.assert_array_equal(space, explorer.spread_latents(3))
+    assert np.abs(space).max() <= np.abs(plane).max()
+
+
+def test_each_latent_has_the_path_of_an_episode(run: Run) -> None:
+    recorded = read_latent_paths(run.directory)
+    assert recorded is not None
+    assert recorded.paths.shape == (441, 40, 2)
+    # The point starts at the origin, up to its noise of 1 cm, and moves at most 10 cm in a step.
+    assert np.abs(recorded.paths[:, 0]).max() < 0.1
+    steps = np.linalg.norm(np.diff(recorded.paths, axis=1), axis=-1)
+    assert steps.max() <= 2 * np.sqrt(2) * 0.1 + 1e-5
+    assert not np.allclose(recorded.paths[0], recorded.paths[-1], atol=1e-3)
+
+
+def test_searches_are_those_of_the_rule(run: Run) -> None:
+    recorded = read_searches(run.directory)
+    assert recorded is not None
+    with closing(run.world(reward_kind="sparse")) as world:
+        prior = find_prior(run, run.latest_state(), world, "", any_reward=False)
+    model = SearchRule().settings.model(prior)
+    first = explorer.LatentSearch.start(model, SearchRule().settings)
+    means = first.posterior.mean
+    np.testing.assert_allclose(
+        recorded.deployed[:, 0], np.tile(first.points[np.argmax(means)], (8, 1)), atol=1e-5
+    )
+    assert recorded.mean.shape == recorded.std.shape == (8, 11, 21, 21)
+    assert (recorded.std >= 0).all()
+    # Beliefs are those of the model at the corners of the square.
+    corner = np.array([[-recorded.edge, -recorded.edge]])
+    more = first.posterior.extended(model, corner)
+    np.testing.assert_allclose(recorded.mean[:, 0, 0, 0], more.mean[-1], rtol=1e-5)
+    assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
+
+
+def test_a_run_without_latents_records_nothing(tmp_path: Path) -> None:
+    made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
+    finish(made)
+    explorer.record_explorer(made)
+    assert read_latent_paths(made.directory) is None
+    assert read_searches(made.directory) is None
