@@ -41,7 +41,7 @@ def small_policies(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def table(out: Path) -> list[dict[str, str]]:
-    with (out / "comparison" / "point" / "table.csv").open(newline="") as file:
+    with (out / "comparison" / "results.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 
 

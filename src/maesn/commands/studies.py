@@ -62,7 +62,7 @@ def _status(
         "Jobs",
         ("job", "status", ""),
         tuple((name, *state) for name, state in states.items()),
-        (_left(execution, workers),),
+        (execution.left(workers),),
     )
     print_tables([table])
 
@@ -135,14 +135,9 @@ def _list(execution: Execution, workers: int) -> None:
         f"{len(rows)} jobs",
         ("job", "environment steps"),
         (*rows, ("all", f"{sum(job.steps for job in jobs):,}")),
-        (_left(execution, workers),),
+        (execution.left(workers),),
     )
     print_tables([table])
-
-
-def _left(execution: Execution, workers: int) -> str:
-    minutes = execution.seconds_left(workers) / 60
-    return f"About {minutes:,.0f} minutes left with {workers} at a time."
 
 
 def _check(done: Results) -> None:

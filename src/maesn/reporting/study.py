@@ -16,7 +16,7 @@ from maesn.reporting.tables import TextTable, write_tables
 from maesn.storage import RunError, read_json, write_rows
 
 MANIFEST = "study.json"
-TABLE, SUMMARY = "table.csv", "summary.md"
+RESULTS, SUMMARY = "results.csv", "summary.md"
 
 Wrote: TypeAlias = Callable[[Path], None]
 Document: TypeAlias = Mapping[str, Any]
@@ -47,8 +47,18 @@ def report_studies(directory: Path, wrote: Wrote) -> list[TextTable]:
 
 
 def report_study(directory: Path, wrote: Wrote) -> list[TextTable]:
-    """Draw figures and write tables of one study, each comparison in a directory of its own."""
+    """Draw figures and write tables of one study.
+
+    All results are in one table; each comparison has a directory of its own for the rest.
+    """
     document, compared = read_comparisons(directory)
+    rows = (
+        {"comparison": world["name"], **row}
+        for world, comparison in compared
+        for row in tidy_rows(comparison)
+    )
+    if compared:
+        write_rows(directory / RESULTS, rows)
     return [
         table
         for world, comparison in compared
@@ -125,8 +135,7 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
 def _report(
     comparison: Comparison, world: Document, figures: Iterable[Document], out: Path, wrote: Wrote
 ) -> list[TextTable]:
-    """Write table, summary and figures of one comparison."""
-    write_rows(out / TABLE, tidy_rows(comparison))
+    """Write summary and figures of one comparison."""
     titled = [_titled(one, world["name"]) for one in summary_tables(comparison)]
     write_tables(titled, out / SUMMARY)
     everything = {"name": "comparison", "kind": "curves", "lines": [], "families": []}

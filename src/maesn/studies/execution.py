@@ -114,6 +114,11 @@ class Execution:
         lost = [name for name in job.needs if not self._has(name)]
         return "waiting", f"for {lost[0]}" if lost else ""
 
+    def left(self, workers: int) -> str:
+        """Return a sentence on the time until all is done."""
+        minutes = self.seconds_left(workers) / 60
+        return f"About {minutes:,.0f} minutes left with {workers} at a time."
+
     def seconds_left(self, workers: int = 1) -> float:
         """Return an estimate of the time until all is done, by the speed of what is done."""
         done = [read_json(self.directory / name / DONE) for name in self.jobs if self._has(name)]

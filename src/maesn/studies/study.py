@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from maesn.reporting.study import report_study
+from maesn.reporting.study import RESULTS, report_study
 from maesn.reporting.tables import TextTable
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
@@ -36,9 +36,9 @@ class Results(NamedTuple):
     """Job -> its error."""
 
     @property
-    def csv(self) -> list[Path]:
-        """The paths of the results, one row per method, seed, task and update: for pandas."""
-        return sorted(self.directory.glob("*/table.csv"))
+    def csv(self) -> Path:
+        """The table of all results, a row per method, seed, task and update: for pandas."""
+        return self.directory / RESULTS
 
 
 class Study:
@@ -96,6 +96,7 @@ class Study:
         place = contextlib.nullcontext() if only else locked(directory)
         with place, ending_by_signals():
             with self._opened(executor, workers, execution.directory) as opened:
+                say(execution.left(opened.slots))
                 execution.run(opened, say)
             if only is not None:
                 return Results(directory, [], execution.failed)
