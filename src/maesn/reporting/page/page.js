@@ -287,8 +287,8 @@ function searches(found) {
   }
 
   section("Watch a search",
-    quiet("Left: what the search expects of each latent, from dark (low) to yellow (high); numbers are the episodes so far, " +
-      "and the red ring is the latent that it would deploy. Right: where these episodes went."),
+    quiet("The map: what the search expects of each latent, from dark (low) to yellow (high). Numbers are the episodes so far, " +
+      "the red ring is the latent that it would deploy. The plane: where these episodes went."),
     make("div", { class: "controls" }, make("label", {}, "Task", tasks), make("label", {}, "Show", kind),
       make("label", {}, "Episodes", slider), play),
     make("div", { class: "pair" }, beliefs.svg, world.svg), said);
