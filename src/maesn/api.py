@@ -29,6 +29,7 @@ from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
+from maesn.runs.log import log_figures
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, train_live
 from maesn.runtime.return_model import ReturnPrior
@@ -279,6 +280,9 @@ def report(
     directories = [run.directory for run in opened]
     folder = Path(out or directories[0] / "figures")
     written = draw_runs(directories, folder, print)
+    if len(opened) == 1 and out is None:
+        pictures = [file for file in written if file.suffix == ".png"]
+        log_figures(directories[0], pictures, opened[0].latest().environment_steps)
     return Reported([*written, *_page(folder, run_page, directories)], [])
 
 

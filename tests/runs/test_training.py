@@ -4,17 +4,20 @@ import json
 import logging
 import math
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors, tiny_maesn
 from tensorboardX.proto.event_pb2 import Event
 
 from maesn.context import LatentContext
 from maesn.learners import latent_space
 from maesn.policies import GaussianMLP
+from maesn.runs.log import log_figures
 from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.storage import RunError
@@ -59,17 +62,38 @@ def test_iterations_are_the_total(tmp_path: Path, whole: tuple[bytes, dict[str, 
 
 
 def events(run: Run) -> dict[str, list[tuple[int, float]]]:
-    """Tag -> (global step, value), read as the format of TensorBoard's files is specified."""
+    """Tag -> (global step, scalar)."""
     found: dict[str, list[tuple[int, float]]] = {}
+    for event in read_events(run):
+        for value in event.summary.value:
+            found.setdefault(value.tag, []).append((event.step, value.simple_value))
+    return found
+
+
+def read_events(run: Run) -> Iterator[Event]:
+    """Read as the format of TensorBoard's files is specified."""
     for path in sorted((run.directory / "tensorboard").iterdir()):
         content = path.read_bytes()
         while content:
             (length,) = struct.unpack("<Q", content[:8])
-            event = Event.FromString(content[12 : 12 + length])
+            yield Event.FromString(content[12 : 12 + length])
             content = content[16 + length :]
-            for value in event.summary.value:
-                found.setdefault(value.tag, []).append((event.step, value.simple_value))
-    return found
+
+
+def test_settings_and_figures_stand_on_the_board(tmp_path: Path) -> None:
+    run = finish(create(tmp_path / "run", tiny_maesn(), iterations=1))
+    picture = tmp_path / "curve.png"
+    Image.new("RGB", (5, 3)).save(picture)
+    for _ in range(2):  # the second time in place of the first
+        log_figures(run.directory, [picture], 7)
+    found = [(one.step, value) for one in read_events(run) for value in one.summary.value]
+    (settings,) = (value for _, value in found if value.tag.startswith("settings"))
+    table = settings.tensor.string_val[0].decode()
+    assert "| settings.iterations | 1 |\n" in table
+    assert "| learner.context.kl_weight | 0.1 |\n" in table
+    ((step, figure),) = ((step, value) for step, value in found if value.tag == "figures/curve")
+    assert (step, figure.image.width, figure.image.height) == (7, 5, 3)
+    assert figure.image.encoded_image_string == picture.read_bytes()
 
 
 def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:

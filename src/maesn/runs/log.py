@@ -7,13 +7,14 @@ import logging
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import RecordWriter
+from tensorboardX.summary import text
 
 from maesn.storage import explained, write_whole
 
@@ -117,10 +118,12 @@ class EventLog:
 
     # Once a full disk has ended the thread of `tensorboardX.SummaryWriter`, it waits for ever.
 
-    def __init__(self, directory: Path, iteration: int, environment_steps: int) -> None:
+    def __init__(
+        self, directory: Path, iteration: int, environment_steps: int, name: str = ""
+    ) -> None:
         self._directory = directory
         # The iteration keeps apart the names of processes that begin within the same second.
-        name = f"events.out.tfevents.{int(time.time())}.{iteration}"
+        name = f"events.out.tfevents.{name or f'{int(time.time())}.{iteration}'}"
         with explained("write", directory):
             directory.mkdir(exist_ok=True)
             self._records = RecordWriter(str(directory / name))
@@ -144,6 +147,20 @@ class EventLog:
         """Close the file."""
         with explained("write", self._directory):
             self._records.close()
+
+
+def log_figures(directory: Path, pictures: Sequence[Path], environment_steps: int) -> None:
+    """Show PNGs on a run's TensorBoard, in place of those of the last time."""
+    events = EventLog(directory / TENSORBOARD, 0, environment_steps, name="0.figures")
+    with contextlib.closing(events):
+        for picture in pictures:
+            content = picture.read_bytes()
+            width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+            image = Summary.Image(
+                width=width, height=height, colorspace=4, encoded_image_string=content
+            )
+            value = Summary.Value(tag=f"figures/{picture.stem}", image=image)
+            events.append(step=environment_steps, summary=Summary(value=[value]))
 
 
 class RunLog(NamedTuple):
@@ -179,8 +196,13 @@ class RunLog(NamedTuple):
 
 
 @contextlib.contextmanager
-def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterator[RunLog]:
-    """Open the log files of a run, and forget what was written of iterations after this one."""
+def open_log(
+    directory: Path, iteration: int, environment_steps: int, settings: Mapping[str, Any]
+) -> Iterator[RunLog]:
+    """Open the log files of a run, and forget what was written of iterations after this one.
+
+    The settings, by path, stand on the TensorBoard as a table.
+    """
     events = directory / TENSORBOARD
     with (
         contextlib.closing(JsonLines(directory / METRICS)) as metrics,
@@ -188,6 +210,10 @@ def open_log(directory: Path, iteration: int, environment_steps: int) -> Iterato
         contextlib.closing(EventLog(events, iteration, environment_steps)) as tensorboard,
     ):
         log = RunLog(metrics, timing, tensorboard)
+        table = "".join(f"| {name} | {value} |\n" for name, value in settings.items())
+        tensorboard.append(
+            step=environment_steps, summary=text("settings", f"| setting | value |\n|-|-|\n{table}")
+        )
         for file in (metrics, timing):
             missing, first = file.cut(iteration)
             if missing:

@@ -26,7 +26,7 @@ from maesn.runs.config import installed_versions
 from maesn.runs.log import Progress, RunLog, open_log
 from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
-from maesn.settings import check_number
+from maesn.settings import check_number, leaves
 from maesn.storage import RunError, refusals
 from maesn.worlds.collector import Collector
 
@@ -73,7 +73,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         check_agreement(int(run.config.digest()[:8], 16), "the settings")
         log = None
         if is_lead():
-            opened = open_log(run.directory, start.iteration, start.environment_steps)
+            settings = leaves(run.config.document())
+            opened = open_log(run.directory, start.iteration, start.environment_steps, settings)
             log = stack.enter_context(opened)
         if start.iteration:
             _compare_versions(run)
