@@ -61,7 +61,7 @@ class MetaIteration:
 class Study:
     """A study of eight jobs by two workers, over one by one worker."""
 
-    iterations: int = 100
+    iterations: int = 30
     """Meta-iterations of each job; enough of them for a minute."""
     family: str = "wheeled"
     """Family of tasks."""
