@@ -7,7 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 from playing import keys
-from strangers import HORIZON, draw_walks, make_broken, make_settable, make_walker
+from strangers import (
+    HORIZON,
+    draw_walks,
+    make_broken,
+    make_painter,
+    make_settable,
+    make_walker,
+)
 
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
@@ -23,6 +30,7 @@ def family_of(make_env: Any, **settings: Any) -> TaskFamily:
 
 
 walkers = family_of(make_walker)
+painters = family_of(make_painter)
 settable = family_of(make_settable)
 broken = family_of(make_broken)
 impatient = family_of(make_broken, time_limit=2.0)

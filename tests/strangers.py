@@ -63,6 +63,16 @@ class Walker(gymnasium.Env[Any, Any]):
         return self.see(), -distance, due and how in (1, 3), due and how in (2, 3), info
 
 
+class Painter(Walker):
+    """Paints its state: the more steps, the brighter; nothing at all in some tasks."""
+
+    render_mode = "rgb_array"
+
+    def render(self) -> Any:
+        left = self.task[0] < 0
+        return None if left else np.full((20, 10, 3), 10 * self.steps, np.uint8)
+
+
 class Settable(Walker):
     """A walker that is told its next task."""
 
@@ -212,6 +222,10 @@ class Chooser(gymnasium.Env[Any, Any]):
 
 def make_walker(task: np.ndarray, reward: str) -> Walker:
     return Walker(task)
+
+
+def make_painter(task: np.ndarray, reward: str) -> Walker:
+    return Painter(task)
 
 
 def make_settable(task: np.ndarray, reward: str) -> Settable:

@@ -9,6 +9,8 @@ import pytest
 from pictures import assert_says_what_to_install, can_draw
 from PIL import Image
 from small_runs import tiny_maesn, tiny_settings
+from strange_families import painters
+from strangers import HORIZON
 
 import maesn
 from maesn import cli
@@ -21,7 +23,7 @@ from maesn.reporting.filmstrip import Cell, Row, contact_sheet
 from maesn.reporting.filmstrip import film as make_film
 from maesn.rules import BestOfRule
 from maesn.runs.run import Run
-from maesn.worlds import DeviceWorld
+from maesn.worlds import DeviceWorld, EpisodeError
 
 TASK, PLAYED, SHOWN, UPDATES = 3, 5, 2, [0, 2]
 
@@ -157,6 +159,43 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert moving.size == still.size
         assert still.width > SHOWN * 300
         assert still.height > 2 * 190
+
+
+@pytest.fixture
+def painting(tmp_path: Path) -> Run:
+    return Run.create(tmp_path / "painting", tiny_maesn(), tiny_settings(), family=painters)
+
+
+def painters_task(*, paints: bool) -> int:
+    goals = painters.task_set("test").tasks[:, 0]
+    return int(np.flatnonzero((goals >= 0) == paints)[0])
+
+
+def test_what_draws_itself_is_filmed_by_its_own_pictures(painting: Run, tmp_path: Path) -> None:
+    task = painters_task(paints=True)
+    asked = Evaluation(episodes=8, episodes_per_update=4, num_threads=2)
+    with new_tasks(painting, asked) as (world, learner):
+        assert world.film(3, 4, (30, 40))
+        played = record_adaptation(learner, world, asked, task, [0, 2], 3)
+    for episode in (episode for playback in played for episode in playback.episodes):
+        clock = episode.states["observation"][:, : HORIZON + 1].argmax(-1)
+        assert [picture.shape for picture in episode.pictures] == [(40, 30, 3)] * 3
+        # Bars at the left and the right: the paintings are half as wide as they are high.
+        assert [picture[20, 0, 0] for picture in episode.pictures] == [255] * 3
+        seen = [min(time, len(clock) - 1) for time in (0, 4, 6)]
+        assert [picture[20, 15, 0] for picture in episode.pictures] == (10 * clock[seen]).tolist()
+    options = {"task": task, "after": (0,), "shown": 2, "family": painters, "out": tmp_path}
+    gif, _ = maesn.render(painting, asked, **options)
+    _, _, end, ends = painters.task_set("test").tasks[task]
+    with Image.open(gif) as moving:  # which leaves out what repeats the picture before
+        assert moving.n_frames == (int(end) if ends else HORIZON) + 1
+
+
+def test_what_is_no_picture_is_refused(painting: Run, tmp_path: Path) -> None:
+    asked = Evaluation(episodes=4, episodes_per_update=4, num_threads=2)
+    task = painters_task(paints=False)
+    with pytest.raises(EpisodeError, match=r"`render` must return a picture, .* got NoneType"):
+        maesn.render(painting, asked, task=task, family=painters, out=tmp_path)
 
 
 def test_a_search_is_filmed_without_further_options(run: Run, drawn: list[Drawn]) -> None:

@@ -10,7 +10,7 @@ from maesn.rules import SearchRule
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json, leaves
 from maesn.storage import RunError
-from maesn.studies.members import members
+from maesn.studies.members import members_of_run
 from maesn.studies.plan import make_plan
 from maesn.studies.reading import read_study, shipped_studies
 from maesn.studies.spec import StudySpec
@@ -48,7 +48,7 @@ def written(folder: Path, text: str) -> Path:
 def test_a_file_becomes_the_settings_that_commands_use(tmp_path: Path) -> None:
     study = read_study(written(tmp_path, WHOLE))
     assert (study.name, study.families, study.seeds) == ("mine", ("point",), (3, 4))
-    first, second = members(study, "plain", "point")
+    first, second = members_of_run(study, "plain", "point")
     assert [first.seed, second.seed] == [3, 4]
     assert isinstance(first.run.settings, RunSettings)
     assert (first.run.settings.iterations, first.run.settings.episodes_per_task) == (7, 9)
@@ -63,7 +63,7 @@ def test_a_file_becomes_the_settings_that_commands_use(tmp_path: Path) -> None:
 
 def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
     study = read_study(written(tmp_path, 'family = "wheeled"\n[runs.maesn]'))
-    (member,) = members(study, "maesn", "wheeled")
+    (member,) = members_of_run(study, "maesn", "wheeled")
     of_run = [
         name
         for name in fields_to_json(member.run.settings)
@@ -79,7 +79,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
         if said[name] is not None
     ]
     text = 'family = "wheeled"\n[runs.maesn]\n' + "\n".join(lines)
-    (again,) = members(read_study(written(tmp_path, text)), "maesn", "wheeled")
+    (again,) = members_of_run(read_study(written(tmp_path, text)), "maesn", "wheeled")
     assert again.who == member.who  # the same digest
 
 

@@ -19,7 +19,7 @@ from maesn.evaluation.tables import adaptation_file
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
-from maesn.reporting.filmstrip import Cell, Row, contact_sheet, film
+from maesn.reporting.filmstrip import Cell, Picture, Row, contact_sheet, film
 from maesn.storage import RunError, refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
@@ -77,11 +77,12 @@ def render(
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
-        # Raises where pictures cannot be drawn, before minutes are spent on playing.
-        Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
+        stride = math.ceil(env.horizon / _MOST_PICTURES)
+        if not world.film(shown, stride, (_WIDTH, _HEIGHT)):
+            # Raises where pictures cannot be drawn, before minutes are spent on playing.
+            Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
         played = record_adaptation(learner, world, asked, task, updates, shown)
         goal = world.tasks[task]
-    stride = math.ceil(env.horizon / _MOST_PICTURES)
     rows = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
@@ -102,6 +103,8 @@ class Filmed(NamedTuple):
     total_return: float
     solved: bool
     """Whether it reaches the goal region at some time."""
+    pictures: Sequence[Picture] = ()
+    """That its environment has drawn; none if states are to be drawn."""
 
 
 class Playback(NamedTuple):
@@ -140,8 +143,11 @@ def record_adaptation(
     def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
         if any(stage in stages for stages in wanted.values()):
             # With one task at a time, its episodes are the simulations.
-            count = min(each, shown)
-            kept[stage] = [_filmed(episodes, readings, episode) for episode in range(count)]
+            filmed = [_filmed(episodes, readings, episode) for episode in range(min(each, shown))]
+            drawn = zip(*world.pictures, strict=True) if world.pictures else [()] * len(filmed)
+            kept[stage] = [
+                one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
+            ]
 
     curves = adapt(
         learner,
@@ -176,33 +182,47 @@ def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> H
 
 
 def draw(env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> list[Row]:
-    """Draw the episodes of one task, one picture every `stride` steps, all from the same place."""
-    lived = [episode.states for playback in played for episode in playback.episodes]
-    drawn = [*lived, *(jax.tree.map(lambda x: x[-1:], states) for states in lived)]
+    """Show the episodes of one task, one picture every `stride` steps, all from the same place."""
+    filmed = [episode for playback in played for episode in playback.episodes]
+    if any(not episode.pictures for episode in filmed):
+        drawn = _draw_states(env, task, [episode.states for episode in filmed], stride)
+        filmed = [
+            one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
+        ]
+    rows, rest = [], iter(filmed)
+    for playback in played:
+        done = f"after {playback.before} episodes"
+        title = (
+            f"{done if playback.update else 'before adaptation'}: mean return "
+            f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of "
+            f"{playback.num_played} episodes reach the goal"
+        )
+        cells = [_cell(number, next(rest)) for number in range(1, len(playback.episodes) + 1)]
+        rows.append(Row(title, cells))
+    return rows
+
+
+def _cell(number: int, episode: Filmed) -> Cell:
+    reached = ", goal reached" if episode.solved else ""
+    caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+    return Cell(caption, episode.solved, episode.pictures)
+
+
+def _draw_states(
+    env: AnyEnv, task: Any, episodes: Sequence[HostReadings], stride: int
+) -> list[list[Picture]]:
+    drawn = [*episodes, *(jax.tree.map(lambda x: x[-1:], states) for states in episodes)]
     seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
     goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
     times = [*range(0, env.horizon, stride), env.horizon]
+    pictures: list[list[Picture]] = []
     with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
-
-        def cell(number: int, episode: Filmed) -> Cell:
-            path, pictures = places(env, episode.states), []
+        for states in episodes:
+            path = places(env, states)
+            pictures.append([])
             for time in times:
                 now = min(time, len(path) - 1)  # an episode that has ended stands still
-                states = {name: value[now] for name, value in episode.states.items()}
+                present = {name: value[now] for name, value in states.items()}
                 trail = np.concatenate([path[:now:stride], path[now : now + 1]])
-                pictures.append(scene.draw(states, task, trail))
-            reached = ", goal reached" if episode.solved else ""
-            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
-            return Cell(caption, episode.solved, pictures)
-
-        rows = []
-        for playback in played:
-            done = f"after {playback.before} episodes"
-            title = (
-                f"{done if playback.update else 'before adaptation'}: mean return "
-                f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of "
-                f"{playback.num_played} episodes reach the goal"
-            )
-            cells = [cell(number, episode) for number, episode in enumerate(playback.episodes, 1)]
-            rows.append(Row(title, cells))
-        return rows
+                pictures[-1].append(scene.draw(present, task, trail))
+    return pictures

@@ -9,6 +9,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
+from jaxtyping import UInt8
+from PIL import Image, ImageOps
 
 from maesn.foreign.errors import described, raised
 from maesn.foreign.interface import Interface, InterfaceError, describe
@@ -141,6 +143,36 @@ class HostedEnvironment:
         except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
             return described(error)
         return None
+
+    def renders(self, task: bytes) -> bool:
+        """Return whether the environment of a task draws itself.
+
+        Args:
+            task: pickled.
+
+        Raises:
+            HostedError: the environment raised, or cannot be learned in.
+        """
+        return self._with_task(task).render_mode == "rgb_array"
+
+    def picture(self, size: tuple[int, int]) -> UInt8[np.ndarray, "height width 3"]:
+        """Return what the environment draws of its present state, with bars to fill the size.
+
+        Args:
+            size: width and height in pixels.
+
+        Raises:
+            HostedError: the environment raised, or what it returned is no picture.
+        """
+        assert self._env is not None
+        drawn = _ask("render", self._env.render)
+        picture = np.asarray(drawn)
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+            raise HostedError(
+                "`render` must return a picture, an array of bytes `[height, width, 3]`, got "
+                f"{type(drawn).__name__} of {picture.dtype} {list(picture.shape)}"
+            )
+        return np.asarray(ImageOps.pad(Image.fromarray(picture), size, color="white"))
 
     def close(self) -> None:
         """Release what the environment holds."""

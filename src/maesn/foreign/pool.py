@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 
 import cloudpickle
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from maesn.foreign.errors import described
 from maesn.foreign.guard import Guard
@@ -131,6 +131,35 @@ class WorkerPool:
             WorkerError: an environment cannot be used; the pool must be closed.
         """
         return self._read("step", len(controls), controls)
+
+    def renders(self, task: bytes) -> bool:
+        """Return whether the environment of a task draws itself.
+
+        Args:
+            task: pickled.
+
+        Raises:
+            WorkerError: the environment cannot be used; the pool must be closed.
+        """
+        ((_, (renders,)),) = self._ask("renders", 1, [task])
+        return renders
+
+    def pictures(
+        self, num_simulations: int, size: tuple[int, int]
+    ) -> list[UInt8[np.ndarray, "height width 3"]]:
+        """Return what the first simulations draw of their present states.
+
+        Args:
+            num_simulations: of the first ones; at most as many as have begun.
+            size: width and height of the pictures, in pixels.
+
+        Raises:
+            WorkerError: an environment cannot be used; the pool must be closed.
+        """
+        pictures: list[Any] = [None] * num_simulations
+        for share, drawn in self._ask("picture", num_simulations, [size] * num_simulations):
+            pictures[share] = drawn
+        return pictures
 
     def close(self) -> None:
         """Stop all workers, and whatever processes their environments have started."""

@@ -14,8 +14,7 @@ from maesn.storage import RunError
 from maesn.studies.execution import Say
 from maesn.studies.executors import AbstractExecutor, ExecutorName
 from maesn.studies.jobs import TrainedRun
-from maesn.studies.members import Member
-from maesn.studies.reading import Place
+from maesn.studies.members import member_of_run
 from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Results, Study, silent
 
@@ -139,7 +138,7 @@ def _scratch(text: str) -> tuple[str, ScratchSpec]:
 def _can(name: str, runs: Sequence[Run], evaluation: Evaluation, say: Say) -> bool:
     """Whether runs can be given the additions of an evaluation."""
     try:
-        Member(TrainedRun(), runs[0]).check(evaluation, Place("compare"))
+        member_of_run(TrainedRun(), runs[0]).check(evaluation)
     except RunError as error:
         say(f"{name} takes part as it is: {error}")
         return False

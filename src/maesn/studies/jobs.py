@@ -134,6 +134,10 @@ class TrainedRun:
         """Open the run."""
         return Run.open(jobs / self.job / RUN if self.job else self.directory, self.family)
 
+    def play(self, evaluation: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
+        """Adapt to some tasks."""
+        return evaluate(self.open(jobs), evaluation, tasks=tasks)[0]
+
 
 @dataclasses.dataclass(frozen=True)
 class Untrained:
@@ -164,7 +168,7 @@ class Untrained:
         settings = dataclasses.replace(self.settings, sparse_radius=sparse_radius)
         return make_env(resolve_family(settings.family), settings, reward)
 
-    def play(self, evaluation: Evaluation, tasks: Sequence[int]) -> AdaptationOutcome:
+    def play(self, evaluation: Evaluation, tasks: Sequence[int], _: Path) -> AdaptationOutcome:
         """Adapt to some tasks."""
         family = resolve_family(self.settings.family)
         env = self.env(evaluation.reward, evaluation.sparse_radius)
@@ -207,10 +211,7 @@ class EvaluateJob(AbstractJob):
     def compute(self, directory: Path) -> dict[str, Any]:
         """Play, and write one row per task and update."""
         tasks = range(self.first, self.first + self.count)
-        if isinstance(self.who, TrainedRun):
-            outcome, _ = evaluate(self.who.open(directory.parent), self.evaluation, tasks=tasks)
-        else:
-            outcome = self.who.play(self.evaluation, tasks)
+        outcome = self.who.play(self.evaluation, tasks, directory.parent)
         rows = ({**row, "task": tasks[row["task"]]} for row in as_rows(outcome))
         write_rows(directory / ROWS, rows)
         return {}

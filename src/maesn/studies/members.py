@@ -1,7 +1,7 @@
-"""Who takes part in a study: the runs to be trained, and their settings; runs that exist."""
+"""Who takes part in a study: runs, methods from scratch and baselines, each with one seed."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,12 @@ import jax
 import numpy as np
 
 from maesn import learners
+from maesn.envs import AnyEnv, RewardKind, describe_env
 from maesn.envs.sources import find_tasks, imported, resolve_family
-from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.evaluation import Evaluation, written_out
 from maesn.evaluation.tables import identity_of_run
 from maesn.learners import (
+    AbstractFastLearner,
     AbstractMetaLearner,
     BonusMetaLearner,
     RecurrentMetaLearner,
@@ -22,11 +24,11 @@ from maesn.rules import Trained
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
+from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.settings import leaves
-from maesn.storage import RunError
-from maesn.studies.jobs import TrainedRun, TrainJob
+from maesn.studies.jobs import AbstractJob, PriorJob, TrainedRun, TrainJob, Untrained
 from maesn.studies.reading import Place
-from maesn.studies.spec import RunSpec, StudySpec
+from maesn.studies.spec import RunSpec, ScratchSpec, StudySpec
 from maesn.worlds import check_policy
 
 # What all runs of a study have in common, or what each has of its own, is not a run's to say.
@@ -37,79 +39,152 @@ _IMMATERIAL = ("versions", "provenance", "changes")
 
 @dataclasses.dataclass(frozen=True)
 class Member:
-    """A run that takes part, with one seed."""
+    """What adapts to new tasks, with one seed. `RunError` says what cannot be."""
 
-    who: TrainedRun
-    run: Run
-    """Read, or as it will be created: its settings, family and environment."""
+    who: TrainedRun | Untrained
+    """As its jobs know it."""
+    seed: int
+    method: str
+    """By which it is drawn; empty for a baseline."""
+    settings: Mapping[str, Any]
+    """By their path."""
+    env: Callable[[RewardKind, float | None], AnyEnv]
+    """Reward and sparse radius -> the environment of new tasks."""
+    fast_learner: Callable[[Evaluation, AnyEnv], AbstractFastLearner[Any]]
+    """What learns there, for checks alone."""
+    identity: Callable[[AnyEnv], str]
+    """What decides how it acts, besides the seed."""
     training: TrainJob | None = None
-    """The job that trains it; None for a run that exists."""
+    """The job that trains it, if it is trained here."""
+    run: Run | None = None
+    """Read, or as it will be created; None for what is never trained."""
 
     @property
-    def seed(self) -> int:
-        """Of its training."""
-        return self.run.settings.seed
+    def scratch(self) -> ScratchSpec | None:
+        """What the study says of a method from scratch; None for everything else."""
+        return self.who.scratch if isinstance(self.who, Untrained) else None
 
     @property
-    def identity(self) -> str:
-        """What decides how it acts."""
-        return self.who.job or " ".join(identity_of_run(self.run).values())
+    def training_steps(self) -> int | None:
+        """Environment steps of a run that exists."""
+        if self.run is None or self.training is not None:
+            return None
+        return self.run.latest().environment_steps
 
-    def check(self, evaluation: Evaluation, place: Place) -> int | None:
-        """Refuse an evaluation that it cannot have; return the length of its trials, if any.
+    def fitted(self, asked: Evaluation) -> Evaluation:
+        """Return an evaluation with its radius, and in no more tasks than the member is to have.
 
-        Raises:
-            RunError: rule, wrappers or budgets do not fit.
+        The radius is said because runs may have been trained with another one.
         """
-        method = self.run.settings.method
-        trained = Trained(self.run.learner, _blank_state(self.run), _no_prior)
+        own = self.scratch.num_tasks if self.scratch else None
+        counts = [count for count in (own, asked.num_tasks) if count]
+        radius = self.env(asked.reward, asked.sparse_radius).sparse_radius
+        return dataclasses.replace(
+            asked, num_tasks=min(counts, default=None), sparse_radius=radius or None
+        )
+
+    def check(self, asked: Evaluation) -> int | None:
+        """Refuse an evaluation that it cannot have; return the length of its trials, if any."""
+        env = self.env(asked.reward, asked.sparse_radius)
         try:
-            env = self.run.env(evaluation.reward, evaluation.sparse_radius)
-            learner = evaluation.fast_learner(trained, method, env)
+            return self.fast_learner(asked, env).capabilities.trial_episodes
         except _PriorIsAsked:
             return None
-        except RunError as error:
-            place.refuse(error)
-        return learner.capabilities.trial_episodes
+
+    def jobs_before(self, name: str, asked: Evaluation, env: AnyEnv) -> list[AbstractJob]:
+        """Return what an evaluation needs: training, and the prior of a search."""
+        jobs: list[AbstractJob] = [] if self.training is None else [self.training]
+        if self.run is None or not isinstance(self.who, TrainedRun) or asked.rule is None:
+            return jobs
+        if asked.rule.needs_return_prior:
+            digest = digest_of_document({"of": self.identity(env), "world": describe_env(env)})
+            prior = f"prior-{env.name}-{name}-seed-{self.seed}-{digest}"
+            steps = USUAL_PRIOR.steps(env, self.run.training_tasks)
+            jobs.append(PriorJob(prior, tuple(job.name for job in jobs), steps, self.who, asked))
+        return jobs
 
 
-def _blank_state(run: Run) -> Any:
-    """Return a state of zeros, for checks that do not depend on what was learned."""
-    return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), run.structure())
+def member_of_run(who: TrainedRun, run: Run, training: TrainJob | None = None) -> Member:
+    """Return a run as a member."""
+    config = run.config.document()
+
+    def fast_learner(asked: Evaluation, env: AnyEnv) -> AbstractFastLearner[Any]:
+        trained = Trained(run.learner, _blank_state(run), _no_prior)
+        return asked.fast_learner(trained, run.settings.method, env)
+
+    return Member(
+        who=who,
+        seed=run.settings.seed,
+        method=run.settings.method,
+        settings=leaves({**config["settings"], "learner": config["learner"]}),
+        env=run.env,
+        fast_learner=fast_learner,
+        identity=lambda _: who.job or " ".join(identity_of_run(run).values()),
+        training=training,
+        run=run,
+    )
 
 
-class _PriorIsAsked(Exception):
-    """Everything else of a search fits."""
+def untrained(
+    study: StudySpec,
+    family: str,
+    baseline: str = "",
+    scratch: ScratchSpec | None = None,
+    seed: int = 0,
+) -> Member:
+    """Return a baseline or a method from scratch. Of its settings those of the world count."""
+    settings = RunSettings(
+        family=family, variant=study.variant, engine=study.engine, num_threads=study.threads
+    )
+    who = Untrained(settings, scratch, baseline)
+    return Member(
+        who=who,
+        seed=seed,
+        method=scratch.method if scratch else "",
+        settings=fields_to_json(scratch) if scratch else {},
+        env=who.env,
+        fast_learner=lambda _, env: who.learner(env),
+        identity=lambda env: " ".join(written_out(who.learner(env)).split()),
+    )
 
 
-def _no_prior(*_: Any) -> Any:
-    raise _PriorIsAsked
+def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Member]:
+    """Return the seeds of a method from scratch."""
+    spec = study.scratch[name]
+    return [untrained(study, family, scratch=spec, seed=seed) for seed in spec.seeds or study.seeds]
 
 
-def members(study: StudySpec, name: str, family: str) -> Iterator[Member]:
-    """Yield the runs of one name on one family, one for each seed.
+def members_of_run(study: StudySpec, name: str, family: str) -> list[Member]:
+    """Return the seeds of a run on one family; none if it is not to be on that one.
 
     Raises:
         RunError: a setting cannot be, or a run that exists cannot be read.
     """
     spec, place = study.runs[name], Place(study.file) / "runs" / name
+    if family not in (spec.families or [family]):
+        return []
+    if spec.directories:
+        return [_existing(one, study, family, place) for one in spec.directories]
+    seeds = spec.seeds or study.seeds
+    made = (make_learner(study, spec, place, family, seed) for seed in seeds)
+    return [_to_train(name, *one, spec.init_from, place) for one in made]
+
+
+def _existing(directory: str, study: StudySpec, family: str, place: Place) -> Member:
     own_family = family if ":" in family else None
-    for directory in spec.directories:
-        run = Run.open(directory, own_family)
-        wanted = (resolve_family(family).name, study.variant)
-        found = (run.config.family, run.env().variant)
-        if found != wanted:
-            place.refuse(
-                f"`{run.directory}` must be a run on {' of variant '.join(wanted)}, got one on "
-                f"{' of variant '.join(found)}."
-            )
-        yield Member(TrainedRun(directory=directory, family=own_family), run)
-    for seed in () if spec.directories else spec.seeds or study.seeds:
-        learner, settings = made(study, spec, place, family, seed)
-        yield _trained(study, name, learner, settings, spec.init_from, place)
+    run = Run.open(directory, own_family)
+    wanted = (resolve_family(family).name, study.variant)
+    found = (run.config.family, run.env().variant)
+    if found != wanted:
+        place.refuse(
+            f"`{run.directory}` must be a run on {' of variant '.join(wanted)}, got one on "
+            f"{' of variant '.join(found)}."
+        )
+    who = TrainedRun(directory=directory, family=own_family)
+    return member_of_run(who, run)
 
 
-def made(
+def make_learner(
     study: StudySpec, spec: RunSpec, place: Place, family: str, seed: int
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     """Return learner and settings of a run that is to be trained; `RunError` with the wrong key."""
@@ -146,8 +221,7 @@ def made(
     return learner, settings
 
 
-def _trained(
-    study: StudySpec,
+def _to_train(
     name: str,
     learner: AbstractMetaLearner[Any, Any],
     settings: RunSettings,
@@ -175,7 +249,8 @@ def _trained(
         settings=settings,
         init_from=init_from,
     )
-    return Member(TrainedRun(job=job.name, family=settings.own_family), run, job)
+    who = TrainedRun(job=job.name, family=settings.own_family)
+    return member_of_run(who, run, job)
 
 
 def _training_steps(
@@ -190,3 +265,16 @@ def _training_steps(
     )
     episodes = inner.meta_batch_size * settings.episodes_per_task * rounds
     return int(settings.iterations * episodes * horizon)
+
+
+def _blank_state(run: Run) -> Any:
+    """Return a state of zeros, for checks that do not depend on what was learned."""
+    return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), run.structure())
+
+
+class _PriorIsAsked(Exception):
+    """Everything else of a search fits."""
+
+
+def _no_prior(*_: Any) -> Any:
+    raise _PriorIsAsked

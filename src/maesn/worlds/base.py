@@ -7,11 +7,12 @@ actions of every step. Rewards, observations and masks are pure functions of the
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from maesn.axes import HostReadings, Readings, RecurrentState
 from maesn.envs.base import AnyEnv
@@ -137,6 +138,26 @@ class AbstractWorld(ABC):
             SimulationFailure: the physics of a simulation blew up while its episode lived, or a
                 foreign environment did what it must not.
         """
+
+    pictures: Sequence[Sequence[UInt8[np.ndarray, "height width 3"]]] = ()
+    """Of the last episodes that were played, `[time][simulation]`, if `film` has returned True."""
+
+    def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
+        """Keep `pictures` that the environments draw of themselves, from now on.
+
+        Args:
+            shown: simulations that are filmed: the first ones of each batch.
+            stride: steps from one picture to the next. The last state has one in any case.
+            size: width and height of the pictures, in pixels.
+
+        Returns:
+            Whether the environments draw themselves. Only foreign ones can; states of all others
+            are drawn by `maesn.worlds.Scene`.
+
+        Raises:
+            SimulationFailure: an environment cannot be used.
+        """
+        return False
 
     @abstractmethod
     def close(self) -> None:

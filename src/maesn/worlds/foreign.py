@@ -5,12 +5,12 @@ import logging
 import os
 import pickle
 import weakref
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt32
+from jaxtyping import Array, UInt8, UInt32
 
 from maesn.axes import HostReadings
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
@@ -37,6 +37,14 @@ def default_num_workers() -> int:
     return os.cpu_count() or 1
 
 
+class _Camera(NamedTuple):
+    """See `GymnasiumWorld.film`."""
+
+    shown: int
+    stride: int
+    size: tuple[int, int]
+
+
 class GymnasiumWorld(AbstractWorld):
     """Plays an `AbstractGymnasiumEnv` in worker processes, which start when they are first needed.
 
@@ -48,6 +56,8 @@ class GymnasiumWorld(AbstractWorld):
         self._tasks = tasks
         self._num_workers = num_threads or default_num_workers()
         self._pool: WorkerPool | None = None
+        self._camera: _Camera | None = None
+        self.pictures: list[list[UInt8[np.ndarray, "height width 3"]]] = []
 
     @property
     def env(self) -> AbstractGymnasiumEnv:
@@ -70,6 +80,15 @@ class GymnasiumWorld(AbstractWorld):
             self.close()
             raise
 
+    def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
+        """See `AbstractWorld.film`. `make_env` must set `render_mode="rgb_array"`."""
+        try:
+            renders = self._open().renders(pickle.dumps(task_row(self._tasks.tasks, 0)))
+        except WorkerError as error:
+            raise SimulationFailure(error.simulation, 0, error.reason) from error
+        self._camera = _Camera(shown, stride, size) if renders else None
+        return renders
+
     def close(self) -> None:
         if self._pool is not None:
             self._pool.close()
@@ -82,17 +101,28 @@ class GymnasiumWorld(AbstractWorld):
         ]
         episodes = len(seeds) // len(rows)
         try:
-            return self._open().begin(
+            first = self._open().begin(
                 [row for row in rows for _ in range(episodes)], [int(seed) for seed in seeds]
             )
+            self.pictures = []
+            self._take_pictures(0, len(seeds))
+            return first
         except WorkerError as error:
             raise SimulationFailure(error.simulation, 0, error.reason) from error
 
     def _advance(self, decision: Decision, step: int) -> HostReadings:
         try:
-            return self._open().step(np.asarray(decision.control))
+            readings = self._open().step(np.asarray(decision.control))
+            self._take_pictures(step + 1, len(decision.control))
+            return readings
         except WorkerError as error:
             raise SimulationFailure(error.simulation, step, error.reason) from error
+
+    def _take_pictures(self, time: int, num_simulations: int) -> None:
+        camera = self._camera
+        if camera and (time % camera.stride == 0 or time == self._env.horizon):
+            shown = min(camera.shown, num_simulations)
+            self.pictures.append(self._open().pictures(shown, camera.size))
 
     def _open(self) -> WorkerPool:
         if self._pool is None:
