@@ -37,7 +37,8 @@ test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged fil
 soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end
 	@PYTHONPATH=tests $(BIN)/python -m faults.soak $(SOAK)
 
-# Meta-World needs a MuJoCo that the engine of our own robots is too new for, and sb3-contrib PyTorch.
+# Meta-World needs a MuJoCo that the engine of our own robots is too new for, sb3-contrib PyTorch, and
+# rliable an older pandas.
 EXTERNAL := .venv-external
 test-external: | $(EXTERNAL)/.ready ## Test against other libraries, in an environment of their own
 	@$(EXTERNAL)/bin/python -m pytest --quiet --tb=short tests/external
@@ -46,7 +47,7 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest \
-	  sb3-contrib torch wandb
+	  rliable sb3-contrib torch wandb
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and which package imports which

@@ -1,5 +1,6 @@
 """Policies: what maps an observation and a context to a distribution of actions."""
 
+from maesn.policies.annealed import AnnealedGaussianMLP as AnnealedGaussianMLP
 from maesn.policies.base import AbstractPolicy as AbstractPolicy
 from maesn.policies.base import AbstractPolicySettings as AbstractPolicySettings
 from maesn.policies.base import PolicyInput as PolicyInput

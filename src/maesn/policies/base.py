@@ -1,12 +1,12 @@
 """What every policy sees and returns."""
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.numerics import AbstractDistribution
@@ -103,3 +103,12 @@ class AbstractPolicySettings(eqx.Module):
         self, key: Key, observation_size: int, action_size: int, z_size: int
     ) -> AbstractPolicy:
         """Return freshly initialised weights."""
+
+    def after_iteration(self, policy: Any, iteration: Int[Array, ""]) -> Any:
+        """Return what becomes of a policy at the end of a meta-iteration, beside what it learned.
+
+        Args:
+            policy: as `init` returns it, improved.
+            iteration: number of meta-iterations that are done, this one included.
+        """
+        return policy

@@ -21,7 +21,7 @@ from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import CategoricalMLP, GaussianMLP, Recurrent
+from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
 from maesn.settings import leaves
 
 Settings = TypeVar("Settings")
@@ -33,6 +33,7 @@ REGISTRY: dict[str, type[eqx.Module]] = {
     for settings in (
         Adaptation,
         AdvantageEstimator,
+        AnnealedGaussianMLP,
         BiasContext,
         CategoricalMLP,
         learners.BonusMetaLearner,

@@ -261,7 +261,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
             step_weights(objective.post.every(*outer)),
         )
-        after = GradientState(improved, state.iteration + 1, objective.statistics_after())
+        done = state.iteration + 1
+        policy = self.policy.after_iteration(improved.policy, done)
+        after = GradientState(replace(improved, policy=policy), done, objective.statistics_after())
         return (after, describe_step(objective, parameters, improved, step)), None
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
