@@ -4,7 +4,7 @@
     python benchmarks/scaling.py study
 
 Every process has one thread, XLA's included. Compilation is excluded. From what two processes
-measure follows a model of more hosts (`docs/cluster.md` says what is in it).
+measure follows a model of more hosts (`docs/howto/cluster.md` says what is in it).
 """
 
 import dataclasses
