@@ -14,10 +14,9 @@ from tyro.conf import Positional
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluation import running, tables
+from maesn.evaluation import arguments, running, tables
 from maesn.evaluation.evaluation import USUAL
-from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.explorer import record_explorer
+from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
@@ -78,10 +77,10 @@ def train(
 
 
 def resume(
-    run: Positional[running.AnyRun],
+    run: Positional[arguments.AnyRun],
     iterations: int | None = None,
-    family: running.AnyFamily = None,
-    change: running.AnyChange = None,
+    family: arguments.AnyFamily = None,
+    change: arguments.AnyChange = None,
     keep: int = KEEP,
     sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE,
 ) -> Run:
@@ -112,12 +111,12 @@ def resume(
 
 
 def adapt(
-    run: Positional[running.AnyRun],
-    evaluation: running.AnyEvaluation = USUAL,
+    run: Positional[arguments.AnyRun],
+    evaluation: arguments.AnyEvaluation = USUAL,
     *,
-    out: running.OptionalPath = None,
-    start: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    out: arguments.OptionalPath = None,
+    start: arguments.OptionalPath = None,
+    family: arguments.AnyFamily = None,
     **settings: Any,
 ) -> tables.Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
@@ -147,12 +146,12 @@ def adapt(
 
 
 def prior(
-    run: Positional[running.AnyRun],
+    run: Positional[arguments.AnyRun],
     settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
-    family: running.AnyFamily = None,
+    family: arguments.AnyFamily = None,
 ) -> Path:
     """Play an archive of latents in the training tasks: the prior of the rule `search`.
 
@@ -179,14 +178,14 @@ def prior(
 
 
 def export(
-    run: Positional[running.AnyRun],
-    path: Positional[running.AnyPath],
-    family: running.AnyFamily = None,
+    run: Positional[arguments.AnyRun],
+    path: Positional[arguments.AnyPath],
+    family: arguments.AnyFamily = None,
     *,
-    latents: running.OptionalPath = None,
+    latents: arguments.OptionalPath = None,
     task: int | None = None,
-    rule: running.AnyRule = None,
-    overwrite: running.Flag = False,
+    rule: arguments.AnyRule = None,
+    overwrite: arguments.Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -238,9 +237,9 @@ class Reported(NamedTuple):
 
 
 def report(
-    of: Positional[Sequence[running.AnyRun]],
-    out: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    of: Positional[Sequence[arguments.AnyRun]],
+    out: arguments.OptionalPath = None,
+    family: arguments.AnyFamily = None,
 ) -> Reported:
     """Draw the figures of one or several runs, or figures and tables of a study.
 

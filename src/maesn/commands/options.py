@@ -12,8 +12,8 @@ from typing import Any
 import tyro
 import tyro._strings
 
+from maesn.evaluation.arguments import evaluation_from_text
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import evaluation_from_text
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.settings import suggestion
 from maesn.storage import refusals

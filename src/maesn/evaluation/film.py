@@ -13,6 +13,7 @@ from tyro.conf import Positional
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
 from maesn.evaluation import running
+from maesn.evaluation.arguments import AnyEvaluation, AnyFamily, AnyRun, OptionalPath
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.evaluation.tables import adaptation_file
@@ -32,14 +33,14 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    run: Positional[running.AnyRun],
-    evaluation: running.AnyEvaluation = USUAL,
+    run: Positional[AnyRun],
+    evaluation: AnyEvaluation = USUAL,
     *,
     task: int = 0,
     after: Sequence[int] | None = None,
     shown: int = 4,
-    out: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    out: OptionalPath = None,
+    family: AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
@@ -70,7 +71,6 @@ def render(
         raise RunError("`after` must be at least one number of episodes.")
     with refusals():
         asked.check_reached("after", after)
-    updates = [count // each for count in sorted(set(after))]
     if not 1 <= shown <= _MOST_SHOWN:
         raise RunError(f"`shown` must be from 1 to {_MOST_SHOWN}, got {shown}.")
     with running.new_tasks(run, asked) as (world, learner):
@@ -81,7 +81,7 @@ def render(
         if not world.film(shown, stride, (_WIDTH, _HEIGHT)):
             # Raises where pictures cannot be drawn, before minutes are spent on playing.
             Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
-        played = record_adaptation(learner, world, asked, task, updates, shown)
+        played = record_adaptation(learner, world, asked, task, sorted(set(after)), shown)
         goal = world.tasks[task]
     rows = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
@@ -108,17 +108,16 @@ class Filmed(NamedTuple):
 
 
 class Playback(NamedTuple):
-    """Some episodes of one task that were played after a number of updates."""
+    """Some episodes of one task that were played from some time on."""
 
-    update: int
-    mean_return: float
-    """Over all episodes of the updates that were played, not only those that are kept here."""
-    success_rate: float
-    """Share of all these that reach the goal region at some time."""
-    num_played: int
-    """Their number."""
     before: int
     """Number of episodes that were learned from before."""
+    num_played: int
+    """Number of episodes of the updates that were played, more than those that are kept here."""
+    mean_return: float
+    """Over all of them."""
+    success_rate: float
+    """Share of them that reach the goal region at some time."""
     episodes: list[Filmed]
 
 
@@ -127,51 +126,57 @@ def record_adaptation(
     world: AbstractWorld,
     evaluation: Evaluation,
     task: int,
-    updates: Sequence[int],
+    after: Sequence[int],
     shown: int,
 ) -> list[Playback]:
     """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
 
-    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept: those
-    of several updates where one has fewer.
+    Whenever so many episodes have been learned from as `after` says, the first `shown` that are
+    played from then on are kept: those of several updates where one has fewer.
     """
     each = evaluation.budget.per_update
-    wanted = {first: range(first, first + math.ceil(shown / each)) for first in updates}
-    last = max(wanted[max(updates)])
+    span = math.ceil(shown / each)
+    updates = {before: range(before // each, before // each + span) for before in after}
+    wanted = {update for played in updates.values() for update in played}
     kept: dict[int, list[Filmed]] = {}
 
-    def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
-        if any(stage in stages for stages in wanted.values()):
-            # With one task at a time, its episodes are the simulations.
-            filmed = [_filmed(episodes, readings, episode) for episode in range(min(each, shown))]
-            drawn = zip(*world.pictures, strict=True) if world.pictures else [()] * len(filmed)
-            kept[stage] = [
-                one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
-            ]
+    def keep(episodes: Episodes, readings: Readings | HostReadings, update: int) -> None:
+        if update in wanted:
+            kept[update] = _filmed(episodes, readings, world.pictures)[:shown]
 
+    collect = Collector(world, each, keep)
     curves = adapt(
-        learner,
-        Collector(world, each, keep),
-        episodes=last * each,
-        seed=evaluation.seed,
-        tasks=[task],
+        learner, collect, episodes=max(wanted) * each, seed=evaluation.seed, tasks=[task]
     ).explored
-    returns, rates = np.asarray(curves.mean_return[0]), np.asarray(curves.success_rate[0])
-    playbacks = []
-    for first, stages in wanted.items():
-        means = float(returns[stages].mean()), float(rates[stages].mean())
-        filmed = [episode for stage in stages for episode in kept[stage]][:shown]
-        playbacks.append(Playback(first, *means, each * len(stages), each * first, filmed))
-    return playbacks
+    return [
+        Playback(
+            before,
+            each * len(played),
+            float(curves.mean_return[0, played].mean()),
+            float(curves.success_rate[0, played].mean()),
+            [episode for update in played for episode in kept[update]][:shown],
+        )
+        for before, played in updates.items()
+    ]
 
 
-def _filmed(episodes: Episodes, readings: Readings | HostReadings, episode: int) -> Filmed:
-    """Return one episode of the only task."""
-    valid, solved = (np.asarray(x[0, episode]) for x in (episodes.valid, episodes.solved))
-    total_return = float(episodes.undiscounted_return[0, episode])
-    return Filmed(
-        _lived(readings, episode, int(valid.sum())), total_return, bool((valid & solved).any())
-    )
+def _filmed(
+    episodes: Episodes,
+    readings: Readings | HostReadings,
+    pictures: Sequence[Sequence[Picture]],
+) -> list[Filmed]:
+    """Return the episodes of the only task, which are the simulations."""
+    valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
+    drawn = dict(enumerate(zip(*pictures, strict=True)))
+    return [
+        Filmed(
+            _lived(readings, number, int(valid[number].sum())),
+            float(total_return),
+            bool((valid & solved)[number].any()),
+            drawn.get(number, ()),
+        )
+        for number, total_return in enumerate(episodes.undiscounted_return[0])
+    ]
 
 
 def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
@@ -184,45 +189,42 @@ def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> H
 def draw(env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> list[Row]:
     """Show the episodes of one task, one picture every `stride` steps, all from the same place."""
     filmed = [episode for playback in played for episode in playback.episodes]
-    if any(not episode.pictures for episode in filmed):
-        drawn = _draw_states(env, task, [episode.states for episode in filmed], stride)
-        filmed = [
-            one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
-        ]
-    rows, rest = [], iter(filmed)
+    if all(episode.pictures for episode in filmed):
+        drawn = iter([episode.pictures for episode in filmed])
+    else:
+        drawn = iter(_draw_states(env, task, [episode.states for episode in filmed], stride))
+    rows = []
     for playback in played:
-        done = f"after {playback.before} episodes"
+        cells = []
+        for number, episode in enumerate(playback.episodes, start=1):
+            reached = ", goal reached" if episode.solved else ""
+            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            cells.append(Cell(caption, episode.solved, next(drawn)))
+        done = f"after {playback.before} episodes" if playback.before else "before adaptation"
         title = (
-            f"{done if playback.update else 'before adaptation'}: mean return "
-            f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of "
+            f"{done}: mean return {playback.mean_return:.1f}, {playback.success_rate:.0%} of "
             f"{playback.num_played} episodes reach the goal"
         )
-        cells = [_cell(number, next(rest)) for number in range(1, len(playback.episodes) + 1)]
         rows.append(Row(title, cells))
     return rows
 
 
-def _cell(number: int, episode: Filmed) -> Cell:
-    reached = ", goal reached" if episode.solved else ""
-    caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
-    return Cell(caption, episode.solved, episode.pictures)
-
-
 def _draw_states(
     env: AnyEnv, task: Any, episodes: Sequence[HostReadings], stride: int
-) -> list[list[Picture]]:
+) -> list[Sequence[Picture]]:
     drawn = [*episodes, *(jax.tree.map(lambda x: x[-1:], states) for states in episodes)]
     seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
     goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
     times = [*range(0, env.horizon, stride), env.horizon]
-    pictures: list[list[Picture]] = []
     with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
-        for states in episodes:
-            path = places(env, states)
-            pictures.append([])
-            for time in times:
-                now = min(time, len(path) - 1)  # an episode that has ended stands still
-                present = {name: value[now] for name, value in states.items()}
-                trail = np.concatenate([path[:now:stride], path[now : now + 1]])
-                pictures[-1].append(scene.draw(present, task, trail))
-    return pictures
+
+        def picture(states: HostReadings, path: np.ndarray, time: int) -> Picture:
+            now = min(time, len(path) - 1)  # an episode that has ended stands still
+            trail = np.concatenate([path[:now:stride], path[now : now + 1]])
+            return scene.draw({name: x[now] for name, x in states.items()}, task, trail)
+
+        paths = [places(env, states) for states in episodes]
+        return [
+            [picture(states, path, time) for time in times]
+            for states, path in zip(episodes, paths, strict=True)
+        ]

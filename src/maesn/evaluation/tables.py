@@ -20,7 +20,7 @@ from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.storage import explained, read_arrays, write_arrays, write_json, write_rows
-from maesn.worlds import AbstractWorld, EngineName, engine_of
+from maesn.worlds import AbstractWorld, engine_of
 
 
 def identity_of_run(run: Run) -> dict[str, str]:
@@ -30,24 +30,15 @@ def identity_of_run(run: Run) -> dict[str, str]:
 
 
 def adaptation_record(
-    who: Mapping[str, str],
-    world: AbstractWorld,
-    engine: EngineName,
-    evaluation: Evaluation,
-    first_update: int = 0,
+    run: Run, world: AbstractWorld, evaluation: Evaluation, outcome: AdaptationOutcome
 ) -> dict[str, Any]:
-    """Return all that decides the curves of an adaptation, as JSON values.
-
-    `who` has the texts `learner` and `weights`, empty for a learner that was not trained before;
-    `engine` is the name by which the world's engine was asked for, and `first_update` the number of
-    updates that lay before.
-    """
+    """Return all that decides the curves of an adaptation, as JSON values."""
     return {
-        **who,
+        **identity_of_run(run),
         "rule": evaluation.rule_text,
         "label": evaluation.label,
         "world": describe_env(world.env),
-        "engine": engine_of(world.env, engine),
+        "engine": engine_of(world.env, evaluation.engine or run.settings.engine),
         "task_digest": world.tasks.digest(),
         "episodes_per_update": evaluation.budget.per_update,
         "deploy_episodes": evaluation.budget.deploy,
@@ -55,7 +46,8 @@ def adaptation_record(
         "seed": evaluation.seed,
         "num_tasks": evaluation.count(world.tasks),
         "episodes": evaluation.budget.episodes,
-        "first_update": first_update,
+        "first_update": outcome.first_update,
+        "trial_episodes": outcome.trial_episodes,
     }
 
 
