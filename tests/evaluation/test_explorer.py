@@ -11,6 +11,7 @@ from maesn.evaluation import exploration
 from maesn.learners import maml
 from maesn.policies import GaussianMLP
 from maesn.reporting.explorer import read_latent_paths, read_searches
+from maesn.reporting.runs import read_exploration
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.search.prior import PriorSettings
@@ -67,9 +68,18 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
 
 
-def test_a_run_without_latents_records_nothing(tmp_path: Path) -> None:
+def test_a_run_without_latents_has_none_to_show(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
     finish(made)
     exploration.record_explorer(made)
     assert read_latent_paths(made.directory) is None
     assert read_searches(made.directory) is None
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
+    exploration.record_exploration(made)
+    recorded = read_exploration(made.directory)
+    assert recorded is not None
+    assert recorded.prior_paths.shape == recorded.untrained_paths.shape == (5, 41, 2)
+    assert recorded.fixed_paths is None
+    assert recorded.prior_latents is None

@@ -2,13 +2,13 @@
 
 import itertools
 from contextlib import closing
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.envs import AnyEnv
 from maesn.evaluation.evaluate import adapt
@@ -16,7 +16,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, GradientFastLearner
+from maesn.learners import GradientFastLearner
 from maesn.reporting.explorer import LATENT_PATHS, SEARCHES, LatentPaths, RecordedSearches
 from maesn.reporting.runs import EXPLORATION, RecordedExploration
 from maesn.rules import SearchRule
@@ -39,29 +39,10 @@ _POINTS = 40  # positions kept of each path
 _TASKS, _EPISODES = 8, 10  # of the searches
 
 
-class Exploration(NamedTuple):
-    """Planar paths of an agent that has not learned anything about its task yet, in metres."""
-
-    prior_paths: Float[np.ndarray, "episode time_plus_1 2"]
-    """z drawn from the prior in every episode."""
-    prior_latents: Float[np.ndarray, "episode z"]
-    """The z of those episodes."""
-    fixed_paths: Float[np.ndarray, "episode time_plus_1 2"] | None
-    """z held at the prior's mean: the noise of the actions alone. None without a latent."""
-
-
-def explore(
-    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1
-) -> Exploration:
-    """Play in the first tasks of a world, once drawing z and once holding it at its mean."""
-    keys = jax.random.split(jax.random.key(0), num_tasks)
-    tasks = jnp.arange(num_tasks) % collect.num_tasks
-    agents, env = learner.agents(learner.init(keys)), collect.world.env
-    drawn = collect(keys, agents, tasks)
-    fixed = None
-    if isinstance(agents.context, Latent):
-        fixed = np.concatenate(_paths(env, collect(keys, agents.at_mean(), tasks)))
-    return Exploration(np.concatenate(_paths(env, drawn)), np.concatenate(drawn.z), fixed)
+def explore(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[np.ndarray, np.ndarray]:
+    """Play in the first tasks of a world; return paths, `[episode, time_plus_1, 2]`, and z."""
+    episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
+    return np.concatenate(_paths(collect.world.env, episodes)), np.concatenate(episodes.z)
 
 
 def _paths(env: AnyEnv, episodes: Episodes) -> Float[np.ndarray, "task episode time_plus_1 2"]:
@@ -86,10 +67,16 @@ def _at(path: np.ndarray, times: np.ndarray) -> np.ndarray:
 def record_exploration(run: Run) -> None:
     """Play and record what the figures of exploration show, in the run's directory."""
     tasks, env = run.task_set("test"), run.env()
+    keys = jax.random.split(jax.random.key(0), EXPLORATION_TASKS)
     old, new = map(run.learner.fast_learner, (run.latest_state(), run.untrained_state()))
+    trained, untrained = (one.agents(one.init(keys)) for one in (old, new))
     with closing(run.world(tasks)) as world:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-        trained, untrained = (explore(one, collect, EXPLORATION_TASKS) for one in (old, new))
+        untrained_paths, _ = explore(untrained, collect, keys)
+        prior_paths, prior_latents = explore(trained, collect, keys)
+        fixed_paths = None
+        if isinstance(trained.context, Latent):
+            fixed_paths, _ = explore(trained.at_mean(), collect, keys)
         # As many episodes of every task as the trained policy's share of goals is counted among.
         reach = adapt(new, Collector(world, EXPLORATION_EPISODES), episodes=0).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
@@ -97,13 +84,15 @@ def record_exploration(run: Run) -> None:
         training_goals=np.asarray(goal(run.training_tasks.tasks)),
         goals=np.asarray(goal(tasks.tasks)),
         sparse_radius=env.sparse_radius,
-        untrained_paths=untrained.prior_paths,
+        prior_paths=prior_paths,
+        untrained_paths=untrained_paths,
         untrained_success_rate=np.asarray(reach.success_rate[:, 0]),
         solved_at_reset=np.asarray(reach.solved_at_reset[:, 0]),
         episodes_per_task=EXPLORATION_EPISODES,
         training_landmarks=np.asarray(landmarks(run.training_tasks.tasks)),
         landmarks=np.asarray(landmarks(tasks.tasks)),
-        **trained._asdict(),
+        fixed_paths=fixed_paths,
+        prior_latents=prior_latents,
     )
     # What a family or a method lacks is None, or has no elements.
     held = vars(recorded).items()
@@ -120,9 +109,7 @@ def record_explorer(run: Run) -> None:
         RunError: the prior is of another checkpoint.
     """
     learner = run.learner.fast_learner(run.latest_state())
-    if not isinstance(learner, GradientFastLearner):
-        return
-    if not isinstance(learner.context_table, Latent):
+    if not (isinstance(learner, GradientFastLearner) and isinstance(learner.context_table, Latent)):
         return
     latents = spread_latents(learner.context_table.size)
     mean = jnp.asarray(latents, jnp.float32)

@@ -1,10 +1,11 @@
 """Pictures of a trained policy at work: exploration before, behaviour after adaptation."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -83,7 +84,7 @@ def render(
             Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
         played = record_adaptation(learner, world, asked, task, sorted(set(after)), shown)
         goal = world.tasks[task]
-    rows = draw(env, goal, played, stride)
+    rows = draw(env, goal, played, stride, shown)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
@@ -107,18 +108,8 @@ class Filmed(NamedTuple):
     """That its environment has drawn; none if states are to be drawn."""
 
 
-class Playback(NamedTuple):
-    """Some episodes of one task that were played from some time on."""
-
-    before: int
-    """Number of episodes that were learned from before."""
-    num_played: int
-    """Number of episodes of the updates that were played, more than those that are kept here."""
-    mean_return: float
-    """Over all of them."""
-    success_rate: float
-    """Share of them that reach the goal region at some time."""
-    episodes: list[Filmed]
+Played: TypeAlias = Mapping[int, Sequence[Filmed]]
+"""Number of episodes that were learned from before -> the episodes that were played next."""
 
 
 def record_adaptation(
@@ -128,36 +119,24 @@ def record_adaptation(
     task: int,
     after: Sequence[int],
     shown: int,
-) -> list[Playback]:
-    """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
+) -> Played:
+    """Adapt to one task as `maesn.adapt` does, and keep some of the episodes.
 
-    Whenever so many episodes have been learned from as `after` says, the first `shown` that are
-    played from then on are kept: those of several updates where one has fewer.
+    After these numbers of episodes, all of the next update are kept; of the next updates, if one
+    has fewer than `shown`.
     """
     each = evaluation.budget.per_update
-    span = math.ceil(shown / each)
-    updates = {before: range(before // each, before // each + span) for before in after}
-    wanted = {update for played in updates.values() for update in played}
-    kept: dict[int, list[Filmed]] = {}
+    played: dict[int, list[Filmed]] = {before: [] for before in after}
 
     def keep(episodes: Episodes, readings: Readings | HostReadings, update: int) -> None:
-        if update in wanted:
-            kept[update] = _filmed(episodes, readings, world.pictures)[:shown]
+        for before in after:
+            if 0 <= update * each - before < shown:
+                played[before] += _filmed(episodes, readings, world.pictures)
 
+    episodes = (max(after) + shown - 1) // each * each
     collect = Collector(world, each, keep)
-    curves = adapt(
-        learner, collect, episodes=max(wanted) * each, seed=evaluation.seed, tasks=[task]
-    ).explored
-    return [
-        Playback(
-            before,
-            each * len(played),
-            float(curves.mean_return[0, played].mean()),
-            float(curves.success_rate[0, played].mean()),
-            [episode for update in played for episode in kept[update]][:shown],
-        )
-        for before, played in updates.items()
-    ]
+    adapt(learner, collect, episodes=episodes, seed=evaluation.seed, tasks=[task])
+    return played
 
 
 def _filmed(
@@ -166,17 +145,12 @@ def _filmed(
     pictures: Sequence[Sequence[Picture]],
 ) -> list[Filmed]:
     """Return the episodes of the only task, which are the simulations."""
-    valid, solved = np.asarray(episodes.valid[0]), np.asarray(episodes.solved[0])
-    drawn = dict(enumerate(zip(*pictures, strict=True)))
-    return [
-        Filmed(
-            _lived(readings, number, int(valid[number].sum())),
-            float(total_return),
-            bool((valid & solved)[number].any()),
-            drawn.get(number, ()),
-        )
-        for number, total_return in enumerate(episodes.undiscounted_return[0])
-    ]
+    lengths = np.asarray(episodes.valid[0].sum(-1)).tolist()
+    returns = np.asarray(episodes.undiscounted_return[0]).tolist()
+    solved = np.asarray((episodes.valid & episodes.solved)[0].any(-1)).tolist()
+    states = [_lived(readings, number, length) for number, length in enumerate(lengths)]
+    drawn = zip(*pictures, strict=True)  # of the first ones alone, if any
+    return [Filmed(*one) for one in zip_longest(states, returns, solved, drawn, fillvalue=())]
 
 
 def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
@@ -186,25 +160,26 @@ def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> H
     return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
 
 
-def draw(env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> list[Row]:
-    """Show the episodes of one task, one picture every `stride` steps, all from the same place."""
-    filmed = [episode for playback in played for episode in playback.episodes]
-    if all(episode.pictures for episode in filmed):
-        drawn = iter([episode.pictures for episode in filmed])
-    else:
-        drawn = iter(_draw_states(env, task, [episode.states for episode in filmed], stride))
+def draw(env: AnyEnv, task: Any, played: Played, stride: int, shown: int) -> list[Row]:
+    """Show the first episodes of each time, one picture every `stride` steps, from one place."""
+    filmed = [episode for episodes in played.values() for episode in episodes[:shown]]
+    pictures = iter([episode.pictures for episode in filmed])
+    if not all(episode.pictures for episode in filmed):
+        pictures = iter(_draw_states(env, task, [episode.states for episode in filmed], stride))
     rows = []
-    for playback in played:
+    for before, episodes in played.items():
+        mean_return = np.mean([episode.total_return for episode in episodes])
+        success_rate = np.mean([episode.solved for episode in episodes])
+        when = f"after {before} episodes" if before else "before adaptation"
+        title = (
+            f"{when}: mean return {mean_return:.1f}, {success_rate:.0%} of {len(episodes)} "
+            "episodes reach the goal"
+        )
         cells = []
-        for number, episode in enumerate(playback.episodes, start=1):
+        for number, episode in enumerate(episodes[:shown], start=1):
             reached = ", goal reached" if episode.solved else ""
             caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
-            cells.append(Cell(caption, episode.solved, next(drawn)))
-        done = f"after {playback.before} episodes" if playback.before else "before adaptation"
-        title = (
-            f"{done}: mean return {playback.mean_return:.1f}, {playback.success_rate:.0%} of "
-            f"{playback.num_played} episodes reach the goal"
-        )
+            cells.append(Cell(caption, episode.solved, next(pictures)))
         rows.append(Row(title, cells))
     return rows
 
