@@ -8,14 +8,7 @@ import tyro
 
 from maesn.envs import AnyEnv, RewardKind
 from maesn.learners import AbstractFastLearner
-from maesn.rules import (
-    AbstractRule,
-    AbstractWrapper,
-    Budget,
-    Trained,
-    default_rule,
-    written_out,
-)
+from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule, written_out
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals

@@ -13,11 +13,10 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
-from maesn.evaluation import running
 from maesn.evaluation.arguments import AnyEvaluation, AnyFamily, AnyRun, OptionalPath
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, Evaluation
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.running import adaptation_file, new_tasks, open_run
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
@@ -64,7 +63,7 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = running.open_run(run, family), evaluation
+    run, asked = open_run(run, family), evaluation
     each = asked.budget.per_update
     if after is None:
         after = (0, asked.budget.episodes // each // 2 * each)
@@ -74,7 +73,7 @@ def render(
         asked.check_reached("after", after)
     if not 1 <= shown <= _MOST_SHOWN:
         raise RunError(f"`shown` must be from 1 to {_MOST_SHOWN}, got {shown}.")
-    with running.new_tasks(run, asked) as (world, learner):
+    with new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env

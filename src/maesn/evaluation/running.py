@@ -1,25 +1,43 @@
-"""A trained run in new tasks, from what a user names to curves and their record."""
+"""A trained run in new tasks: from what a user names to curves, and to the files of them.
 
-from collections.abc import Iterator, Sequence
+Beside a table of curves stand the latents and a record, which says what decides the curves: two
+that agree in it are the same curves.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from maesn.context import Latent
+from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.arguments import AnyFamily, AnyRun
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt
+from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import adaptation_record, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.reporting.reading import LATENTS, RECORD, TableName, read_record
+from maesn.reporting.runs import Latents
 from maesn.rules import Trained
+from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
+from maesn.runs.serialization import digest
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
-from maesn.storage import RunError, refuse_links
-from maesn.worlds import AbstractWorld, check_policy
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    refuse_links,
+    write_arrays,
+    write_json,
+    write_rows,
+)
+from maesn.worlds import AbstractWorld, check_policy, engine_of
 from maesn.worlds.collector import Collector
 
 
@@ -50,10 +68,7 @@ def new_tasks(
 
 
 def evaluate(
-    run: Run,
-    evaluation: Evaluation,
-    start: Path | None = None,
-    tasks: Sequence[int] | None = None,
+    run: Run, evaluation: Evaluation, start: Path | None = None, tasks: Sequence[int] | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
     """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record.
 
@@ -62,7 +77,22 @@ def evaluate(
     with new_tasks(run, evaluation) as (world, learner):
         saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
         outcome = play(world, learner, evaluation, saved, tasks)
-        return outcome, adaptation_record(run, world, evaluation, outcome)
+    return outcome, {
+        **identity_of_run(run),
+        "rule": evaluation.rule_text,
+        "label": evaluation.label,
+        "world": describe_env(world.env),
+        "engine": engine_of(world.env, evaluation.engine or run.settings.engine),
+        "task_digest": world.tasks.digest(),
+        "episodes_per_update": evaluation.budget.per_update,
+        "deploy_episodes": evaluation.budget.deploy,
+        "deploy_after": list(evaluation.deploy_after),
+        "seed": evaluation.seed,
+        "num_tasks": evaluation.count(world.tasks),
+        "episodes": evaluation.budget.episodes,
+        "first_update": outcome.first_update,
+        "trial_episodes": outcome.trial_episodes,
+    }
 
 
 def play(
@@ -87,6 +117,12 @@ def play(
     )
 
 
+def identity_of_run(run: Run) -> dict[str, str]:
+    """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
+    learner = f"{run.settings.method} {digest(run.learner)}"
+    return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
+
+
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:
     # A start at the prior has no use for keys.
     state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
@@ -103,3 +139,66 @@ def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: in
             f"{list(wanted.mean.shape)} are to be adapted: give the task set and the run of before."
         )
     return SavedContexts(latents, updates)
+
+
+def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
+    """Return where a table of adaptation curves goes by default.
+
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM-DIGEST` for a
+    user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
+    adaptation goes on; behind it number of tasks, sparse radius and engine, each where it is not
+    the usual one, so that what cannot be compared never shares a figure. Behind the reward stand
+    rule and wrappers.
+    """
+    name = evaluation.tasks
+    if name not in NAMED_SETS:
+        held = read_arrays(Path(name), "give an .npz file of tasks")
+        name = f"file-{Path(name).stem}-{digest_of_arrays(held)[:6]}"
+    parts = {
+        f"from-{first_update}-{name}" if first_update else name: True,
+        f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
+        f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
+        f"-on-{evaluation.engine}": evaluation.engine,
+    }
+    tasks = "".join(part for part, given in parts.items() if given)
+    return TableName(tasks, evaluation.reward, evaluation.suffix).path(directory)
+
+
+class Adapted(NamedTuple):
+    """What `maesn.adapt` has done."""
+
+    outcome: AdaptationOutcome
+    table: Path
+    """The curves, a `.csv` file."""
+    latents: Path | None
+    """The adapted latents, an `.npz` file, `[task, update, z]`; None where none are adapted."""
+
+    @property
+    def curves(self) -> AdaptationCurves:
+        """The curves that judge the method, `[task, update]` each."""
+        return self.outcome.curves
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
+    """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
+    # In this order: a record never stands beside curves that it does not belong to.
+    with explained("replace", table.with_suffix(RECORD)):
+        table.with_suffix(RECORD).unlink(missing_ok=True)
+    write_rows(table, as_rows(outcome))
+    write_json(table.with_suffix(RECORD), dict(record))
+    if not isinstance(outcome.contexts, Latent):
+        return Adapted(outcome, table, None)
+    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
+    held = Latents(mean, log_std, outcome.first_update)
+    write_arrays(table.with_suffix(LATENTS), vars(held))
+    return Adapted(outcome, table, table.with_suffix(LATENTS))
+
+
+def read_latents(path: Path) -> tuple[Latent, int]:
+    """Read the last latents of an adaptation, `[task, z]`, and the number of updates behind them.
+
+    A file that cannot be read or is something else is a `RunError`.
+    """
+    read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
+    mean, log_std = (jnp.asarray(x[:, -1], jnp.float32) for x in (read.mean, read.log_std))
+    return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

@@ -12,7 +12,7 @@ from maesn import learners
 from maesn.envs import AnyEnv, RewardKind, describe_env
 from maesn.envs.sources import find_tasks, imported, resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import identity_of_run
+from maesn.evaluation.running import identity_of_run
 from maesn.learners import (
     AbstractFastLearner,
     AbstractMetaLearner,
