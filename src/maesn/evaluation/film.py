@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -144,12 +143,18 @@ def _filmed(
     pictures: Sequence[Sequence[Picture]],
 ) -> list[Filmed]:
     """Return the episodes of the only task, which are the simulations."""
-    lengths = np.asarray(episodes.valid[0].sum(-1)).tolist()
-    returns = np.asarray(episodes.undiscounted_return[0]).tolist()
-    solved = np.asarray((episodes.valid & episodes.solved)[0].any(-1)).tolist()
-    states = [_lived(readings, number, length) for number, length in enumerate(lengths)]
-    drawn = zip(*pictures, strict=True)  # of the first ones alone, if any
-    return [Filmed(*one) for one in zip_longest(states, returns, solved, drawn, fillvalue=())]
+    lengths = np.asarray(episodes.valid[0].sum(-1))
+    solved = np.asarray((episodes.valid & episodes.solved)[0].any(-1))
+    drawn = dict(enumerate(zip(*pictures, strict=True)))  # the first ones alone, if any
+    return [
+        Filmed(
+            _lived(readings, number, int(lengths[number])),
+            float(total_return),
+            bool(solved[number]),
+            drawn.get(number, ()),
+        )
+        for number, total_return in enumerate(episodes.undiscounted_return[0])
+    ]
 
 
 def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
