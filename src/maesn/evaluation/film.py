@@ -120,8 +120,8 @@ def record_adaptation(
 ) -> Played:
     """Adapt to one task as `maesn.adapt` does, and keep some of the episodes.
 
-    After these numbers of episodes, all of the next update are kept; of the next updates, if one
-    has fewer than `shown`.
+    After each of these numbers, all episodes of the next update are kept, or of the next updates
+    until there are `shown`.
     """
     each = evaluation.budget.per_update
     played: dict[int, list[Filmed]] = {before: [] for before in after}
