@@ -16,8 +16,8 @@ import numpy as np
 
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import from_text, new_tasks
-from maesn.rules import SearchRule
+from maesn.evaluation.running import new_tasks
+from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import ReturnModel, ReturnPrior, matern

@@ -13,7 +13,7 @@ import pytest
 import maesn
 from maesn import api, cli
 from maesn.evaluation import exploration
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.running import adaptation_file
 from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP

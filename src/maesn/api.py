@@ -14,10 +14,9 @@ from tyro.conf import Positional
 
 from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
-from maesn.evaluation import running, tables
+from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL
-from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.explorer import record_explorer
+from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
@@ -78,10 +77,10 @@ def train(
 
 
 def resume(
-    run: Positional[running.AnyRun],
+    run: Positional[arguments.AnyRun],
     iterations: int | None = None,
-    family: running.AnyFamily = None,
-    change: running.AnyChange = None,
+    family: arguments.AnyFamily = None,
+    change: arguments.AnyChange = None,
     keep: int = KEEP,
     sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE,
 ) -> Run:
@@ -112,14 +111,14 @@ def resume(
 
 
 def adapt(
-    run: Positional[running.AnyRun],
-    evaluation: running.AnyEvaluation = USUAL,
+    run: Positional[arguments.AnyRun],
+    evaluation: arguments.AnyEvaluation = USUAL,
     *,
-    out: running.OptionalPath = None,
-    start: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    out: arguments.OptionalPath = None,
+    start: arguments.OptionalPath = None,
+    family: arguments.AnyFamily = None,
     **settings: Any,
-) -> tables.Adapted:
+) -> running.Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
     Args:
@@ -140,19 +139,19 @@ def adapt(
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
     warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
-    check_writable(Path(out) if out else tables.adaptation_file(opened.directory, asked))
+    check_writable(Path(out) if out else running.adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
-    usual = tables.adaptation_file(opened.directory, asked, outcome.first_update)
-    return tables.write_outcome(Path(out) if out else usual, outcome, record)
+    usual = running.adaptation_file(opened.directory, asked, outcome.first_update)
+    return running.write_outcome(Path(out) if out else usual, outcome, record)
 
 
 def prior(
-    run: Positional[running.AnyRun],
+    run: Positional[arguments.AnyRun],
     settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
-    family: running.AnyFamily = None,
+    family: arguments.AnyFamily = None,
 ) -> Path:
     """Play an archive of latents in the training tasks: the prior of the rule `search`.
 
@@ -179,14 +178,14 @@ def prior(
 
 
 def export(
-    run: Positional[running.AnyRun],
-    path: Positional[running.AnyPath],
-    family: running.AnyFamily = None,
+    run: Positional[arguments.AnyRun],
+    path: Positional[arguments.AnyPath],
+    family: arguments.AnyFamily = None,
     *,
-    latents: running.OptionalPath = None,
+    latents: arguments.OptionalPath = None,
     task: int | None = None,
-    rule: running.AnyRule = None,
-    overwrite: running.Flag = False,
+    rule: arguments.AnyRule = None,
+    overwrite: arguments.Flag = False,
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
@@ -218,9 +217,9 @@ def export(
     method, checkpoint = opened.settings.method, opened.latest()
     learner = opened.learner.fast_learner(checkpoint.state)
     start = _adapted_start(opened, latents, task)
+    search = _search(opened, rule, start)
     description: dict[str, Any] = {"method": method, "iteration": checkpoint.iteration}
     description |= {} if task is None else {"task": task}
-    search = _search(opened, rule, start)
     try:
         write_policy(path, exported_policy(learner, opened.env(), description, start, search))
     except (ValueError, OSError) as error:
@@ -238,9 +237,9 @@ class Reported(NamedTuple):
 
 
 def report(
-    of: Positional[Sequence[running.AnyRun]],
-    out: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    of: Positional[Sequence[arguments.AnyRun]],
+    out: arguments.OptionalPath = None,
+    family: arguments.AnyFamily = None,
 ) -> Reported:
     """Draw the figures of one or several runs, or figures and tables of a study.
 
@@ -268,22 +267,23 @@ def report(
             raise RunError("a study is reported by itself, into its directory: maesn report DIR")
         files: list[Path] = []
         found = report_studies(Path(of[0]), files.append)
-        pages = [page for path in studies_in(Path(of[0])) for page in _page(path, study_page, path)]
-        return Reported([*files, *pages], found)
+        for path in studies_in(Path(of[0])):
+            files += _page(path, study_page, path)
+        return Reported(files, found)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
-        if not tables.adaptation_file(run.directory, USUAL).exists():
+        if not running.adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
             record_exploration(run)
             record_explorer(run)
     directories = [run.directory for run in opened]
     folder = Path(out or directories[0] / "figures")
-    written = draw_runs(directories, folder, print)
+    files = draw_runs(directories, folder, print)
     if len(opened) == 1 and out is None:
-        pictures = [file for file in written if file.suffix == ".png"]
+        pictures = [file for file in files if file.suffix == ".png"]
         log_figures(directories[0], pictures, opened[0].latest().environment_steps)
-    return Reported([*written, *_page(folder, run_page, directories)], [])
+    return Reported(files + _page(folder, run_page, directories), [])
 
 
 def _page(
@@ -310,15 +310,13 @@ def _adapted_start(
             "index of the task whose latent to start from."
         )
     record = Path(latents).with_suffix("").with_suffix(RECORD)
-    if (
-        record.exists()
-        and read_json(record).get("weights") != tables.identity_of_run(run)["weights"]
-    ):
+    weights = running.identity_of_run(run)["weights"]
+    if record.exists() and read_json(record).get("weights") != weights:
         raise RunError(
             f"`{latents}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."
         )
-    found, updates = tables.read_latents(Path(latents))
+    found, updates = running.read_latents(Path(latents))
     if not 0 <= task < len(found.mean):
         raise RunError(
             f"`task` must be an index from 0 to {len(found.mean) - 1}, the tasks of `{latents}`, "

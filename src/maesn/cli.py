@@ -28,10 +28,19 @@ COMMANDS = {
 }
 
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
-_FILES = {name: name for name in ("doctor", "list", "train")} | {
-    "compare": "studies",
-    "study": "studies",
-}
+_FILES = {"compare": "studies", "study": "studies"} | {n: n for n in ("doctor", "list", "train")}
+
+_HELP = """usage: maesn COMMAND [OPTIONS]
+
+Meta-reinforcement learning of structured exploration strategies.
+
+commands:
+{}
+
+`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.""".format(
+    "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
+)
+_ANSWERS = {"--version": f"maesn {__version__}", "--help": _HELP, "-h": _HELP}
 
 # Shows the traceback of an error behind its sentence.
 TRACEBACK = "MAESN_TRACEBACK"
@@ -78,19 +87,15 @@ def run(arguments: list[str]) -> int:
     if not all(arguments) or any("\0" in argument for argument in arguments):
         print("maesn: an argument is empty or holds a NUL character: check it.", file=sys.stderr)
         return USAGE_ERROR
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(_help())
+    name, *options = arguments or ["--help"]
+    if name in COMMANDS:
+        return _run_command(name, options)
+    if name in _ANSWERS:
+        print(_ANSWERS[name])
         return 0
-    name, *options = arguments
-    if name == "--version":
-        print(f"maesn {__version__}")
-        return 0
-    if name not in COMMANDS:
-        known = ", ".join(COMMANDS)
-        hint = suggestion(name, COMMANDS)
-        print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
-        return USAGE_ERROR
-    return _run_command(name, options)
+    known, hint = ", ".join(COMMANDS), suggestion(name, COMMANDS)
+    print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
+    return USAGE_ERROR
 
 
 def _run_command(name: str, options: list[str]) -> int:
@@ -137,13 +142,3 @@ def _explained(error: Exception) -> tuple[str, int]:
     said = (str(error).splitlines() or ["no more is said"])[0]
     at = f"{where.filename}, line {where.lineno}"
     return f"{type(error).__name__} in {at}: {said} ({TRACEBACK}=1 shows how it came to it)", FAULT
-
-
-def _help() -> str:
-    commands = "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
-    return (
-        "usage: maesn COMMAND [OPTIONS]\n\n"
-        "Meta-reinforcement learning of structured exploration strategies.\n\n"
-        f"commands:\n{commands}\n\n"
-        "`maesn COMMAND --help` lists the options of a command; `maesn --version` the version."
-    )

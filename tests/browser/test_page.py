@@ -15,8 +15,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from synthetic_runs import write_run
 
 from maesn import GradientRule, SearchRule, adapt
-from maesn.evaluation.exploration import record_exploration
-from maesn.evaluation.explorer import record_explorer
+from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
 from maesn.runs.run import Run
 from maesn.studies.reading import Place, study_of_table

@@ -10,7 +10,7 @@ from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
 from maesn.evaluation.evaluate import adapt, as_rows, measure
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner, SavedContexts, maesn, maml, reinforce
+from maesn.learners import GradientFastLearner, SavedContexts, maesn, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.worlds import EpisodeError, make_world
@@ -104,22 +104,31 @@ def test_the_latents_move_and_the_seed_matters(
     assert not np.array_equal(one.curves.mean_return, other.curves.mean_return)
 
 
+def explored(
+    learner: GradientFastLearner, collect: Collector, num_tasks: int, at_mean: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Paths and latents of a learner that has learned nothing yet."""
+    keys = jax.random.split(jax.random.key(0), num_tasks)
+    agents = learner.agents(learner.init(keys))
+    return explore(agents.at_mean() if at_mean else agents, collect, keys)
+
+
 def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFastLearner) -> None:
-    exploration = explore(learner, collect)
-    assert exploration.prior_paths.shape == (EPISODES, collect.world.env.horizon + 1, 2)
-    assert exploration.fixed_paths is not None
+    paths, latents = explored(learner, collect, 1)
+    fixed_paths, _ = explored(learner, collect, 1, at_mean=True)
+    assert paths.shape == (EPISODES, collect.world.env.horizon + 1, 2)
     # The start and the noise of the actions are the same; only z differs.
-    np.testing.assert_array_equal(exploration.prior_paths[:, 0], exploration.fixed_paths[:, 0])
-    assert np.ptp(exploration.prior_latents, axis=0).min() > 1e-4
-    assert not np.array_equal(exploration.prior_paths, exploration.fixed_paths)
+    np.testing.assert_array_equal(paths[:, 0], fixed_paths[:, 0])
+    assert np.ptp(latents, axis=0).min() > 1e-4
+    assert not np.array_equal(paths, fixed_paths)
 
 
 def test_exploration_is_spread_over_tasks(collect: Collector, learner: GradientFastLearner) -> None:
-    exploration = explore(learner, collect, num_tasks=NUM_TASKS + 1)
-    assert exploration.prior_paths.shape[0] == (NUM_TASKS + 1) * EPISODES
-    assert exploration.prior_latents.shape == ((NUM_TASKS + 1) * EPISODES, 2)
+    paths, latents = explored(learner, collect, NUM_TASKS + 1)
+    assert len(paths) == (NUM_TASKS + 1) * EPISODES
+    assert latents.shape == ((NUM_TASKS + 1) * EPISODES, 2)
     # Every episode is one of its own, in the task that is played again as well.
-    assert len(np.unique(exploration.prior_paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
+    assert len(np.unique(paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
 
 
 SHORT_LIVES = hidden_end.task_set("test", size=4)
@@ -130,7 +139,7 @@ def lives_explored(env: HiddenEnd) -> np.ndarray:
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
     state = meta.init(jax.random.key(0), env.observation_size, env.action_size, 10)
     collect = Collector(make_world(env, SHORT_LIVES), 1)
-    return explore(meta.fast_learner(state), collect, num_tasks=4).prior_paths[..., 0]
+    return explored(meta.fast_learner(state), collect, 4)[0][..., 0]
 
 
 def test_paths_stay_where_their_episodes_end() -> None:
@@ -154,12 +163,6 @@ def test_paths_stay_before_a_state_that_blew_up() -> None:
     expected = np.minimum(np.arange(env.horizon + 1), last[:, None]) / env.horizon
     assert (last < env.horizon).any()
     np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
-
-
-def test_exploration_without_a_latent_has_nothing_to_hold(collect: Collector) -> None:
-    meta = maml(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
-    learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 10))
-    assert explore(learner, collect).fixed_paths is None
 
 
 def test_an_agent_that_its_updates_have_led_astray() -> None:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from small_runs import create, finish, tiny_maesn
 
-from maesn.evaluation import explorer
+from maesn.evaluation import exploration
 from maesn.learners import maml
 from maesn.policies import GaussianMLP
 from maesn.reporting.explorer import read_latent_paths, read_searches
+from maesn.reporting.runs import read_exploration
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.search.prior import PriorSettings
@@ -23,16 +24,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     made = create(tmp_path_factory.mktemp("explorer") / "run", tiny_maesn(), iterations=1)
     finish(made)
     run_prior(made, PriorSettings(draws=12, adapted=False, episodes=2))
-    explorer.record_explorer(made)
+    exploration.record_explorer(made)
     return made
 
 
 def test_latents_are_a_lattice_in_the_plane_and_draws_beyond() -> None:
-    line, plane, space = (explorer.spread_latents(size) for size in (1, 2, 3))
+    line, plane, space = (exploration.spread_latents(size) for size in (1, 2, 3))
     assert (line.shape, plane.shape, space.shape) == ((441, 1), (441, 2), (441, 3))
     assert len(np.unique(plane[:, 0])) == len(np.unique(plane[:, 1])) == 21
     assert len(np.unique(plane, axis=0)) == 441
-    np.testing.assert_array_equal(space, explorer.spread_latents(3))
+    np.testing.assert_array_equal(space, exploration.spread_latents(3))
     assert np.abs(space).max() <= np.abs(plane).max()
 
 
@@ -53,7 +54,7 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     with closing(run.world(reward_kind="sparse")) as world:
         prior = find_prior(run, run.latest_state(), world, "", any_reward=False)
     model = SearchRule().settings.model(prior)
-    first = explorer.LatentSearch.start(model, SearchRule().settings)
+    first = exploration.LatentSearch.start(model, SearchRule().settings)
     means = first.posterior.mean
     np.testing.assert_allclose(
         recorded.deployed[:, 0], np.tile(first.points[np.argmax(means)], (8, 1)), atol=1e-5
@@ -67,9 +68,18 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
 
 
-def test_a_run_without_latents_records_nothing(tmp_path: Path) -> None:
+def test_a_run_without_latents_has_none_to_show(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
     finish(made)
-    explorer.record_explorer(made)
+    exploration.record_explorer(made)
     assert read_latent_paths(made.directory) is None
     assert read_searches(made.directory) is None
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
+    exploration.record_exploration(made)
+    recorded = read_exploration(made.directory)
+    assert recorded is not None
+    assert recorded.prior_paths.shape == recorded.untrained_paths.shape == (5, 41, 2)
+    assert recorded.fixed_paths is None
+    assert recorded.prior_latents is None

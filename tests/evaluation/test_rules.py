@@ -11,8 +11,7 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
 from maesn.envs import point
-from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.running import from_text
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import (
     METHODS,
     BonusFastLearner,
@@ -31,6 +30,8 @@ from maesn.rules import (
     Trained,
     VimeBonus,
     default_rule,
+    from_text,
+    written_out,
 )
 from maesn.runs.run import Run
 from maesn.storage import RunError

@@ -12,7 +12,7 @@ from small_runs import Drift, create, create_tiny, finish, goals, outcome
 
 from maesn import api
 from maesn.evaluation import running
-from maesn.evaluation.tables import Adapted
+from maesn.evaluation.running import Adapted
 from maesn.reporting.reading import RECORD
 from maesn.rules import SearchRule
 from maesn.runs.changes import change_run

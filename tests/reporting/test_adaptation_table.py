@@ -10,7 +10,7 @@ import pytest
 from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.running import adaptation_file
 from maesn.reporting.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
 from maesn.reporting.reading import TableName, read_adaptation, table_name
 from maesn.reporting.tables import summary_tables

@@ -12,12 +12,12 @@ from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table
 from synthetic_runs import line as named
 
-from maesn.evaluation.tables import write_rows
 from maesn.reporting.adaptation_table import AdaptationTable, Line
 from maesn.reporting.comparison import Comparison, summary_tables, tidy_rows
 from maesn.reporting.figures.curves import plot_curves
 from maesn.reporting.style import METHOD_STYLES, TWO_COLUMNS, Drawn
 from maesn.reporting.tables import print_tables, write_tables
+from maesn.storage import write_rows
 
 HORIZON = 20
 

@@ -9,7 +9,7 @@ import pytest
 
 import maesn
 from maesn import api, cli
-from maesn.evaluation.tables import Adapted
+from maesn.evaluation.running import Adapted
 from maesn.policies import GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runtime import Explorer

@@ -6,8 +6,8 @@ from typing import Any
 
 from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
-from maesn.evaluation.running import KNOWN
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
+from maesn.rules import KNOWN
 from maesn.runs.config import read_config
 from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.sources import TRAINED, policy_names

@@ -12,8 +12,8 @@ from typing import Any
 import tyro
 import tyro._strings
 
+from maesn.evaluation.arguments import evaluation_from_text
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import evaluation_from_text
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.settings import suggestion
 from maesn.storage import refusals
@@ -44,22 +44,20 @@ def _one_line_paragraphs(helptext: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in re.split(r"\n\s*\n", helptext))
 
 
-def _one_line_arguments(text: str | None) -> str:
-    """Return a docstring with each paragraph, and each argument under `Args`, on one line."""
-    summary, *args = inspect.cleandoc(text or "").split("\nArgs:\n")
-    described = [re.sub(r"\n {5,}", " ", one) for one in args]
-    return "\n\nArgs:\n".join([_one_line_paragraphs(summary), *described])
+def _one_line_arguments(function: Callable[..., Any]) -> str:
+    """Return a docstring with each argument on one line; with paragraphs tyro does so."""
+    return re.sub(r"\n {5,}", " ", inspect.getdoc(function) or "")
 
 
 # tyro wraps help at the width of the terminal, but keeps most line breaks of docstrings.
 tyro._strings.remove_single_line_breaks = _one_line_paragraphs  # noqa: SLF001
 _CONSTRUCTOR = inspect.unwrap(evaluation_from_text)  # of the type checks in tests
-_CONSTRUCTOR.__doc__ = _one_line_arguments(_CONSTRUCTOR.__doc__)
+_CONSTRUCTOR.__doc__ = _one_line_arguments(_CONSTRUCTOR)
 
 
 def command(
     function: Callable[..., Any],
-    show: Callable[[Any], None] | None = None,
+    show: Callable[[Any], None] = lambda _: None,
     name: str | None = None,
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
@@ -69,11 +67,11 @@ def command(
     """
 
     @functools.wraps(function)
-    def bound(*values: Any, **options: Any) -> Callable[[], Any]:
-        return functools.partial(function, *values, **options)
+    def bound(**options: Any) -> Callable[[], Any]:
+        return functools.partial(function, **options)
 
-    bound.__doc__ = _one_line_arguments(function.__doc__)
     del bound.__wrapped__  # tyro would read its docstring
+    bound.__doc__ = _one_line_arguments(function)
     signature = inspect.signature(function)
     parameters = [
         # An evaluation is made by a constructor, which has defaults of its own.
@@ -86,9 +84,7 @@ def command(
     def main(arguments: list[str]) -> None:
         run = parse(bound, name or function.__name__, arguments)
         enable_compilation_cache()
-        result = run()
-        if show is not None:
-            show(result)
+        show(run())
 
     return main
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from maesn import api
 from maesn.commands.options import command
-from maesn.evaluation.film import render as render_run
-from maesn.evaluation.tables import Adapted
+from maesn.evaluation import film
+from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
 from maesn.reporting.tables import print_adaptation_summary, print_side_by_side, print_tables
@@ -28,21 +28,21 @@ def _say_adapted(done: Adapted) -> None:
         print(f"latents: {done.latents}")
 
 
-def _show(done: api.Reported) -> None:
+def _say_reported(done: api.Reported) -> None:
     print_tables(done.tables)
-    _print_all(done.files)
+    _say_written(done.files)
 
 
-def _print_all(paths: list[Path]) -> None:
+def _say_written(paths: list[Path]) -> None:
     print(*paths, sep="\n")
 
 
 resume = command(api.resume, say_what_is_next)
 adapt = command(api.adapt, _say_adapted)
-report = command(api.report, _show)
+report = command(api.report, _say_reported)
 export = command(api.export, print)
 prior = command(api.prior, print)
-render = command(render_run, _print_all)
+render = command(film.render, _say_written)
 
 
 @command
@@ -74,4 +74,4 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     tables = {"policy gradient": gradient.table, "search": search.table}
     print_side_by_side(tables, "Return in 100 new tasks, by episodes in each of them")
     print("3. figures")
-    _show(api.report([run]))
+    _say_reported(api.report([run]))

@@ -5,8 +5,8 @@ from pathlib import Path
 import tyro
 
 from maesn.commands.options import command
+from maesn.evaluation.arguments import AnyEvaluation, Flag
 from maesn.evaluation.evaluation import USUAL
-from maesn.evaluation.running import AnyEvaluation, Flag
 from maesn.reporting.tables import TextTable, print_tables
 from maesn.storage import RunError
 from maesn.studies.comparison import compare as compare_runs

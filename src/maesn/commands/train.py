@@ -44,8 +44,31 @@ class Options:
 
 def train(arguments: list[str]) -> None:
     """Run `maesn train`, whose options depend on the method and the family."""
-    method, rest = _method(arguments)
-    options = read_options(method, rest)
+    known = ", ".join(learners.PRESETS)
+    if not arguments:
+        raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
+    if arguments[0] in ("-h", "--help"):
+        print(
+            "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
+            f"METHOD is one of: {known}.\n"
+            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.\n"
+            "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
+            "the method on that family. Those of `maesn`:\n"
+        )
+        read_options("maesn", arguments)
+    method, *rest = arguments
+    if method in learners.SCRATCH:
+        raise RunError(
+            f"`{method}` is not meta-trained: it learns each task from scratch, as in "
+            f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
+        )
+    if method not in learners.METHODS:
+        hint = suggestion(method, learners.METHODS)
+        raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
+    _train(method, read_options(method, rest))
+
+
+def _train(method: str, options: Options) -> None:
     enable_compilation_cache()
     settings = options.run_settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
@@ -53,15 +76,8 @@ def train(arguments: list[str]) -> None:
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
     _say_what_suits(method, options)
-    run = api.train(
-        learner,
-        settings,
-        directory,
-        init_from=options.init_from,
-        keep=options.keep,
-        sharing=options.sharing,
-    )
-    say_what_is_next(run)
+    given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
+    say_what_is_next(api.train(learner, settings, directory, **given))
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
@@ -97,29 +113,3 @@ def _say_what_suits(method: str, options: Options) -> None:
             f"settings that suit `{family}`: {', '.join(kept)} (--settings reference for the "
             "published ones)"
         )
-
-
-def _method(arguments: list[str]) -> tuple[str, list[str]]:
-    """Return the method and the options behind it."""
-    known = ", ".join(learners.PRESETS)
-    if not arguments:
-        raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
-    if arguments[0] in ("-h", "--help"):
-        print(
-            "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
-            f"METHOD is one of: {known}.\n"
-            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.\n"
-            "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
-            "the method on that family. Those of `maesn`:\n"
-        )
-        read_options("maesn", arguments)
-    method, *rest = arguments
-    if method in learners.SCRATCH:
-        raise RunError(
-            f"`{method}` is not meta-trained: it learns each task from scratch, as in "
-            f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
-        )
-    if method not in learners.METHODS:
-        hint = suggestion(method, learners.METHODS)
-        raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
-    return method, rest

@@ -96,11 +96,13 @@ def adapt(
     first = 0 if saved is None else saved.updates
     updates = range(first, first + episodes // collect.episodes_per_task + 1)
     judged = {count // collect.episodes_per_task for count in deploy_after} or set(updates)
-    size = min(chunk_size, *(one.most_tasks for one in (collect, deploy or collect)))
-    parts = [
-        _adapt_chunk(learner, collect, deploy, judged, slots, updates, seed, saved)
-        for slots in _chunks(chosen, size)
-    ]
+    most = min(one.most_tasks for one in (collect, deploy or collect))
+    size = min(chunk_size, most, len(chosen))
+    parts = []
+    for start in range(0, len(chosen), size):
+        # Chunks of one size share compiled programs: the last task fills the last of them.
+        slots = chosen[np.minimum(np.arange(start, start + size), len(chosen) - 1)]
+        parts.append(_adapt_chunk(learner, collect, deploy, judged, slots, updates, seed, saved))
     explored, deployed, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
@@ -167,13 +169,6 @@ def measure(episodes: Episodes) -> AdaptationCurves:
         time_in_region=solved.sum((1, 2)) / steps,
         solved_at_reset=episodes.solved_at_start.mean(-1),
     )
-
-
-def _chunks(tasks: np.ndarray, chunk_size: int) -> Iterator[np.ndarray]:
-    """Cut the tasks into chunks of one size; the last one repeats its last task as padding."""
-    size = min(chunk_size, len(tasks))
-    for first in range(0, len(tasks), size):
-        yield tasks[np.minimum(np.arange(first, first + size), len(tasks) - 1)]
 
 
 def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:

@@ -8,7 +8,7 @@ import tyro
 
 from maesn.envs import AnyEnv, RewardKind
 from maesn.learners import AbstractFastLearner
-from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule
+from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule, written_out
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
@@ -157,16 +157,3 @@ class Evaluation:
 
 
 USUAL = Evaluation()
-
-
-def written_out(settings: Any) -> str:
-    """Write settings out in full, defaults as well: in a later version they may be others."""
-    if not dataclasses.is_dataclass(settings):
-        return repr(settings)
-    values = (
-        f"{field.name}={written_out(getattr(settings, field.name))}"
-        for field in dataclasses.fields(settings)
-    )
-    kind = type(settings)
-    own = "" if kind.__module__.startswith("maesn.") else f"{kind.__module__}:"
-    return f"{own}{kind.__name__}({', '.join(values)})"

@@ -1,21 +1,29 @@
-"""How an agent explores before it has learned anything of its task, recorded for figures."""
+"""What agents do in new tasks, recorded for the figures of exploration and for the report page."""
 
-import dataclasses
+import itertools
 from contextlib import closing
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
 from maesn.axes import TaskKeys
 from maesn.context import Latent
+from maesn.envs import AnyEnv
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
-from maesn.learners import AbstractFastLearner
+from maesn.experience.episodes import Episodes
+from maesn.learners import GradientFastLearner
+from maesn.reporting.explorer import LATENT_PATHS, SEARCHES, LatentPaths, RecordedSearches
 from maesn.reporting.runs import EXPLORATION, RecordedExploration
+from maesn.rules import SearchRule
 from maesn.runs.run import Run
+from maesn.runtime.search import LatentSearch
+from maesn.search.learner import SearchFastLearner
+from maesn.search.stored import prior_file
 from maesn.storage import write_arrays
 from maesn.worlds.collector import Collector
 
@@ -24,57 +32,51 @@ from maesn.worlds.collector import Collector
 EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
 
-Paths = Float[np.ndarray, "episode time_plus_1 2"]
+_EDGE = 6.0  # of the latents, in standard deviations of the prior: adapted ones are that far out
+_LATENTS = 441  # recorded paths: a lattice of 21 x 21 in the plane
+_BELIEFS = 21  # points along each axis at which beliefs are recorded
+_POINTS = 40  # positions kept of each path
+_TASKS, _EPISODES = 8, 10  # of the searches
 
 
-class Exploration(NamedTuple):
-    """Planar paths of an agent that has not learned anything about its task yet, in metres."""
-
-    prior_paths: Paths
-    """z drawn from the prior in every episode."""
-    prior_latents: Float[np.ndarray, "episode z"]
-    """The z of those episodes."""
-    fixed_paths: Paths | None
-    """z held at the prior's mean: the noise of the actions alone. None without a latent."""
-
-
-def explore(
-    learner: AbstractFastLearner[Any], collect: Collector, num_tasks: int = 1
-) -> Exploration:
-    """Play in the first tasks of a world, once drawing z and once holding it at its mean."""
-    keys = jax.random.split(jax.random.key(0), num_tasks)
-    agents = learner.agents(learner.init(keys))
-    paths, latents = _play(agents, collect, keys)
-    if not isinstance(agents.context, Latent):
-        return Exploration(paths, latents, None)
-    fixed = dataclasses.replace(agents, context=agents.context.at_mean())
-    return Exploration(paths, latents, _play(fixed, collect, keys)[0])
-
-
-def _play(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[Paths, Any]:
-    """Return the paths and the latents of all episodes, task by task."""
+def explore(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[np.ndarray, np.ndarray]:
+    """Play in the first tasks of a world; return paths, `[episode, time_plus_1, 2]`, and z."""
     episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
-    position = jax.vmap(jax.vmap(jax.vmap(collect.world.env.position)))(episodes.observation)
-    paths = jax.vmap(jax.vmap(_until_the_end))(position, episodes.valid)
-    return np.concatenate(paths), np.concatenate(episodes.z)
+    return np.concatenate(_paths(collect.world.env, episodes)), np.concatenate(episodes.z)
 
 
-def _until_the_end(
-    path: Float[Array, "time_plus_1 2"], valid: Bool[Array, " time"]
-) -> Float[Array, "time_plus_1 2"]:
-    """Let a path stay where its episode ended, or a step earlier if the physics blew up there."""
-    last = valid.sum()
-    last = jnp.where(jnp.isfinite(path[last]).all(), last, jnp.maximum(last - 1, 0))
-    return path[jnp.minimum(jnp.arange(len(path)), last)]
+def _paths(env: AnyEnv, episodes: Episodes) -> Float[np.ndarray, "task episode time_plus_1 2"]:
+    """Return where the agent is; at the end, or before a state that blew up, it stays."""
+    path = np.asarray(jax.vmap(jax.vmap(jax.vmap(env.position)))(episodes.observation))
+    last = np.asarray(episodes.valid.sum(-1))[..., None]
+    blown_up = ~np.isfinite(_at(path, last)).all(-1)
+    return _at(path, np.minimum(np.arange(path.shape[2]), np.maximum(last - blown_up, 0)))
+
+
+def _thinned(env: AnyEnv, episodes: Episodes) -> Float[np.ndarray, "task episode point 2"]:
+    """Return some points of each path, evenly from its start to its end."""
+    times = np.linspace(0.0, episodes.valid.sum(-1), _POINTS, axis=-1)
+    return _at(_paths(env, episodes), times.round().astype(int))
+
+
+def _at(path: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the places of paths at some times of each, `[task, episode, time]`."""
+    return np.take_along_axis(path, times[..., None], axis=2)
 
 
 def record_exploration(run: Run) -> None:
     """Play and record what the figures of exploration show, in the run's directory."""
     tasks, env = run.task_set("test"), run.env()
+    keys = jax.random.split(jax.random.key(0), EXPLORATION_TASKS)
     old, new = map(run.learner.fast_learner, (run.latest_state(), run.untrained_state()))
+    trained, untrained = (one.agents(one.init(keys)) for one in (old, new))
     with closing(run.world(tasks)) as world:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-        trained, untrained = (explore(one, collect, EXPLORATION_TASKS) for one in (old, new))
+        untrained_paths, _ = explore(untrained, collect, keys)
+        prior_paths, prior_latents = explore(trained, collect, keys)
+        fixed_paths = None
+        if isinstance(trained.context, Latent):
+            fixed_paths, _ = explore(trained.at_mean(), collect, keys)
         # As many episodes of every task as the trained policy's share of goals is counted among.
         reach = adapt(new, Collector(world, EXPLORATION_EPISODES), episodes=0).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
@@ -82,15 +84,92 @@ def record_exploration(run: Run) -> None:
         training_goals=np.asarray(goal(run.training_tasks.tasks)),
         goals=np.asarray(goal(tasks.tasks)),
         sparse_radius=env.sparse_radius,
-        untrained_paths=untrained.prior_paths,
+        prior_paths=prior_paths,
+        untrained_paths=untrained_paths,
         untrained_success_rate=np.asarray(reach.success_rate[:, 0]),
         solved_at_reset=np.asarray(reach.solved_at_reset[:, 0]),
         episodes_per_task=EXPLORATION_EPISODES,
         training_landmarks=np.asarray(landmarks(run.training_tasks.tasks)),
         landmarks=np.asarray(landmarks(tasks.tasks)),
-        **trained._asdict(),
+        fixed_paths=fixed_paths,
+        prior_latents=prior_latents,
     )
     # What a family or a method lacks is None, or has no elements.
     held = vars(recorded).items()
     arrays = {name: array for name, array in held if array is not None and np.size(array)}
     write_arrays(run.directory / EXPLORATION, arrays)
+
+
+def record_explorer(run: Run) -> None:
+    """Record paths of latents and, if the run has a prior over returns, searches.
+
+    A run without latents is left as it is.
+
+    Raises:
+        RunError: the prior is of another checkpoint.
+    """
+    learner = run.learner.fast_learner(run.latest_state())
+    if not (isinstance(learner, GradientFastLearner) and isinstance(learner.context_table, Latent)):
+        return
+    latents = spread_latents(learner.context_table.size)
+    mean = jnp.asarray(latents, jnp.float32)
+    context = Latent(mean, jnp.zeros_like(mean)).at_mean()
+    agents = Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
+    keys = jax.random.split(jax.random.key(0), _LATENTS)
+    with closing(run.world(run.task_set("test"), reward_kind="sparse")) as world:
+        # One episode of each latent, all in the first task.
+        episodes = Collector(world, 1)(keys, agents, jnp.zeros(_LATENTS, int))
+        has_prior = prior_file(run, world).exists()
+    paths = LatentPaths(latents, _thinned(world.env, episodes)[:, 0])
+    write_arrays(run.directory / LATENT_PATHS, vars(paths))
+    if has_prior:
+        write_arrays(run.directory / SEARCHES, vars(_searches(run)))
+
+
+def spread_latents(size: int) -> np.ndarray:
+    """Return latents all over the space, `[latent, z]`: a lattice, or draws where it has many axes.
+
+    Draws are uniform in a cube, and the same each time.
+    """
+    if size > 2:
+        return np.random.default_rng(0).uniform(-_EDGE, _EDGE, (_LATENTS, size))
+    axis = np.linspace(-_EDGE, _EDGE, round(_LATENTS ** (1 / size)))
+    return np.array(list(itertools.product(axis, repeat=size)))
+
+
+def _searches(run: Run) -> RecordedSearches:
+    """Search in the first tasks of the test set."""
+    with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
+        assert isinstance(learner, SearchFastLearner)
+        collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
+        states, played = [learner.init(keys)], []
+        for episode in range(_EPISODES):
+            episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
+            played.append(collect(episode_keys, learner.agents(states[-1]), jnp.arange(_TASKS)))
+            states.append(learner.update(states[-1], played[-1]))
+    episodes = jax.tree.map(lambda *batches: jnp.concatenate(batches, axis=1), *played)
+    searches = list(zip(*(state.searches for state in states), strict=True))  # [task][episode]
+    beliefs = np.array([[_beliefs(one) for one in task] for task in searches])
+    return RecordedSearches(
+        task=np.arange(_TASKS, dtype=float),
+        edge=_EDGE,
+        played=np.asarray(episodes.z),
+        returns=np.asarray(episodes.undiscounted_return),
+        reached=np.asarray((episodes.valid & episodes.solved).any(-1), float),
+        paths=_thinned(world.env, episodes),
+        deployed=np.array([[one.latent(one.best) for one in task] for task in searches]),
+        mean=beliefs[:, :, 0],
+        std=beliefs[:, :, 1],
+    )
+
+
+def _beliefs(search: LatentSearch) -> np.ndarray:
+    """Return posterior mean and standard deviation over the plane, `[2, row, column]`."""
+    axis = np.linspace(-_EDGE, _EDGE, _BELIEFS)
+    plane = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    points = np.tile(search.latent(search.best), (len(plane), 1))
+    width = min(2, points.shape[1])
+    points[:, :width] = plane[:, :width]
+    more = search.posterior.extended(search.model, points)
+    found = np.stack([more.mean, more.std])[:, -len(points) :]
+    return found.reshape(2, _BELIEFS, _BELIEFS)

@@ -1,10 +1,10 @@
 """Pictures of a trained policy at work: exploration before, behaviour after adaptation."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -12,10 +12,10 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
-from maesn.evaluation import running
+from maesn.evaluation.arguments import AnyEvaluation, AnyFamily, AnyRun, OptionalPath
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, Evaluation
-from maesn.evaluation.tables import adaptation_file
+from maesn.evaluation.running import adaptation_file, new_tasks, open_run
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
@@ -32,14 +32,14 @@ _QUICKEST, _SLOWEST = 40.0, 100.0
 
 
 def render(
-    run: Positional[running.AnyRun],
-    evaluation: running.AnyEvaluation = USUAL,
+    run: Positional[AnyRun],
+    evaluation: AnyEvaluation = USUAL,
     *,
     task: int = 0,
     after: Sequence[int] | None = None,
     shown: int = 4,
-    out: running.OptionalPath = None,
-    family: running.AnyFamily = None,
+    out: OptionalPath = None,
+    family: AnyFamily = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
@@ -62,7 +62,7 @@ def render(
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = running.open_run(run, family), evaluation
+    run, asked = open_run(run, family), evaluation
     each = asked.budget.per_update
     if after is None:
         after = (0, asked.budget.episodes // each // 2 * each)
@@ -70,10 +70,9 @@ def render(
         raise RunError("`after` must be at least one number of episodes.")
     with refusals():
         asked.check_reached("after", after)
-    updates = [count // each for count in sorted(set(after))]
     if not 1 <= shown <= _MOST_SHOWN:
         raise RunError(f"`shown` must be from 1 to {_MOST_SHOWN}, got {shown}.")
-    with running.new_tasks(run, asked) as (world, learner):
+    with new_tasks(run, asked) as (world, learner):
         if not 0 <= task < len(world.tasks):
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
@@ -81,9 +80,9 @@ def render(
         if not world.film(shown, stride, (_WIDTH, _HEIGHT)):
             # Raises where pictures cannot be drawn, before minutes are spent on playing.
             Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
-        played = record_adaptation(learner, world, asked, task, updates, shown)
+        played = record_adaptation(learner, world, asked, task, sorted(set(after)), shown)
         goal = world.tasks[task]
-    rows = draw(env, goal, played, stride)
+    rows = draw(env, goal, played, stride, shown)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
     title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     folder = run.directory / "render" if out is None else Path(out)
@@ -107,19 +106,8 @@ class Filmed(NamedTuple):
     """That its environment has drawn; none if states are to be drawn."""
 
 
-class Playback(NamedTuple):
-    """Some episodes of one task that were played after a number of updates."""
-
-    update: int
-    mean_return: float
-    """Over all episodes of the updates that were played, not only those that are kept here."""
-    success_rate: float
-    """Share of all these that reach the goal region at some time."""
-    num_played: int
-    """Their number."""
-    before: int
-    """Number of episodes that were learned from before."""
-    episodes: list[Filmed]
+Played: TypeAlias = Mapping[int, Sequence[Filmed]]
+"""Number of episodes that were learned from before -> the episodes that were played next."""
 
 
 def record_adaptation(
@@ -127,51 +115,46 @@ def record_adaptation(
     world: AbstractWorld,
     evaluation: Evaluation,
     task: int,
-    updates: Sequence[int],
+    after: Sequence[int],
     shown: int,
-) -> list[Playback]:
-    """Adapt to one task as `maesn.adapt` does, and keep the states of some of the episodes.
+) -> Played:
+    """Adapt to one task as `maesn.adapt` does, and keep some of the episodes.
 
-    After each of these numbers of `updates`, ascending, the first `shown` episodes are kept: those
-    of several updates where one has fewer.
+    After each of these numbers, all episodes of the next update are kept, or of the next updates
+    until there are `shown`.
     """
     each = evaluation.budget.per_update
-    wanted = {first: range(first, first + math.ceil(shown / each)) for first in updates}
-    last = max(wanted[max(updates)])
-    kept: dict[int, list[Filmed]] = {}
+    played: dict[int, list[Filmed]] = {before: [] for before in after}
 
-    def keep(episodes: Episodes, readings: Readings | HostReadings, stage: int) -> None:
-        if any(stage in stages for stages in wanted.values()):
-            # With one task at a time, its episodes are the simulations.
-            filmed = [_filmed(episodes, readings, episode) for episode in range(min(each, shown))]
-            drawn = zip(*world.pictures, strict=True) if world.pictures else [()] * len(filmed)
-            kept[stage] = [
-                one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
-            ]
+    def keep(episodes: Episodes, readings: Readings | HostReadings, update: int) -> None:
+        for before in after:
+            if 0 <= update * each - before < shown:
+                played[before] += _filmed(episodes, readings, world.pictures)
 
-    curves = adapt(
-        learner,
-        Collector(world, each, keep),
-        episodes=last * each,
-        seed=evaluation.seed,
-        tasks=[task],
-    ).explored
-    returns, rates = np.asarray(curves.mean_return[0]), np.asarray(curves.success_rate[0])
-    playbacks = []
-    for first, stages in wanted.items():
-        means = float(returns[stages].mean()), float(rates[stages].mean())
-        filmed = [episode for stage in stages for episode in kept[stage]][:shown]
-        playbacks.append(Playback(first, *means, each * len(stages), each * first, filmed))
-    return playbacks
+    episodes = (max(after) + shown - 1) // each * each
+    collect = Collector(world, each, keep)
+    adapt(learner, collect, episodes=episodes, seed=evaluation.seed, tasks=[task])
+    return played
 
 
-def _filmed(episodes: Episodes, readings: Readings | HostReadings, episode: int) -> Filmed:
-    """Return one episode of the only task."""
-    valid, solved = (np.asarray(x[0, episode]) for x in (episodes.valid, episodes.solved))
-    total_return = float(episodes.undiscounted_return[0, episode])
-    return Filmed(
-        _lived(readings, episode, int(valid.sum())), total_return, bool((valid & solved).any())
-    )
+def _filmed(
+    episodes: Episodes,
+    readings: Readings | HostReadings,
+    pictures: Sequence[Sequence[Picture]],
+) -> list[Filmed]:
+    """Return the episodes of the only task, which are the simulations."""
+    lengths = np.asarray(episodes.valid[0].sum(-1))
+    solved = np.asarray((episodes.valid & episodes.solved)[0].any(-1))
+    drawn = dict(enumerate(zip(*pictures, strict=True)))  # the first ones alone, if any
+    return [
+        Filmed(
+            _lived(readings, number, int(lengths[number])),
+            float(total_return),
+            bool(solved[number]),
+            drawn.get(number, ()),
+        )
+        for number, total_return in enumerate(episodes.undiscounted_return[0])
+    ]
 
 
 def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
@@ -181,48 +164,46 @@ def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> H
     return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
 
 
-def draw(env: AnyEnv, task: Any, played: Sequence[Playback], stride: int) -> list[Row]:
-    """Show the episodes of one task, one picture every `stride` steps, all from the same place."""
-    filmed = [episode for playback in played for episode in playback.episodes]
-    if any(not episode.pictures for episode in filmed):
-        drawn = _draw_states(env, task, [episode.states for episode in filmed], stride)
-        filmed = [
-            one._replace(pictures=pictures) for one, pictures in zip(filmed, drawn, strict=True)
-        ]
-    rows, rest = [], iter(filmed)
-    for playback in played:
-        done = f"after {playback.before} episodes"
+def draw(env: AnyEnv, task: Any, played: Played, stride: int, shown: int) -> list[Row]:
+    """Show the first episodes of each time, one picture every `stride` steps, from one place."""
+    filmed = [episode for episodes in played.values() for episode in episodes[:shown]]
+    pictures = iter([episode.pictures for episode in filmed])
+    if not all(episode.pictures for episode in filmed):
+        pictures = iter(_draw_states(env, task, [episode.states for episode in filmed], stride))
+    rows = []
+    for before, episodes in played.items():
+        mean_return = np.mean([episode.total_return for episode in episodes])
+        success_rate = np.mean([episode.solved for episode in episodes])
+        when = f"after {before} episodes" if before else "before adaptation"
         title = (
-            f"{done if playback.update else 'before adaptation'}: mean return "
-            f"{playback.mean_return:.1f}, {playback.success_rate:.0%} of "
-            f"{playback.num_played} episodes reach the goal"
+            f"{when}: mean return {mean_return:.1f}, {success_rate:.0%} of {len(episodes)} "
+            "episodes reach the goal"
         )
-        cells = [_cell(number, next(rest)) for number in range(1, len(playback.episodes) + 1)]
+        cells = []
+        for number, episode in enumerate(episodes[:shown], start=1):
+            reached = ", goal reached" if episode.solved else ""
+            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            cells.append(Cell(caption, episode.solved, next(pictures)))
         rows.append(Row(title, cells))
     return rows
 
 
-def _cell(number: int, episode: Filmed) -> Cell:
-    reached = ", goal reached" if episode.solved else ""
-    caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
-    return Cell(caption, episode.solved, episode.pictures)
-
-
 def _draw_states(
     env: AnyEnv, task: Any, episodes: Sequence[HostReadings], stride: int
-) -> list[list[Picture]]:
+) -> list[Sequence[Picture]]:
     drawn = [*episodes, *(jax.tree.map(lambda x: x[-1:], states) for states in episodes)]
     seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
     goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
     times = [*range(0, env.horizon, stride), env.horizon]
-    pictures: list[list[Picture]] = []
     with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
-        for states in episodes:
-            path = places(env, states)
-            pictures.append([])
-            for time in times:
-                now = min(time, len(path) - 1)  # an episode that has ended stands still
-                present = {name: value[now] for name, value in states.items()}
-                trail = np.concatenate([path[:now:stride], path[now : now + 1]])
-                pictures[-1].append(scene.draw(present, task, trail))
-    return pictures
+
+        def picture(states: HostReadings, path: np.ndarray, time: int) -> Picture:
+            now = min(time, len(path) - 1)  # an episode that has ended stands still
+            trail = np.concatenate([path[:now:stride], path[now : now + 1]])
+            return scene.draw({name: x[now] for name, x in states.items()}, task, trail)
+
+        paths = [places(env, states) for states in episodes]
+        return [
+            [picture(states, path, time) for time in times]
+            for states, path in zip(episodes, paths, strict=True)
+        ]

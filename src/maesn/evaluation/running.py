@@ -1,167 +1,44 @@
-"""A trained run in new tasks, from what a user names to curves and their record.
+"""A trained run in new tasks: from what a user names to curves, and to the files of them.
 
-The types of arguments say as well how the command line reads them: rules as text, such as
-`gradient step_scale=2`, or a class of your own.
+Beside a table of curves stand the latents and a record, which says what decides the curves: two
+that agree in it are the same curves.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
-import tyro
-from tyro.constructors import PrimitiveConstructorSpec
+import jax.numpy as jnp
+import numpy as np
 
 from maesn.context import Latent
-from maesn.envs import TaskFamily
-from maesn.envs.sources import imported
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt
+from maesn.envs import NAMED_SETS, describe_env
+from maesn.evaluation.arguments import AnyFamily, AnyRun
+from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.tables import adaptation_record, identity_of_run, read_latents
 from maesn.learners import AbstractFastLearner, SavedContexts
-from maesn.rules import (
-    AbstractRule,
-    AbstractWrapper,
-    BestOfRule,
-    CmaEsRule,
-    CrossEntropyRule,
-    GradientRule,
-    MemoryRule,
-    NoAdaptation,
-    SearchRule,
-    ThenReinforce,
-    ThenTrpo,
-    Trained,
-    VimeBonus,
-)
+from maesn.reporting.reading import LATENTS, RECORD, TableName, read_record
+from maesn.reporting.runs import Latents
+from maesn.rules import Trained
+from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
-from maesn.runs.serialization import fields_to_json, replaced, values_of_words
+from maesn.runs.serialization import digest
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
-from maesn.storage import RunError, refusals, refuse_links
-from maesn.worlds import AbstractWorld, check_policy
+from maesn.storage import (
+    RunError,
+    explained,
+    read_arrays,
+    refuse_links,
+    write_arrays,
+    write_json,
+    write_rows,
+)
+from maesn.worlds import AbstractWorld, check_policy, engine_of
 from maesn.worlds.collector import Collector
-
-KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
-    "rule": {
-        "gradient": GradientRule,
-        "search": SearchRule,
-        "best_of": BestOfRule,
-        "cross_entropy": CrossEntropyRule,
-        "cma_es": CmaEsRule,
-        "memory": MemoryRule,
-        "none": NoAdaptation,
-    },
-    "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
-    "bonus": {"vime": VimeBonus},
-}
-"""Option of the command line -> the rules or wrappers that come with the library, by name."""
-
-
-def from_text(option: str, text: str) -> Any:
-    """Return the rule or wrapper that a text names: `NAME [SETTING=VALUE ...]`.
-
-    NAME is one of `KNOWN[option]`, or `module:name` of a class of your own, which is imported. A
-    setting of a setting is written with a dot, as in `curiosity.weight=0.001`.
-    """
-    name, *words = text.split() or [""]
-    known = KNOWN[option]
-    found = imported(name, option) if ":" in name else known.get(name)
-    kind = AbstractRule if option == "rule" else AbstractWrapper
-    if found is None:
-        raise RunError(
-            f"`{option}` must be one of {', '.join(known)}, or `module:name` of your own, got "
-            f"`{name}`."
-        )
-    if not (isinstance(found, type) and issubclass(found, kind)):
-        raise RunError(f"`{name}` must be a class that extends `maesn.{kind.__name__}`.")
-    with refusals(f"`{option}` cannot be `{text}`: "):
-        usual, values = found(), values_of_words(words)
-        try:
-            return replaced(usual, values)
-        except KeyError as error:
-            raise ValueError(
-                f"it has no setting `{error.args[0]}`; write NAME=VALUE with one of "
-                f"{', '.join(fields_to_json(usual))}."
-            ) from error
-
-
-def _read(
-    number: int | Literal["*"],
-    metavar: str,
-    read: Callable[[list[str]], Any] = lambda words: words[0],
-    written: Callable[[Any], list[str]] = lambda value: [str(value)],
-) -> PrimitiveConstructorSpec[Any]:
-    """Say how many words of the command line an argument is, and how they are read."""
-    return PrimitiveConstructorSpec(number, metavar, read, lambda _: True, written)
-
-
-def _named(option: str) -> PrimitiveConstructorSpec[Any]:
-    """Say that an argument is the name of a rule or a wrapper, and its settings."""
-    return _read(
-        "*",
-        option.upper(),
-        lambda words: from_text(option, " ".join(words)) if words else None,
-        lambda chosen: [] if chosen is None else [chosen.label],
-    )
-
-
-def _changes(words: list[str]) -> dict[str, Any]:
-    with refusals("`--change`: "):
-        return values_of_words(words)
-
-
-AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
-"""A run, its directory, or the name of a policy that comes with the library."""
-AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
-OptionalPath: TypeAlias = Annotated[str | Path | None, _read(1, "PATH")]
-AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME")]
-"""A user's own family or its `module:name`; None for one that comes with the library."""
-AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
-"""A rule, or on the command line its name and its settings."""
-AnyChange: TypeAlias = Annotated[Mapping[str, Any] | None, _read("*", "NAME=VALUE", _changes)]
-"""Name of a setting -> its new value."""
-Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
-"""False, unless the command line names it; it takes no value there."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Options(Evaluation):
-    """Options of the command line, to be checked when rule and wrappers are known as well."""
-
-    def __post_init__(self) -> None:
-        pass
-
-
-def evaluation_from_text(
-    options: Annotated[_Options, tyro.conf.arg(name="")],
-    rule: AnyRule = None,
-    then: Annotated[AbstractWrapper | None, _named("then")] = None,
-    bonus: Annotated[AbstractWrapper | None, _named("bonus")] = None,
-) -> Evaluation:
-    """Return an evaluation with rule and wrappers that are given as words.
-
-    Args:
-        options: all else.
-        rule: What happens in a new task: gradient, search, best_of, cross_entropy, cma_es, memory
-            or none, or `module:name` of your own; behind it its settings, as in `--rule gradient
-            step_scale=2`. Left out: what the method prescribes. `maesn list` has all settings.
-        then: How the policy's weights go on after some episodes: trpo or reinforce, as in `--then
-            trpo after=500 max_kl=0.01`. Left out: they stay.
-        bonus: A bonus on the rewards that are learned from, as in `--bonus vime
-            curiosity.weight=0.001`.
-    """
-    wrappers = tuple(one for one in (then, bonus) if one is not None)
-    with refusals():
-        return Evaluation(**vars(options) | {"rule": rule, "wrappers": wrappers})
-
-
-AnyEvaluation: TypeAlias = Annotated[
-    Evaluation, tyro.conf.arg(name="", constructor=evaluation_from_text)
-]
 
 
 def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
@@ -191,10 +68,7 @@ def new_tasks(
 
 
 def evaluate(
-    run: Run,
-    evaluation: Evaluation,
-    start: Path | None = None,
-    tasks: Sequence[int] | None = None,
+    run: Run, evaluation: Evaluation, start: Path | None = None, tasks: Sequence[int] | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
     """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record.
 
@@ -203,10 +77,22 @@ def evaluate(
     with new_tasks(run, evaluation) as (world, learner):
         saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
         outcome = play(world, learner, evaluation, saved, tasks)
-        engine = evaluation.engine or run.settings.engine
-        first = outcome.first_update
-        record = adaptation_record(identity_of_run(run), world, engine, evaluation, first)
-    return outcome, record | {"trial_episodes": outcome.trial_episodes}
+    return outcome, {
+        **identity_of_run(run),
+        "rule": evaluation.rule_text,
+        "label": evaluation.label,
+        "world": describe_env(world.env),
+        "engine": engine_of(world.env, evaluation.engine or run.settings.engine),
+        "task_digest": world.tasks.digest(),
+        "episodes_per_update": evaluation.budget.per_update,
+        "deploy_episodes": evaluation.budget.deploy,
+        "deploy_after": list(evaluation.deploy_after),
+        "seed": evaluation.seed,
+        "num_tasks": evaluation.count(world.tasks),
+        "episodes": evaluation.budget.episodes,
+        "first_update": outcome.first_update,
+        "trial_episodes": outcome.trial_episodes,
+    }
 
 
 def play(
@@ -231,6 +117,12 @@ def play(
     )
 
 
+def identity_of_run(run: Run) -> dict[str, str]:
+    """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
+    learner = f"{run.settings.method} {digest(run.learner)}"
+    return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
+
+
 def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:
     # A start at the prior has no use for keys.
     state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
@@ -247,3 +139,66 @@ def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: in
             f"{list(wanted.mean.shape)} are to be adapted: give the task set and the run of before."
         )
     return SavedContexts(latents, updates)
+
+
+def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
+    """Return where a table of adaptation curves goes by default.
+
+    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM-DIGEST` for a
+    user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
+    adaptation goes on; behind it number of tasks, sparse radius and engine, each where it is not
+    the usual one, so that what cannot be compared never shares a figure. Behind the reward stand
+    rule and wrappers.
+    """
+    name = evaluation.tasks
+    if name not in NAMED_SETS:
+        held = read_arrays(Path(name), "give an .npz file of tasks")
+        name = f"file-{Path(name).stem}-{digest_of_arrays(held)[:6]}"
+    parts = {
+        f"from-{first_update}-{name}" if first_update else name: True,
+        f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
+        f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
+        f"-on-{evaluation.engine}": evaluation.engine,
+    }
+    tasks = "".join(part for part, given in parts.items() if given)
+    return TableName(tasks, evaluation.reward, evaluation.suffix).path(directory)
+
+
+class Adapted(NamedTuple):
+    """What `maesn.adapt` has done."""
+
+    outcome: AdaptationOutcome
+    table: Path
+    """The curves, a `.csv` file."""
+    latents: Path | None
+    """The adapted latents, an `.npz` file, `[task, update, z]`; None where none are adapted."""
+
+    @property
+    def curves(self) -> AdaptationCurves:
+        """The curves that judge the method, `[task, update]` each."""
+        return self.outcome.curves
+
+
+def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
+    """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
+    # In this order: a record never stands beside curves that it does not belong to.
+    with explained("replace", table.with_suffix(RECORD)):
+        table.with_suffix(RECORD).unlink(missing_ok=True)
+    write_rows(table, as_rows(outcome))
+    write_json(table.with_suffix(RECORD), dict(record))
+    if not isinstance(outcome.contexts, Latent):
+        return Adapted(outcome, table, None)
+    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
+    held = Latents(mean, log_std, outcome.first_update)
+    write_arrays(table.with_suffix(LATENTS), vars(held))
+    return Adapted(outcome, table, table.with_suffix(LATENTS))
+
+
+def read_latents(path: Path) -> tuple[Latent, int]:
+    """Read the last latents of an adaptation, `[task, z]`, and the number of updates behind them.
+
+    A file that cannot be read or is something else is a `RunError`.
+    """
+    read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
+    mean, log_std = (jnp.asarray(x[:, -1], jnp.float32) for x in (read.mean, read.log_std))
+    return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

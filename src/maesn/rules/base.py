@@ -96,12 +96,4 @@ class AbstractWrapper(eqx.Module):
         return type(self).__name__
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Refuse a number of episodes with which the addition would never show.
-
-        Args:
-            episodes: per task, in all.
-            episodes_per_update: per task.
-
-        Raises:
-            ValueError: it would not.
-        """
+        """Refuse numbers of episodes with which the addition would never show, by a ValueError."""

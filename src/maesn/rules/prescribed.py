@@ -1,6 +1,5 @@
 """Rules that a method prescribes: follow the gradient, go on remembering, or learn nothing."""
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +17,7 @@ from maesn.learners import (
     inside,
 )
 from maesn.rules.base import AbstractRule, Trained
+from maesn.settings import check_number, check_positive
 
 
 class GradientRule(AbstractRule):
@@ -35,12 +35,8 @@ class GradientRule(AbstractRule):
     """Standard deviation of the latent that a new task starts from; 1 is the paper's prior."""
 
     def __check_init__(self) -> None:
-        if not 0 < self.step_scale < math.inf:
-            raise ValueError(f"`step_scale` must be positive and finite, got {self.step_scale}.")
-        if self.full_steps is not None and self.full_steps < 1:
-            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
-        if not 0 < self.start_std < math.inf:
-            raise ValueError(f"`start_std` must be positive and finite, got {self.start_std}.")
+        check_positive(self, "step_scale", "start_std")
+        check_number("full_steps", self.full_steps, 1)
 
     @property
     def label(self) -> str:

@@ -1,6 +1,5 @@
 """Rules that search for a good latent by returns alone: what latent search is compared with."""
 
-import math
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, ClassVar
@@ -13,6 +12,7 @@ from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.runtime.arrays import FloatArray
 from maesn.search import StrategyFastLearner, latent_learner
 from maesn.search.strategies import AbstractStrategy, BestOf, CmaEs, CrossEntropy
+from maesn.settings import check_number, check_positive
 
 _BUDGET = Budget(100, 1, 5)
 
@@ -29,7 +29,7 @@ class BestOfRule(AbstractRule):
     """Standard deviation of the draws."""
 
     def __check_init__(self) -> None:
-        _check_positive("spread", self.spread)
+        check_positive(self, "spread")
 
     @property
     def label(self) -> str:
@@ -55,9 +55,8 @@ class CrossEntropyRule(AbstractRule):
     """Share of a round that the next one is drawn around, at least two draws."""
 
     def __check_init__(self) -> None:
-        _check_positive("spread", self.spread)
-        if self.round_size < 2:
-            raise ValueError(f"`round_size` must be at least 2, got {self.round_size}.")
+        check_positive(self, "spread")
+        check_number("round_size", self.round_size, 2)
         if not 0 < self.elite <= 1:
             raise ValueError(f"`elite` must be above 0 and at most 1, got {self.elite}.")
 
@@ -88,9 +87,8 @@ class CmaEsRule(AbstractRule):
     components."""
 
     def __check_init__(self) -> None:
-        _check_positive("spread", self.spread)
-        if self.population is not None and self.population < 4:
-            raise ValueError(f"`population` must be at least 4, got {self.population}.")
+        check_positive(self, "spread")
+        check_number("population", self.population, 4)
 
     @property
     def label(self) -> str:
@@ -109,11 +107,6 @@ class CmaEsRule(AbstractRule):
             return CmaEs(library.CMA(zero, self.spread, seed=0, population_size=self.population))
 
         return _playing(trained, start)
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not 0 < value < math.inf:
-        raise ValueError(f"`{name}` must be positive and finite, got {value}.")
 
 
 def _playing(

@@ -17,6 +17,7 @@ from maesn.learners import (
 from maesn.learners.scratch.policy_gradient import TRPO
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.rules.base import AbstractWrapper
+from maesn.settings import check_number
 
 
 class AbstractThen(AbstractWrapper):
@@ -34,8 +35,7 @@ class AbstractThen(AbstractWrapper):
         """How the weights follow their experience."""
 
     def __check_init__(self) -> None:
-        if self.after < 0:
-            raise ValueError(f"`after` must be at least 0, got {self.after}.")
+        check_number("after", self.after, 0)
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
         if self.after >= episodes:

@@ -11,8 +11,8 @@ import numpy as np
 from maesn import learners
 from maesn.envs import AnyEnv, RewardKind, describe_env
 from maesn.envs.sources import find_tasks, imported, resolve_family
-from maesn.evaluation.evaluation import Evaluation, written_out
-from maesn.evaluation.tables import identity_of_run
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import identity_of_run
 from maesn.learners import (
     AbstractFastLearner,
     AbstractMetaLearner,
@@ -20,7 +20,7 @@ from maesn.learners import (
     RecurrentMetaLearner,
     method_name,
 )
-from maesn.rules import Trained
+from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced

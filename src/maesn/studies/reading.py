@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, NoReturn, TypeVar, get_type_hints
 from maesn import learners
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import KNOWN, from_text
+from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
 from maesn.settings import leaves
 from maesn.storage import RunError, explained
