@@ -27,9 +27,9 @@ from maesn.reporting.figures.exploration import (
     plot_task_distribution,
 )
 from maesn.reporting.figures.plane import (
+    aspect,
     direction_scale,
     directions,
-    final_positions,
     shared_limits,
 )
 from maesn.reporting.style import METHOD_STYLES, Drawn
@@ -102,18 +102,12 @@ def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() 
     assert everything.untrained_reach is None
 
 
-def test_final_positions_are_the_last_that_were_played() -> None:
-    paths = fan(np.array([0.0, np.pi / 2]), 1.0, num_steps=10)
-    paths[1, 6:] = np.nan
-    np.testing.assert_allclose(final_positions(paths), [[1.0, 0.0], [0.0, 0.5]], atol=1e-12)
-
-
 def test_limits_hold_discs_and_paths() -> None:
     goals, paths = np.array([[0.0, 2.0]]), fan(np.array([0.0]), 3.0)
     limits = shared_limits([goals, paths], radius=0.5)
-    assert (limits.low < [-0.5, 0.0]).all()
-    assert (limits.high > [3.0, 2.5]).all()
-    assert limits.aspect < 1.0
+    assert (limits.min < [-0.5, 0.0]).all()
+    assert (limits.max > [3.0, 2.5]).all()
+    assert aspect(limits) < 1.0
 
 
 def test_directions_are_degrees_and_colours_cover_them() -> None:
