@@ -14,8 +14,8 @@ from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.reporting.reading import LATENTS, RECORD, TableName, read_record
-from maesn.reporting.runs import Latents
+from maesn.reporting.reading import LATENTS, RECORD, TableName
+from maesn.reporting.runs import Latents, read_record
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest

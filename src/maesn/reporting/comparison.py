@@ -59,10 +59,6 @@ class Line:
         """Return one column of a measure, of all tasks or of the first so many."""
         return self.measure(measure)[:, :num_tasks, index]
 
-    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Line":
-        """Return the line over those of the comparison's tasks that are chosen."""
-        return replace(self, table=self.table.part(chosen[: self.num_tasks]))
-
     @property
     def beyond(self) -> str:
         """Say from where on it does what it was never trained for; empty for nowhere."""
@@ -143,7 +139,11 @@ class Comparison:
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
         lines, baselines, oracle = (
-            tuple(one.of_tasks(chosen) for one in group if chosen[: one.num_tasks].any())
+            tuple(
+                replace(line, table=line.table.part(chosen[: line.num_tasks]))
+                for line in group
+                if chosen[: line.num_tasks].any()
+            )
             for group in (self.lines, self.baselines, self.oracle)
         )
         return replace(self, lines=lines, baselines=baselines, oracle=oracle)

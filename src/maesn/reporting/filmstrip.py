@@ -17,8 +17,8 @@ Picture = UInt8[np.ndarray, "height width 3"]
 
 # Pixels.
 _MARGIN = 8
-_TITLE_SIZE, _ROW_SIZE, _CAPTION_SIZE = 17, 15, 13
-_LINE = 1.5  # height of a line of text in units of its size
+_TITLE, _ROW, _CAPTION = 26, 22, 20  # heights of lines of text
+_LINE = 1.5  # height of a line in units of the size of its text
 _BORDER = 4
 _COLOURS = 256  # of a GIF
 _HOLD = 1500  # milliseconds that the last picture stays
@@ -68,35 +68,33 @@ def contact_sheet(title: str, rows: Sequence[Row]) -> bytes:
 def _compose(title: str, rows: Sequence[Row], index: int) -> Image.Image:
     """Return the cells' pictures of one index, with their texts, on one sheet."""
     height, width, _ = rows[0].cells[0].pictures[0].shape
-    step = width + _MARGIN
-    right = max(len(row.cells) for row in rows) * step
-    above, beside, below = (round(_LINE * size) for size in (_TITLE_SIZE, _ROW_SIZE, _CAPTION_SIZE))
-    row_height = beside + height + below + _MARGIN
-    size = (_MARGIN + right, 2 * _MARGIN + above + len(rows) * row_height)
-    sheet = Image.new("RGB", size, "white")
+    down, across = _ROW + height + _CAPTION + _MARGIN, width + _MARGIN
+    right = max(len(row.cells) for row in rows) * across
+    sheet = Image.new("RGB", (_MARGIN + right, 2 * _MARGIN + _TITLE + len(rows) * down), "white")
     draw = ImageDraw.Draw(sheet)
-    _write(draw, (_MARGIN, _MARGIN), title, _TITLE_SIZE, BLACK, right)
+    _write(draw, _MARGIN, _MARGIN, title, _TITLE, BLACK, right)
     for line, row in enumerate(rows):
-        top = 2 * _MARGIN + above + line * row_height
-        _write(draw, (_MARGIN, top), row.title, _ROW_SIZE, BLACK, right)
+        top = 2 * _MARGIN + _TITLE + line * down
+        _write(draw, _MARGIN, top, row.title, _ROW, BLACK, right)
         for column, cell in enumerate(row.cells):
-            x, y = _MARGIN + column * step, top + beside
+            x, y = _MARGIN + column * across, top + _ROW
             sheet.paste(Image.fromarray(cell.pictures[index]), (x, y))
             colour = BLUISH_GREEN if cell.success else DARK_GREY
             if cell.success:
                 frame = (x, y, x + width - 1, y + height - 1)
                 draw.rectangle(frame, outline=colour, width=_BORDER)
-            _write(draw, (x, y + height), cell.caption, _CAPTION_SIZE, colour, width)
+            _write(draw, x, y + height, cell.caption, _CAPTION, colour, width)
     return sheet
 
 
 def _write(
-    draw: ImageDraw.ImageDraw, at: tuple[int, int], text: str, size: int, colour: str, width: int
+    draw: ImageDraw.ImageDraw, x: int, y: int, text: str, height: int, colour: str, width: int
 ) -> None:
     """Write a line of text, smaller if it would not fit into the width."""
+    size = round(height / _LINE)
     while size > 1 and _font(size).getlength(text) > width:
         size -= 1
-    draw.text(at, text, fill=colour, font=_font(size))
+    draw.text((x, y), text, fill=colour, font=_font(size))
 
 
 @cache

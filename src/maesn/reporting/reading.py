@@ -1,20 +1,17 @@
-"""The files that an adaptation leaves: their names, tables of curves, and records of arrays."""
+"""The tables that adaptations leave: their names, and the curves in them."""
 
 import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, Real
+from jaxtyping import Bool, Float, Int
 
 from maesn.runtime import archive
-from maesn.storage import RunError, read_arrays, read_json
-
-Record = TypeVar("Record")
+from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
@@ -258,38 +255,3 @@ def _grids(rows: Sequence[Mapping[str, Any]], purpose: str) -> dict[str, Curves]
     if np.ptp(grids["episodes"], axis=0).any():
         raise ValueError("tasks differ in their numbers of episodes")
     return grids
-
-
-def read_record(
-    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
-) -> Record:
-    """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
-
-    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
-    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
-    or empty. Messages of errors end with the remedy.
-
-    Raises:
-        RunError: an array is absent, not numeric, empty or of another shape.
-    """
-    arrays, known = read_arrays(path, remedy), dict(sizes)
-    hints, values = get_type_hints(kind), {}
-    for field in fields(cast(Any, kind)):
-        array = arrays.get(field.name)
-        has_default = field.default is not MISSING
-        if has_default and (array is None or not array.size):
-            continue
-        hint = next(iter(get_args(hints[field.name])), hints[field.name])
-        axes = getattr(hint, "dim_str", "").split()
-        wanted = [str(known.get(axis, axis)) for axis in axes]
-        numbers = Integer if hint is int else Real
-        shape: Any = numbers[np.ndarray, " ".join(wanted)]
-        if array is None or not isinstance(array, shape) or not array.size:
-            found = ", ".join(sorted(arrays)) or "no arrays"
-            if array is not None:
-                found = f"{array.dtype} {list(array.shape)}"
-            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
-            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
-        known |= zip(axes, array.shape, strict=True)
-        values[field.name] = array.astype(np.float64) if axes else hint(array)
-    return kind(**values)

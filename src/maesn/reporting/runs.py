@@ -1,22 +1,24 @@
 """Run directories, as far as figures and tables need them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer, Real
 
 from maesn.reporting import reading
-from maesn.reporting.reading import AdaptationTable, PriorReach, Record, TableName, prior_reach
-from maesn.storage import RunError, read_json, read_json_lines
+from maesn.reporting.reading import AdaptationTable, TableName
+from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
 # Where a run directory has what `maesn report` has recorded: records of the classes below.
 EXPLORATION = Path("figures") / "exploration.npz"
 LATENT_PATHS = Path("figures") / "latent-paths.npz"
 SEARCHES = Path("figures") / "searches.npz"
 
+Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
@@ -77,7 +79,7 @@ class RecordedRun:
             return None
         adapted = reading.read_adaptation(table)
         sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-        return reading.read_record(Latents, file, reading.remedy(table), sizes)
+        return read_record(Latents, file, reading.remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -156,12 +158,6 @@ class RecordedExploration:
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
     """The same of the tasks that the run was adapted to."""
 
-    @property
-    def untrained_reach(self) -> PriorReach | None:
-        """What an untrained policy reaches; None if all tasks are solved at reset."""
-        solved = self.solved_at_reset > 0
-        return prior_reach(self.untrained_success_rate, solved, self.episodes_per_task)
-
 
 @dataclass(frozen=True)
 class LatentPaths:
@@ -200,4 +196,39 @@ class RecordedSearches:
 
 def read_recorded(kind: type[Record], file: Path) -> Record | None:
     """Read a record of `maesn report`; None if there is none."""
-    return reading.read_record(kind, file, _RECORD_REMEDY) if file.exists() else None
+    return read_record(kind, file, _RECORD_REMEDY) if file.exists() else None
+
+
+def read_record(
+    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
+) -> Record:
+    """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
+
+    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
+    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
+    or empty. Messages of errors end with the remedy.
+
+    Raises:
+        RunError: an array is absent, not numeric, empty or of another shape.
+    """
+    arrays, known = read_arrays(path, remedy), dict(sizes)
+    hints, values = get_type_hints(kind), {}
+    for field in fields(cast(Any, kind)):
+        array = arrays.get(field.name)
+        has_default = field.default is not MISSING
+        if has_default and (array is None or not array.size):
+            continue
+        hint = next(iter(get_args(hints[field.name])), hints[field.name])
+        axes = getattr(hint, "dim_str", "").split()
+        wanted = [str(known.get(axis, axis)) for axis in axes]
+        numbers = Integer if hint is int else Real
+        shape: Any = numbers[np.ndarray, " ".join(wanted)]
+        if array is None or not isinstance(array, shape) or not array.size:
+            found = ", ".join(sorted(arrays)) or "no arrays"
+            if array is not None:
+                found = f"{array.dtype} {list(array.shape)}"
+            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
+            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
+        known |= zip(axes, array.shape, strict=True)
+        values[field.name] = array.astype(np.float64) if axes else hint(array)
+    return kind(**values)

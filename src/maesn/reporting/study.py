@@ -11,8 +11,8 @@ from maesn.reporting.published import comparable_curve
 from maesn.reporting.reading import read_adaptation, stack_seeds
 from maesn.reporting.style import MethodStyle, save_figure, series_styles
 from maesn.reporting.summary import summary_tables
-from maesn.reporting.tables import TextTable, write_tables
-from maesn.storage import RunError, read_json, write_rows
+from maesn.reporting.tables import TextTable
+from maesn.storage import RunError, read_json, write_rows, write_whole
 
 MANIFEST = "study.json"
 RESULTS, SUMMARY = "results.csv", "summary.md"
@@ -62,7 +62,7 @@ def _report(comparison: Comparison, study: Document, out: Path, wrote: Wrote) ->
         table._replace(title=f"{name}: {table.title[0].lower()}{table.title[1:]}")
         for table in summary_tables(comparison)
     ]
-    write_tables(tables, out / SUMMARY)
+    write_whole(out / SUMMARY, "\n".join(table.to_markdown() for table in tables).encode())
     for figure in (_EVERYTHING, *study["figures"]):
         if figure["families"] and comparison.family not in figure["families"]:
             continue

@@ -14,7 +14,6 @@ from maesn.reporting.comparison import Comparison, Line, note_on_judging
 from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
 from maesn.reporting.statistics import Interval, curve
 from maesn.reporting.style import MethodStyle
-from maesn.storage import write_whole
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
@@ -95,11 +94,6 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
     console = console or Console()
     for table in tables:
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
-
-
-def write_tables(tables: Sequence[TextTable], path: Path) -> None:
-    """Write tables as Markdown."""
-    write_whole(path, "\n".join(table.to_markdown() for table in tables).encode())
 
 
 def update_tables(

@@ -3,7 +3,6 @@
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -13,7 +12,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from maesn.reporting import statistics, style
 from maesn.reporting.comparison import Comparison, Line, by_line, note_on_judging
-from maesn.reporting.published import PublishedCurve
 from maesn.reporting.style import Drawn, MethodStyle
 
 _NUM_MARKERS = 6
@@ -24,6 +22,7 @@ _LABEL_CHARACTERS = 30  # of a line of a label
 _LABEL_SIZE = 6.5  # points
 _WIDTHS = (1.5, 1.0)  # return, success
 _ROW = 0.22  # inches
+_HOLLOW = {"markersize": 3.0, "markerfacecolor": "none", "markeredgewidth": 0.6}
 # How the mean returns of those who learn nothing, or are given the task, are drawn.
 _REFERENCES = {
     "baseline": {"color": style.DARK_GREY, "linewidth": 0.8, "linestyle": (0, (1.0, 1.5))},
@@ -54,7 +53,10 @@ def plot_curves(comparison: Comparison) -> Drawn:
         returns.axhline(value, label=name, **_REFERENCES[name])
     published = [(one, curve) for one in lines if (curve := one.published) is not None]
     for line, curve in published:
-        _draw_published(returns, line, curve)
+        episodes = curve.update * (line.table.episodes_per_update or 1)
+        shown = episodes <= line.table.episodes[-1]
+        look = {"markeredgecolor": line.style.colour, **_HOLLOW}
+        returns.plot(episodes[shown], curve.mean_return[shown], "o", **look)
     returns.set_ylabel(f"mean {lines[0].table.reward} return")
     percent_axis(success, "success rate")
     figure.suptitle(comparison.title)
@@ -191,15 +193,6 @@ def _notes(lines: Sequence[Line], bands: Mapping[str, str]) -> list[str]:
         if line.num_tasks < most
     ]
     return [f"bands: {by_line(bands)}", note_on_judging(lines), *faint, *fewer]
-
-
-def _draw_published(axes: Axes, line: Line, curve: PublishedCurve) -> None:
-    """Mark the published returns as far as ours go."""
-    episodes = curve.update * (line.table.episodes_per_update or 1)
-    shown = episodes <= line.table.episodes[-1]
-    hollow: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": line.style.colour}
-    x, y = episodes[shown], curve.mean_return[shown]
-    axes.plot(x, y, "o", markersize=3.0, markeredgewidth=0.6, **hollow)
 
 
 def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:

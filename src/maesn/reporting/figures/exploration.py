@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
 from maesn.reporting.figures import plane
-from maesn.reporting.reading import PriorReach
+from maesn.reporting.reading import PriorReach, prior_reach
 from maesn.reporting.runs import Latents, RecordedExploration
 from maesn.reporting.statistics import count
 
@@ -54,7 +54,7 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     positions = [middle[None], goals, training, start, *(points for points, *_ in objects)]
     limits = plane.shared_limits(positions, radius)
     # Beside the plane labels take 0.6 inches, above and below it labels and legend take 0.85.
-    height = (style.ONE_COLUMN - 0.6) * plane.aspect(limits) + 0.85
+    height = (style.ONE_COLUMN - 0.6) * limits.height / limits.width + 0.85
     figure = style.new_figure(style.ONE_COLUMN, height)
     axes = figure.subplots()
     _mark(axes, training, "o", style.VERMILLION, f"{len(training)} training goals", alpha=0.7)
@@ -85,15 +85,16 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
     The untrained policy is that of the first run. All are in one world.
     """
     first = explorers[0].exploration
-    untrained = style.MethodStyle("untrained policy", style.BLACK)
+    solved, episodes = first.solved_at_reset > 0, first.episodes_per_task
+    reach = prior_reach(first.untrained_success_rate, solved, episodes)
+    untrained = ExplorationPanel(style.MethodStyle("untrained policy", style.BLACK), first, reach)
     drawn = [(one, one.exploration.prior_paths) for one in explorers]
-    last = ExplorationPanel(untrained, first, first.untrained_reach)
-    drawn.append((last, first.untrained_paths))
+    drawn.append((untrained, first.untrained_paths))
     limits = plane.shared_limits([first.goals, *(paths for _, paths in drawn)], first.sparse_radius)
     columns = 2 if len(drawn) in (2, 4) else 3
     rows = math.ceil(len(drawn) / columns)
     # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
-    height = (style.TWO_COLUMNS - 0.5) / columns * plane.aspect(limits) + 0.42
+    height = (style.TWO_COLUMNS - 0.5) / columns * limits.height / limits.width + 0.42
     figure = style.new_figure(style.TWO_COLUMNS, rows * height + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for unused in panels[len(drawn) :]:
@@ -106,7 +107,8 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
             title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
         axes.set_title(title)
         if position % columns:
-            _drop_y_label(axes)
+            axes.set_ylabel("")
+            axes.tick_params(labelleft=False)
         if position + columns < len(drawn):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
@@ -128,9 +130,9 @@ def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
     if latents is not None and latents.shape[1] < 2:
         latents = None
     # The panel of latents is as high as the planes beside it.
-    widths = [1.0, 1.0] if latents is None else [plane.aspect(limits), 1.0, 1.0]
+    widths = [1.0, 1.0] if latents is None else [limits.height / limits.width, 1.0, 1.0]
     # Beside the panels labels and colour bar take 1.7 inches, above and below them text takes 0.8.
-    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * plane.aspect(limits) + 0.8
+    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.height / limits.width + 0.8
     figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, len(widths), width_ratios=widths).tolist()
     drawn = {"z sampled from the prior": sampled, "z fixed": fixed}
@@ -148,7 +150,7 @@ def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
         box = Bbox([[-reach, -reach], [reach, reach]])
         labels = {"xlabel": "latent component 1", "ylabel": "latent component 2"}
         plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
-    _drop_y_label(panels[-1])
+    panels[-1].label_outer()
     plane.direction_bar(figure, panels, scale, "final direction (°)")
     return style.Drawn(figure)
 
@@ -165,9 +167,8 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.D
     mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
     std = np.exp(log_std)
     limits = plane.shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
-    figure = style.new_figure(
-        style.TWO_COLUMNS, _PANEL_WIDTH * plane.aspect(limits) + _SURROUNDINGS
-    )
+    height = _PANEL_WIDTH * limits.height / limits.width + _SURROUNDINGS
+    figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     colours = np.tile(to_rgba(style.BLUE), (len(mean), 1))
     if goals is not None:
@@ -191,8 +192,3 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.D
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
     return style.Drawn(figure)
-
-
-def _drop_y_label(axes: Axes) -> None:
-    axes.set_ylabel("")
-    axes.tick_params(labelleft=False)

@@ -40,11 +40,6 @@ def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 
     return box.padded(max(_MARGIN * max(box.width, box.height), 1e-3))
 
 
-def aspect(limits: Bbox) -> float:
-    """Return height over width."""
-    return float(limits.height / limits.width)
-
-
 def equal_axes(axes: Axes, limits: Bbox, **labels: str) -> None:
     """Give a panel limits, the same scale in both directions, and labels as of `axes.set`."""
     axes.set(aspect="equal", xlim=limits.intervalx, ylim=limits.intervaly, **labels)
