@@ -20,17 +20,19 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from maesn.context import Latent, LatentContext
-from maesn.reporting.adaptation_table import AdaptationTable, solved_at_reset, stack_seeds
+from maesn.reporting.comparison import Line
+from maesn.reporting.reading import AdaptationTable, stack_seeds
 from maesn.reporting.runs import read_run
 from maesn.reporting.statistics import bootstrap, difference
+from maesn.reporting.style import MethodStyle
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
     labels_of,
     markdown_row,
-    note_on_beyond,
     note_on_solved,
-    summary_tables,
+    sentences,
+    update_tables,
 )
 
 REFERENCE = "maesn-20x20"
@@ -112,18 +114,20 @@ def difference_table(
     There is one table per seed, of the reference and of each method by its name.
     """
     rows, intervals, beyond = [], [], []
+    first = stack_seeds(reference)
     for name, tables in others.items():
+        line = Line(name, MethodStyle(name), tuple(range(len(tables))), stack_seeds(tables))
         cells = [name]
         for measure, unit in UNITS.items():
-            ends = (stack_seeds(seeds, measure)[..., -1] for seeds in (tables, reference))
+            ends = (getattr(table, measure)[..., -1] for table in (line.table, first))
             intervals.append(bootstrap(difference, *ends))
             cells.append(unit.text(intervals[-1], sign="+"))
         rows.append(tuple(cells))
-        beyond += [f"{name}: {said}"] if (said := note_on_beyond(tables[0])) else []
-    solved = note_on_solved(solved_at_reset(reference))
-    notes = filter(None, (f"In brackets: {labels_of(intervals)}.", solved, *beyond))
+        beyond.append(line.beyond)
+    solved = note_on_solved(first.is_solved_at_reset)
+    notes = sentences(f"in brackets: {labels_of(intervals)}", solved, *beyond)
     headings = ("method", *(unit.heading for unit in UNITS.values()))
-    return TextTable(title, headings, tuple(rows), tuple(notes), is_named=True)
+    return TextTable(title, headings, tuple(rows), notes, is_named=True)
 
 
 def main() -> None:
@@ -141,7 +145,7 @@ def main() -> None:
     if tables:
         print("\n# Adaptation to the 100 test tasks, sparse reward\n")
     for name, all_seeds in tables.items():
-        for summary in summary_tables(all_seeds, f"{name}, seeds: {len(all_seeds)}"):
+        for summary in update_tables(all_seeds, f"{name}, seeds: {len(all_seeds)}"):
             print(summary.to_markdown())
     reference = tables.pop(REFERENCE, None)
     if tables and reference is not None:

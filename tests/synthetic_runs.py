@@ -8,9 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from maesn.reporting.adaptation_table import COLUMNS, EXPLORE, MEASURES, AdaptationTable, Line
-from maesn.reporting.explorer import LATENT_PATHS, SEARCHES, LatentPaths, RecordedSearches
-from maesn.reporting.runs import Latents, LearningCurve, RecordedExploration, RecordedRun
+from maesn.reporting.comparison import Line
+from maesn.reporting.reading import COLUMNS, EXPLORE, MEASURES, AdaptationTable, stack_seeds
+from maesn.reporting.runs import (
+    LATENT_PATHS,
+    SEARCHES,
+    LatentPaths,
+    Latents,
+    LearningCurve,
+    RecordedExploration,
+    RecordedRun,
+    RecordedSearches,
+)
 from maesn.reporting.series import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
 
@@ -112,7 +121,7 @@ def series(*methods: str) -> list[Series]:
 def line(method: str = "maesn", *tables: AdaptationTable) -> Line:
     """A method's adaptation, one table per seed."""
     style = METHOD_STYLES.get(method, MethodStyle(method, "#000000", "-", "o"))
-    return Line(method, style, tuple(range(len(tables))), tables)
+    return Line(method, style, tuple(range(len(tables))), stack_seeds(tables))
 
 
 def write_adaptation(
@@ -129,7 +138,7 @@ def write_adaptation(
 
 
 def _rows(table: AdaptationTable, purpose: str) -> Iterator[list[Any]]:
-    curves = [table.measure(name) for name in (*MEASURES, "solved_at_reset")]
+    curves = [getattr(table, name) for name in (*MEASURES, "solved_at_reset")]
     for task, column in np.ndindex(table.mean_return.shape):
         measures = (float(curve[task, column]) for curve in curves)
         yield [task, table.updates[column], table.episodes[column], purpose, *measures]

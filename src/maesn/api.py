@@ -22,7 +22,7 @@ from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
 from maesn.reporting.reading import RECORD
 from maesn.reporting.run_figures import draw_runs
-from maesn.reporting.study import is_study, report_studies, studies_in
+from maesn.reporting.study import report_studies, studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
@@ -262,7 +262,7 @@ def report(
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
-    if not isinstance(of[0], Run) and is_study(Path(of[0])):
+    if not isinstance(of[0], Run) and studies_in(Path(of[0])):
         if len(of) > 1 or out is not None:
             raise RunError("a study is reported by itself, into its directory: maesn report DIR")
         files: list[Path] = []

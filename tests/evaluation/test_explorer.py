@@ -10,8 +10,15 @@ from small_runs import create, finish, tiny_maesn
 from maesn.evaluation import exploration
 from maesn.learners import maml
 from maesn.policies import GaussianMLP
-from maesn.reporting.explorer import read_latent_paths, read_searches
-from maesn.reporting.runs import read_exploration
+from maesn.reporting.runs import (
+    EXPLORATION,
+    LATENT_PATHS,
+    SEARCHES,
+    LatentPaths,
+    RecordedExploration,
+    RecordedSearches,
+    read_recorded,
+)
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.search.prior import PriorSettings
@@ -38,7 +45,7 @@ def test_latents_are_a_lattice_in_the_plane_and_draws_beyond() -> None:
 
 
 def test_each_latent_has_the_path_of_an_episode(run: Run) -> None:
-    recorded = read_latent_paths(run.directory)
+    recorded = read_recorded(LatentPaths, run.directory / LATENT_PATHS)
     assert recorded is not None
     assert recorded.paths.shape == (441, 40, 2)
     # The point starts at the origin, up to its noise of 1 cm, and moves at most 10 cm in a step.
@@ -49,7 +56,7 @@ def test_each_latent_has_the_path_of_an_episode(run: Run) -> None:
 
 
 def test_searches_are_those_of_the_rule(run: Run) -> None:
-    recorded = read_searches(run.directory)
+    recorded = read_recorded(RecordedSearches, run.directory / SEARCHES)
     assert recorded is not None
     with closing(run.world(reward_kind="sparse")) as world:
         prior = find_prior(run, run.latest_state(), world, "", any_reward=False)
@@ -74,11 +81,11 @@ def test_a_run_without_latents_has_none_to_show(
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
     finish(made)
     exploration.record_explorer(made)
-    assert read_latent_paths(made.directory) is None
-    assert read_searches(made.directory) is None
+    assert read_recorded(LatentPaths, made.directory / LATENT_PATHS) is None
+    assert read_recorded(RecordedSearches, made.directory / SEARCHES) is None
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     exploration.record_exploration(made)
-    recorded = read_exploration(made.directory)
+    recorded = read_recorded(RecordedExploration, made.directory / EXPLORATION)
     assert recorded is not None
     assert recorded.prior_paths.shape == recorded.untrained_paths.shape == (5, 41, 2)
     assert recorded.fixed_paths is None

@@ -11,9 +11,17 @@ from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adapt
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import adaptation_file
-from maesn.reporting.adaptation_table import COLUMNS, DEPLOY, EXPLORE, MEASURES, stack_seeds
-from maesn.reporting.reading import TableName, read_adaptation, table_name
-from maesn.reporting.tables import summary_tables
+from maesn.reporting.reading import (
+    COLUMNS,
+    DEPLOY,
+    EXPLORE,
+    MEASURES,
+    TableName,
+    read_adaptation,
+    stack_seeds,
+    table_name,
+)
+from maesn.reporting.tables import update_tables
 from maesn.storage import RunError
 
 HEADER = ",".join(COLUMNS)
@@ -27,7 +35,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     write_adaptation(path, written)
     table = read_adaptation(path)
     for name in MEASURES:
-        np.testing.assert_array_equal(table.measure(name), written.measure(name))
+        np.testing.assert_array_equal(getattr(table, name), getattr(written, name))
     np.testing.assert_array_equal(table.solved_at_reset, written.solved_at_reset)
     assert (table.tasks, table.reward, table.purpose) == ("validation", "dense", EXPLORE)
     assert table.episodes.tolist() == [0, 50, 100, 150]
@@ -108,9 +116,9 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     assert table.prior_reach is not None
     assert table.prior_reach.episodes == 30
     assert table.first_beyond == 2
-    (summary,) = summary_tables([table], "RL2", brief=True)
+    (summary,) = update_tables([table], "RL2", brief=True)
     assert summary.notes[0] == (
-        "Meta-training has prepared for 2 episodes: from update 2 on it is beyond them."
+        "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
     )
 
 
@@ -148,9 +156,20 @@ def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
 
 def test_seeds_are_stacked() -> None:
     tables = [adaptation_table(seed=seed) for seed in range(3)]
-    stacked = stack_seeds(tables, "goal_return")
-    assert stacked.shape == (3, NUM_TASKS, NUM_UPDATES + 1)
-    np.testing.assert_array_equal(stacked[2], tables[2].goal_return)
+    stacked = stack_seeds(tables)
+    assert stacked.goal_return.shape == (3, NUM_TASKS, NUM_UPDATES + 1)
+    np.testing.assert_array_equal(stacked.goal_return[2], tables[2].goal_return)
+    assert stacked.num_tasks == NUM_TASKS
+    chosen = stacked.part(np.arange(NUM_TASKS) < 2, slice(1, None))
+    np.testing.assert_array_equal(chosen.goal_return[2], tables[2].goal_return[:2, 1:])
+
+
+def test_a_task_is_solved_at_reset_if_it_is_so_for_one_seed() -> None:
+    at_reset = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
+    at_reset[1, 2] = 0.1
+    other = replace(adaptation_table(), solved_at_reset=at_reset)
+    stacked = stack_seeds([adaptation_table(), other])
+    assert np.flatnonzero(stacked.is_solved_at_reset).tolist() == [1]
 
 
 def test_seeds_with_different_tasks_are_refused() -> None:
@@ -158,7 +177,7 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         RunError,
         match=r"got 5 tasks, updates 0 to 3 and 8 tasks, updates 0 to 3.*same `--tasks`",
     ):
-        stack_seeds([adaptation_table(), adaptation_table(num_tasks=5)], "mean_return")
+        stack_seeds([adaptation_table(), adaptation_table(num_tasks=5)])
 
 
 @pytest.mark.parametrize(
@@ -166,9 +185,15 @@ def test_seeds_with_different_tasks_are_refused() -> None:
     [
         ("", "the column `task` .* got an empty file"),
         ("task,update\n0,0\n", "the column `episodes` .* got task, update"),
-        (f"{HEADER}\n", "its rows of purpose explore are no grid"),
-        (f"{HEADER}\n{ROW}\n{ROW}\n", "its rows of purpose explore are no grid"),
-        (f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n", "its rows of purpose explore are no grid"),
+        (f"{HEADER}\n", "its rows of purpose explore lack a task or an update, or repeat one"),
+        (
+            f"{HEADER}\n{ROW}\n{ROW}\n",
+            "its rows of purpose explore lack a task or an update, or repeat one",
+        ),
+        (
+            f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n",
+            "its rows of purpose explore lack a task or an update, or repeat one",
+        ),
         (
             f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
             "cannot be drawn: could not convert string to float: .*good",
@@ -183,15 +208,15 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         ),
         (
             f"{HEADER}\n{ROW}\n1,0,7,{ONES}\n",
-            "its rows of purpose explore lack a task or an update",
+            "tasks differ in their numbers of episodes",
         ),
         (
             f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
-            "its rows of purpose explore are no grid",
+            "its rows of purpose explore lack a task or an update, or repeat one",
         ),
         (
             f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
-            "its rows of purpose explore are no grid",
+            "its rows of purpose explore lack a task or an update, or repeat one",
         ),
         (
             f"{HEADER}\n{ROW}\n1,0,0,{ONES}\n{ROW.replace('explore', 'deploy')}\n",

@@ -10,10 +10,11 @@ from figure_checks import check_saved_whole, crowd, labels, line
 from synthetic_runs import adaptation_table, learning_curve
 from synthetic_runs import line as method
 
-from maesn.reporting.adaptation_table import DEPLOY, Line
+from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.figures.curves import plot_curves
 from maesn.reporting.figures.learning import moving_mean, plot_learning_curves
-from maesn.reporting.published import published_curve
+from maesn.reporting.published import PublishedCurve, comparable_curve
+from maesn.reporting.reading import DEPLOY, stack_seeds
 from maesn.reporting.statistics import bootstrap, mean
 from maesn.reporting.style import METHOD_STYLES, Drawn
 
@@ -24,19 +25,29 @@ def learning_figure() -> Drawn:
     return plot_learning_curves(trained, "dense")
 
 
+def curves(*lines: Line) -> Drawn:
+    return plot_curves(Comparison(lines, family="wheeled"))
+
+
 def adaptation_figure() -> Drawn:
     seeds = (adaptation_table(seed=seed) for seed in range(3))
     lines = [method("maesn", *seeds), method("maml", adaptation_table(gain=5.0))]
-    return plot_curves(lines, "wheeled", published={"maesn": published_curve("wheeled", "maesn")})
+    protocol = ("wheeled", "reference", None)
+    published = [comparable_curve(*protocol, one.name, one.table) for one in lines]
+    return curves(*map(_with_published, lines, published))
+
+
+def _with_published(line: Line, curve: PublishedCurve | None) -> Line:
+    return replace(line, published=curve)
 
 
 def crowded_adaptation_figure() -> Drawn:
     tables = (adaptation_table(), adaptation_table(seed=1))
     lines = [
-        Line(one.name, one.style, (0, 1)[: 1 + (not i)], tables[: 1 + (not i)])
+        Line(one.name, one.style, (0, 1)[: 1 + (not i)], stack_seeds(tables[: 1 + (not i)]))
         for i, one in enumerate(crowd())
     ]
-    return plot_curves(lines, "wheeled")
+    return curves(*lines)
 
 
 FIGURES: dict[str, Callable[[], Drawn]] = {
@@ -92,14 +103,15 @@ def test_adaptation_curves() -> None:
     assert {axes.get_xlabel() for axes in figure.axes} == {"episodes in the new task"}
     assert labels(returns) == ["MAML", "MAESN, 3 seeds"]
     assert notes == [
-        "bands of MAESN: 95 % interval, resampling 8 tasks and 3 seeds",
-        "other bands: 95 % interval, resampling 8 tasks; 1 seed",
+        "bands: 95 % interval, resampling 8 tasks and 3 seeds (MAESN); or 95 % interval, "
+        "resampling 8 tasks; 1 seed (MAML)",
         "judged on the episodes that were learned from, z drawn, as in the paper",
         "circles: as published",
     ]
-    (published,) = (
+    published, other = (
         one for one in returns.lines if one.get_marker() == "o" and one.get_linestyle() == "None"
     )
+    assert np.asarray(other.get_ydata())[0] == -404.8  # of MAML
     np.testing.assert_array_equal(published.get_xdata(), [0, 50, 100, 150])
     assert np.asarray(published.get_ydata())[0] == -395.7
     assert len(success.lines) == 2
@@ -107,7 +119,7 @@ def test_adaptation_curves() -> None:
 
 def test_the_band_is_the_interval() -> None:
     table = adaptation_table()
-    figure, notes = plot_curves([method("maesn", table)], "wheeled")
+    figure, notes = curves(method("maesn", table))
     interval = bootstrap(mean, table.mean_return[None, :, -1])
     band = figure.axes[0].collections[0].get_paths()[0].vertices
     at_end = band[band[:, 0] == 150.0, 1]
@@ -118,17 +130,18 @@ def test_the_band_is_the_interval() -> None:
 
 def test_the_note_says_which_lines_judge_the_deployed_agent() -> None:
     fresh = replace(adaptation_table(), purpose=DEPLOY)
-    (_, one) = plot_curves([method("maesn", fresh)], "wheeled").notes
+    (_, one) = curves(method("maesn", fresh)).notes
     assert one == "judged on fresh episodes of the deployed agent"
     lines = [method("maesn", fresh), method("maml", adaptation_table())]
-    *_, said = plot_curves(lines, "wheeled").notes
-    assert said.startswith("MAESN: judged on fresh episodes of the deployed agent; MAML: judged on")
+    *_, said = curves(*lines).notes
+    assert said.startswith("judged on fresh episodes of the deployed agent (MAESN); or judged on")
+    assert said.endswith("(MAML)")
 
 
 def test_two_lengths_of_updates_share_a_logarithmic_axis() -> None:
     other = replace(adaptation_table(), episodes=20 * np.arange(4))
     lines = [method("maesn", adaptation_table()), method("maml", other)]
-    assert {one.get_xscale() for one in plot_curves(lines, "wheeled").figure.axes} == {"symlog"}
+    assert {one.get_xscale() for one in curves(*lines).figure.axes} == {"symlog"}
 
 
 def test_methods_are_drawn_in_their_own_style() -> None:

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from synthetic_runs import adaptation_table
 
-from maesn.reporting.published import comparable_curve, published_curve
+from maesn.reporting.published import PublishedCurve, comparable_curve
+
+
+def published_curve(family: str, method: str) -> PublishedCurve | None:
+    """What the paper shows for a run with its protocol."""
+    episodes = (20 if family == "blockpush" else 50) * np.arange(4)
+    table = replace(adaptation_table(), episodes=episodes)
+    return comparable_curve(family, "reference", None, method, table)
 
 
 @pytest.mark.parametrize(

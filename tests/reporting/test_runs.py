@@ -19,8 +19,18 @@ from synthetic_runs import (
     write_run,
 )
 
-from maesn.reporting.runs import read_exploration, read_learning_curve, read_run
+from maesn.reporting.runs import (
+    EXPLORATION,
+    RecordedExploration,
+    read_learning_curve,
+    read_recorded,
+    read_run,
+)
 from maesn.storage import RunError
+
+
+def read_exploration(run: Path) -> RecordedExploration | None:
+    return read_recorded(RecordedExploration, run / EXPLORATION)
 
 
 def refused(call: Callable[[], object]) -> str:

@@ -9,11 +9,11 @@ import scipy.stats
 from maesn.reporting.statistics import (
     NUM_RESAMPLES,
     bootstrap,
+    curve,
     difference,
     improvement,
     interquartile_mean,
     mean,
-    mean_intervals,
     score,
 )
 
@@ -136,7 +136,7 @@ def test_one_number_has_no_interval() -> None:
 
 def test_curves_are_intervals_of_each_update() -> None:
     values = draw(3, 10, 4)
-    assert mean_intervals(values) == [bootstrap(mean, values[..., k]) for k in range(4)]
+    assert curve(values).points == [bootstrap(mean, values[..., k]) for k in range(4)]
 
 
 def test_other_tasks_cannot_be_paired() -> None:

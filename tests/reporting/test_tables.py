@@ -11,14 +11,14 @@ from rich.console import Console
 from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
-from maesn.reporting.adaptation_table import DEPLOY, MEASURES, AdaptationTable
+from maesn.reporting.reading import DEPLOY, MEASURES, AdaptationTable
 from maesn.reporting.statistics import bootstrap, difference, mean
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
     print_adaptation_summary,
     print_side_by_side,
-    summary_tables,
+    update_tables,
 )
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
@@ -27,7 +27,7 @@ PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
 
 
 def summary(*, brief: bool = False) -> TextTable:
-    (table,) = summary_tables(TABLES, "MAESN on 30 tasks", brief=brief)
+    (table,) = update_tables(TABLES, "MAESN on 30 tasks", brief=brief)
     return table
 
 
@@ -54,7 +54,7 @@ def test_markdown_has_every_interval() -> None:
     assert [row[:2] for row in rows] == [["0", "0"], ["1", "50"], ["2", "100"], ["3", "150"]]
     for update, row in enumerate(rows):
         for name, cell in zip(MEASURES, row[2:], strict=True):
-            values = np.stack([table.measure(name)[:, update] for table in TABLES])
+            values = np.stack([getattr(table, name)[:, update] for table in TABLES])
             interval = bootstrap(mean, values)
             scale = 100.0 if name in PERCENT else 1.0
             expected = scale * np.array([interval.mean, interval.low, interval.high])
@@ -93,7 +93,7 @@ def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
     assert len(rows) == NUM_UPDATES + 1
     last = [
-        bootstrap(mean, np.stack([table.measure(name)[:, -1] for table in TABLES]))
+        bootstrap(mean, np.stack([getattr(table, name)[:, -1] for table in TABLES]))
         for name in MEASURES
     ]
     scale = np.array([1, 1, 100, 100, 100])
@@ -107,10 +107,10 @@ def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> N
     at_reset = np.zeros((30, NUM_UPDATES + 1))
     at_reset[[4, 7, 8]] = 1.0
     tables = [replace(table, solved_at_reset=at_reset) for table in TABLES]
-    everything, others = summary_tables(tables, "MAESN")
+    everything, others = update_tables(tables, "MAESN")
     counted = "3 of the 30 tasks are solved at reset."
     assert counted in everything.to_markdown()
-    assert counted in shown(summary_tables(tables, "MAESN", brief=True)[0])
+    assert counted in shown(update_tables(tables, "MAESN", brief=True)[0])
     assert others.title == "MAESN, without tasks solved at reset"
     assert counted not in others.to_markdown()
     rest = [np.delete(table.mean_return[:, -1], [4, 7, 8]) for table in TABLES]
@@ -121,13 +121,13 @@ def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> N
 def test_where_no_task_is_solved_at_reset_there_is_one_table() -> None:
     assert "solved at reset" not in summary().to_markdown()
     all_solved = replace(TABLES[0], solved_at_reset=np.ones((30, NUM_UPDATES + 1)))
-    (table,) = summary_tables([all_solved], "MAESN")
+    (table,) = update_tables([all_solved], "MAESN")
     assert "30 of the 30 tasks are solved at reset." in table.to_markdown()
 
 
 def test_one_task_has_means_without_intervals() -> None:
     for brief in (True, False):
-        (table,) = summary_tables([adaptation_table(num_tasks=1)], "one", brief=brief)
+        (table,) = update_tables([adaptation_table(num_tasks=1)], "one", brief=brief)
         assert not any("±" in cell or "[" in cell for row in table.rows for cell in row)
         assert "no interval: 1 task and 1 seed" in table.to_markdown()
 

@@ -22,7 +22,8 @@ from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 DEVICES = (1, 2, 4)
-# Conjugate gradients enlarge rounding, tenfold to a thousandfold in each step (docs/howto/cluster.md).
+# Conjugate gradients enlarge rounding, tenfold to a thousandfold in each step
+# (docs/howto/cluster.md).
 CG_STEPS = 5
 # A sum that cancels, such as the mean of standardised advantages, is rounding alone.
 SMALLEST = 1e-9

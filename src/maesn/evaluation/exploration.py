@@ -17,8 +17,14 @@ from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import GradientFastLearner
-from maesn.reporting.explorer import LATENT_PATHS, SEARCHES, LatentPaths, RecordedSearches
-from maesn.reporting.runs import EXPLORATION, RecordedExploration
+from maesn.reporting.runs import (
+    EXPLORATION,
+    LATENT_PATHS,
+    SEARCHES,
+    LatentPaths,
+    RecordedExploration,
+    RecordedSearches,
+)
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch

@@ -20,8 +20,8 @@ from maesn.evaluation.arguments import AnyFamily, AnyRun
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractFastLearner, SavedContexts
-from maesn.reporting.reading import LATENTS, RECORD, TableName, read_record
-from maesn.reporting.runs import Latents
+from maesn.reporting.reading import LATENTS, RECORD, TableName
+from maesn.reporting.runs import Latents, read_record
 from maesn.rules import Trained
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run

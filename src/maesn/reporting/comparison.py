@@ -1,94 +1,181 @@
-"""Methods adapted to the same tasks: scores, the tidy table, where methods end, who beats whom."""
+"""Methods adapted to the same tasks: all that figures, tables and pages of curves are made from.
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import combinations
+Runs (`maesn.reporting.series`) and studies (`maesn.reporting.study`) both make a `Comparison`.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from maesn.reporting import statistics, tables
-from maesn.reporting.adaptation_table import Line, note_on_judging, solved_at_reset
-from maesn.reporting.statistics import Interval, bootstrap
-from maesn.reporting.tables import UNITS, TextTable, Unit
+from maesn.reporting.published import PublishedCurve
+from maesn.reporting.reading import DEPLOY, EXPLORE, AdaptationTable
+from maesn.reporting.style import MethodStyle
 
-_SCORE = Unit("score", digits=2)
-_SCORE_INTERVAL = (
-    "The score's interval draws the same tasks for method, baseline and oracle; there is none if "
-    "in some of the draws the oracle is not above the baseline."
-)
-_PROBABILITY = Unit("probability", digits=2)
+_JUDGED = {
+    EXPLORE: "judged on the episodes that were learned from, z drawn, as in the paper",
+    DEPLOY: "judged on fresh episodes of the deployed agent",
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One method, adapted to the same tasks with every seed."""
+
+    name: str
+    """For file names."""
+    style: MethodStyle
+    seeds: tuple[int, ...]
+    table: AdaptationTable
+    """Of all seeds: curves are `[seed, task, update]`."""
+    training_steps: int | None = None
+    """Environment steps of meta-training; None without any."""
+    source: str = ""
+    """Name of the run or method, which lines by other rules share."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Of the run or method, by their path."""
+    published: PublishedCurve | None = None
+    """What the paper shows for the method; None if that is something else."""
+
+    @property
+    def label(self) -> str:
+        """How figures and tables call the method."""
+        return self.style.label
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks; in a comparison the first ones of all."""
+        return self.table.num_tasks
+
+    def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:
+        """Return one of `MEASURES`."""
+        return np.asarray(getattr(self.table, name))
+
+    def column(
+        self, index: int, measure: str = "mean_return", num_tasks: int | None = None
+    ) -> Float[np.ndarray, "seed task"]:
+        """Return one column of a measure, of all tasks or of the first so many."""
+        return self.measure(measure)[:, :num_tasks, index]
+
+    @property
+    def beyond(self) -> str:
+        """Say from where on it does what it was never trained for; empty for nowhere."""
+        if self.table.first_beyond is None:
+            return ""
+        return (
+            f"{self.label} was trained for trials of {self.table.trial_episodes} episodes: from "
+            f"update {self.table.updates[self.table.first_beyond]} on it is beyond them"
+        )
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Methods on the same tasks, and the references below and above them."""
+    """Methods on the same tasks, and the references below and above them, if there are any."""
 
     lines: tuple[Line, ...]
-    horizon: int
+    name: str = ""
+    """For file names."""
+    family: str = ""
+    sparse_radius: float | None = None
+    """Where titles say it."""
+    horizon: int = 0
     """Steps of an episode that runs its full time."""
-    baselines: tuple[Line, ...]
+    baselines: tuple[Line, ...] = ()
     """Agents that learn nothing; the one with the better mean return is the baseline."""
-    oracle: Line | None = None
-    """The agent that is given the task; None if no run of it was named."""
+    oracle: tuple[Line, ...] = ()
+    """The agent that is given the task, or nobody."""
+
+    @property
+    def tasks(self) -> str:
+        """Say which tasks and reward these are."""
+        return f"{self.lines[0].table.tasks} tasks, {self.lines[0].table.reward} reward"
+
+    @property
+    def title(self) -> str:
+        """The title of figures."""
+        radius = f", radius {self.sparse_radius:g} m" if self.sparse_radius else ""
+        return f"{self.family}, {self.tasks}{radius}"
 
     @property
     def everyone(self) -> tuple[Line, ...]:
         """The methods, then baselines and oracle."""
-        return (*self.lines, *self.baselines, *(() if self.oracle is None else (self.oracle,)))
+        return (*self.lines, *self.baselines, *self.oracle)
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
         """Which tasks some episode starts in the goal region of."""
-        return solved_at_reset([table for line in self.baselines for table in line.tables])
+        solved = [line.table.is_solved_at_reset for line in self.baselines or self.lines]
+        return np.asarray(np.any(solved, axis=0))
 
-    def steps(self, line: Line) -> Int[np.ndarray, " update"]:
-        """Return the steps per task that a method has learned from, of episodes of full length."""
-        return line.table.episodes * self.horizon
+    def references(self, num_tasks: int | None = None) -> dict[str, float]:
+        """Return the mean returns of baseline and oracle, if known, in the first so many tasks.
 
-    def bounds(self, num_tasks: int) -> tuple[float, float | None]:
-        """Return the mean returns of baseline and oracle over the first so many tasks."""
-        baseline = max(_start(line, num_tasks).mean() for line in self.baselines)
-        oracle = None if self.oracle is None else float(_start(self.oracle, num_tasks).mean())
-        return float(baseline), oracle
+        None: in as many as the method has that has most.
+        """
+        if num_tasks is None:
+            num_tasks = max(line.num_tasks for line in self.lines)
+        groups = {"baseline": self.baselines, "oracle": self.oracle}
+        return {
+            name: max(float(line.column(0, num_tasks=num_tasks).mean()) for line in lines)
+            for name, lines in groups.items()
+            if lines
+        }
 
     def score(
         self, returns: Float[np.ndarray, "*batch"], num_tasks: int
-    ) -> Float[np.ndarray, "*batch"] | None:
-        """Return the score of returns in the first so many tasks; None where it has no meaning.
+    ) -> Float[np.ndarray, "*batch"]:
+        """Return the score of returns in the first so many tasks; NaN where it has no meaning.
 
             score = (return - baseline) / (oracle - baseline), never clipped
 
         with the means of baseline and oracle over the same tasks.
         """
-        baseline, oracle = self.bounds(num_tasks)
-        if oracle is None or oracle <= baseline:
-            return None
-        return (returns - baseline) / (oracle - baseline)
-
-    @property
-    def why_no_score(self) -> str:
-        """Say in a sentence why there is no score; empty if there is one."""
-        if self.oracle is None:
-            return (
-                "No score: it needs an oracle; give the run of one with --oracle DIR (maesn train "
-                "oracle)."
-            )
-        baseline, oracle = self.bounds(self.oracle.num_tasks)
-        if oracle is None or oracle > baseline:
-            return ""
-        return (
-            f"No score: the oracle's mean return {oracle:.1f} is not above the baseline's "
-            f"{baseline:.1f}; train it for longer."
-        )
+        references = self.references(num_tasks)
+        baseline, oracle = references["baseline"], references.get("oracle", np.nan)
+        return (returns - baseline) / (oracle - baseline if oracle > baseline else np.nan)
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
-        lines = [line.of_tasks(chosen) for line in self.lines if chosen[: line.num_tasks].any()]
-        baselines = tuple(line.of_tasks(chosen) for line in self.baselines)
-        oracle = None if self.oracle is None else self.oracle.of_tasks(chosen)
-        return replace(self, lines=tuple(lines), baselines=baselines, oracle=oracle)
+        lines, baselines, oracle = (
+            tuple(
+                replace(line, table=line.table.part(chosen[: line.num_tasks]))
+                for line in group
+                if chosen[: line.num_tasks].any()
+            )
+            for group in (self.lines, self.baselines, self.oracle)
+        )
+        return replace(self, lines=lines, baselines=baselines, oracle=oracle)
+
+    def parts(self) -> dict[str, "Comparison"]:
+        """Return the comparison and, by what their titles add, its parts.
+
+        Where some methods were adapted to the first tasks alone, one part has all methods in these.
+        Where some tasks are solved at reset, another one has the methods in the others.
+        """
+        unsolved, found = ~self.is_solved_at_reset, {"": self}
+        fewest = min(line.num_tasks for line in self.lines)
+        if fewest < len(unsolved):
+            first = self.of_tasks(np.arange(len(unsolved)) < fewest)
+            found[f", the first {fewest} alone"] = first
+        others = self.of_tasks(unsolved)
+        if others.lines and not unsolved.all():
+            found[", without tasks solved at reset"] = others
+        return found
+
+
+def by_line(texts: Mapping[str, str]) -> str:
+    """Join what is said of lines by their label: each text once, with names if texts differ."""
+    named = {text: [name for name in texts if texts[name] == text] for text in texts.values()}
+    if len(named) == 1:
+        return next(iter(named))
+    return "; or ".join(f"{text} ({', '.join(names)})" for text, names in named.items())
+
+
+def note_on_judging(lines: Sequence[Line]) -> str:
+    """Say which episodes the lines are judged on."""
+    return by_line({line.label: _JUDGED[line.table.purpose] for line in lines})
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
@@ -98,132 +185,19 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """
     solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
-        steps = comparison.steps(line)
-        for seed, table in zip(line.seeds, line.tables, strict=True):
-            scores = comparison.score(table.mean_return, line.num_tasks)
-            for task, column in np.ndindex(table.mean_return.shape):
-                measures = ("mean_return", "goal_return", "success_rate")
-                yield {
-                    "method": line.name,
-                    "seed": seed,
-                    "task": task,
-                    "update": table.updates[column],
-                    "purpose": table.purpose,
-                    "steps": steps[column],
-                    **{name: np.float32(table.measure(name)[task, column]) for name in measures},
-                    "score": "" if scores is None else np.float32(scores[task, column]),
-                    "solved_at_reset": int(solved[task]),
-                }
-
-
-def summary_tables(comparison: Comparison) -> list[TextTable]:
-    """Return where each method ends and, if there are several, who beats whom.
-
-    Where some methods were adapted to the first tasks alone, a second table has all methods in
-    these. Where some tasks are solved at reset, another one has the methods in the others.
-    """
-    unsolved = ~comparison.is_solved_at_reset
-    found = [_ends(comparison)]
-    fewest = min(line.num_tasks for line in comparison.lines)
-    if fewest < max(line.num_tasks for line in comparison.everyone):
-        first = comparison.of_tasks(np.arange(len(unsolved)) < fewest)
-        found.append(_ends(first, f", the first {fewest} alone"))
-    others = comparison.of_tasks(unsolved)
-    if others.lines and not unsolved.all():
-        found.append(_ends(others, f", {tables.WITHOUT_SOLVED}"))
-    if len(comparison.lines) > 1:
-        found.append(_improvements(comparison))
-    return found
-
-
-def _ends(comparison: Comparison, addition: str = "") -> TextTable:
-    first, lines = comparison.lines[0].table, comparison.lines
-    intervals: list[Interval] = []
-    rows = [_end(comparison, line, intervals) for line in comparison.everyone]
-    is_trained = any(line.training_steps is not None for line in comparison.everyone)
-    scoreless = ", ".join(row["method"] for row in rows[: len(lines)] if not row["score"])
-    notes = [
-        f"Mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points.",
-        f"Methods {note_on_judging(lines)}.",
-        f"In brackets: {tables.labels_of(intervals)}.",
-        "Trained on: environment steps of meta-training." if is_trained else "",
-        tables.note_on_solved(comparison.is_solved_at_reset),
-        *map(_beyond, lines),
-        comparison.why_no_score or _SCORE_INTERVAL,
-    ]
-    if scoreless and not comparison.why_no_score:
-        notes.append(
-            f"No score of {scoreless}: on these tasks the oracle is not above the baseline."
-        )
-    return TextTable(
-        f"After each method's last update, in {first.tasks} tasks{addition}",
-        tuple(rows[0]),
-        tuple(tuple(row.values()) for row in rows),
-        tuple(filter(None, notes)),
-        is_named=True,
-    )
-
-
-def _end(comparison: Comparison, line: Line, intervals: list[Interval]) -> dict[str, str]:
-    """Return one method's row by headings, and append the intervals of its returns."""
-    last, steps = line.measure("mean_return")[..., -1], line.training_steps
-    returns, middle = (bootstrap(x, last) for x in (statistics.mean, statistics.interquartile_mean))
-    success = bootstrap(statistics.mean, line.measure("success_rate")[..., -1])
-    intervals += [returns, middle]
-    score, oracle = "", comparison.oracle
-    if oracle is not None and comparison.score(last, line.num_tasks) is not None:
-        bounds = [_start(one, line.num_tasks) for one in (oracle, *comparison.baselines)]
-        score = _SCORE.text(bootstrap(statistics.score, last, *bounds))
-    return {
-        "method": line.label,
-        "trained on": "" if steps is None else f"{steps / 1e6:.3g} M",
-        "seeds": str(len(line.seeds)),
-        "tasks": str(line.num_tasks),
-        "updates": str(line.table.updates[-1]),
-        "steps": f"{comparison.steps(line)[-1]:,}",
-        "return": UNITS["mean_return"].text(returns),
-        "IQM": UNITS["mean_return"].text(middle),
-        "reaches goal (%)": UNITS["success_rate"].text(success),
-        "score": score,
-    }
-
-
-def _start(line: Line, num_tasks: int) -> Float[np.ndarray, "seed task"]:
-    """Return the returns before any update."""
-    return line.measure("mean_return")[:, :num_tasks, 0]
-
-
-def _beyond(line: Line) -> str:
-    """Say where a method ends within what it was trained for; empty if all of it is within."""
-    if line.table.first_beyond is None:
-        return ""
-    last = line.table.first_beyond - 1
-    prepared = bootstrap(statistics.mean, line.measure("mean_return")[..., last])
-    return (
-        f"{line.label} was trained for trials of {line.table.trial_episodes} episodes, and is "
-        f"beyond them from update {last + 1} on: after update {last}, the last that it was trained "
-        f"for, its return is {UNITS['mean_return'].text(prepared)}."
-    )
-
-
-def _improvements(comparison: Comparison) -> TextTable:
-    """Compare the methods' last points in pairs, over the tasks that both have."""
-    rows, intervals = [], []
-    for pair in combinations(comparison.lines, 2):
-        both = min(line.num_tasks for line in pair)
-        ends = [line.measure("mean_return")[:, :both, -1] for line in pair]
-        intervals.append(bootstrap(statistics.improvement, *ends))
-        rows.append((*(line.label for line in pair), _PROBABILITY.text(intervals[-1])))
-    beyond = [
-        f"{line.label}: after update {line.table.updates[-1]}, beyond its trials."
-        for line in comparison.lines
-        if line.table.first_beyond is not None
-    ]
-    labels = tables.labels_of(intervals)
-    return TextTable(
-        "Probability that the first method's last point is above the second's in a task",
-        ("first", "second", "probability"),
-        tuple(rows),
-        (f"In brackets: {labels}. A tie counts as half a win.", *beyond),
-        is_named=True,
-    )
+        names = ("mean_return", "goal_return", "success_rate")
+        measures = {name: line.measure(name).astype(np.float32) for name in names}
+        scores = comparison.score(line.measure("mean_return"), line.num_tasks).astype(np.float32)
+        for index in np.ndindex(scores.shape):
+            seed, task, column = index
+            yield {
+                "method": line.name,
+                "seed": line.seeds[seed],
+                "task": task,
+                "update": line.table.updates[column],
+                "purpose": line.table.purpose,
+                "steps": line.table.episodes[column] * comparison.horizon,
+                **{name: values[index] for name, values in measures.items()},
+                "score": "" if np.isnan(scores[index]) else scores[index],
+                "solved_at_reset": int(solved[task]),
+            }

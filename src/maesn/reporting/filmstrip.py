@@ -17,10 +17,9 @@ Picture = UInt8[np.ndarray, "height width 3"]
 
 # Pixels.
 _MARGIN = 8
-_TITLE_SIZE, _ROW_SIZE, _CAPTION_SIZE = 17, 15, 13
-_LINE = 1.5  # height of a line of text in units of its size
+_TITLE, _ROW, _CAPTION = 26, 22, 20  # heights of lines of text
+_LINE = 1.5  # height of a line in units of the size of its text
 _BORDER = 4
-_WHITE = 255
 _COLOURS = 256  # of a GIF
 _HOLD = 1500  # milliseconds that the last picture stays
 
@@ -67,37 +66,35 @@ def contact_sheet(title: str, rows: Sequence[Row]) -> bytes:
 
 
 def _compose(title: str, rows: Sequence[Row], index: int) -> Image.Image:
-    drawn = [np.hstack([_cell(cell, index) for cell in row.cells]) for row in rows]
-    width = max(cells.shape[1] for cells in drawn)
-    below = np.full((_MARGIN, width, 3), _WHITE, np.uint8)
-    parts = [_text(title, _TITLE_SIZE, BLACK, width), below]
-    for row, cells in zip(rows, drawn, strict=True):
-        beside = ((0, 0), (0, width - cells.shape[1]), (0, 0))
-        parts.append(_text(row.title, _ROW_SIZE, BLACK, width))
-        parts.append(np.pad(cells, beside, constant_values=_WHITE))
-    margins = ((_MARGIN, 0), (_MARGIN, 0), (0, 0))
-    return Image.fromarray(np.pad(np.vstack(parts), margins, constant_values=_WHITE))
+    """Return the cells' pictures of one index, with their texts, on one sheet."""
+    height, width, _ = rows[0].cells[0].pictures[0].shape
+    down, across = _ROW + height + _CAPTION + _MARGIN, width + _MARGIN
+    right = max(len(row.cells) for row in rows) * across
+    sheet = Image.new("RGB", (_MARGIN + right, 2 * _MARGIN + _TITLE + len(rows) * down), "white")
+    draw = ImageDraw.Draw(sheet)
+    _write(draw, _MARGIN, _MARGIN, title, _TITLE, BLACK, right)
+    for line, row in enumerate(rows):
+        top = 2 * _MARGIN + _TITLE + line * down
+        _write(draw, _MARGIN, top, row.title, _ROW, BLACK, right)
+        for column, cell in enumerate(row.cells):
+            x, y = _MARGIN + column * across, top + _ROW
+            sheet.paste(Image.fromarray(cell.pictures[index]), (x, y))
+            colour = BLUISH_GREEN if cell.success else DARK_GREY
+            if cell.success:
+                frame = (x, y, x + width - 1, y + height - 1)
+                draw.rectangle(frame, outline=colour, width=_BORDER)
+            _write(draw, x, y + height, cell.caption, _CAPTION, colour, width)
+    return sheet
 
 
-def _cell(cell: Cell, index: int) -> Picture:
-    """Return a picture with its caption, and a margin at the right and below."""
-    picture = Image.fromarray(cell.pictures[index])
-    if cell.success:
-        frame = (0, 0, picture.width - 1, picture.height - 1)
-        ImageDraw.Draw(picture).rectangle(frame, outline=BLUISH_GREEN, width=_BORDER)
-    colour = BLUISH_GREEN if cell.success else DARK_GREY
-    caption = _text(cell.caption, _CAPTION_SIZE, colour, picture.width)
-    margins = ((0, _MARGIN), (0, _MARGIN), (0, 0))
-    return np.pad(np.vstack([np.asarray(picture), caption]), margins, constant_values=_WHITE)
-
-
-def _text(text: str, size: int, colour: str, width: int) -> Picture:
-    """Return a line of text, smaller if it would not fit into the width."""
-    line = Image.new("RGB", (width, round(_LINE * size)), "white")
+def _write(
+    draw: ImageDraw.ImageDraw, x: int, y: int, text: str, height: int, colour: str, width: int
+) -> None:
+    """Write a line of text, smaller if it would not fit into the width."""
+    size = round(height / _LINE)
     while size > 1 and _font(size).getlength(text) > width:
         size -= 1
-    ImageDraw.Draw(line).text((0, 0), text, fill=colour, font=_font(size))
-    return np.asarray(line)
+    draw.text((x, y), text, fill=colour, font=_font(size))
 
 
 @cache

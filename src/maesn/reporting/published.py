@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from maesn.reporting.adaptation_table import AdaptationTable
+from maesn.reporting.reading import AdaptationTable
 
 # Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
 # published; the table's header says what it is.
@@ -40,24 +40,14 @@ class PublishedCurve(NamedTuple):
 def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
-    """Return the published curve of a method; None if its table means another thing."""
+    """Return what the paper shows for a preset; None if nothing, or if its table means another."""
     radius, episodes = _PROTOCOLS.get(family, (None, None))
-    is_comparable = (
-        variant == "reference"
-        and sparse_radius in (None, radius)
-        and table.reward == "sparse"
-        and table.episodes_per_update == episodes
-    )
-    return published_curve(family, method) if is_comparable else None
-
-
-def published_curve(family: str, method: str) -> PublishedCurve | None:
-    """Return what the paper shows for a preset; None if it shows nothing."""
-    name = _PUBLISHED_NAME.get(method, "")
+    name, is_ours = _PUBLISHED_NAME.get(method), (variant, table.reward) == ("reference", "sparse")
+    if not (name and is_ours and sparse_radius in (None, radius)):
+        return None
+    if table.episodes_per_update != episodes:
+        return None
     text = files("maesn.reporting").joinpath("published_curves.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    found = [row for row in rows if row["family"] == family and row.get(name)]
-    if not found:
-        return None
-    update, mean_return = np.array([(row["update"], row[name]) for row in found], float).T
-    return PublishedCurve(name, update, mean_return)
+    found = [(row["update"], row[name]) for row in rows if row["family"] == family and row[name]]
+    return PublishedCurve(name, *np.array(found, float).T) if found else None

@@ -1,21 +1,17 @@
-"""The files that an adaptation leaves: their names, tables of curves, and records of arrays."""
+"""The tables that adaptations leave: their names, and the curves in them."""
 
 import csv
-import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Integer, Real
+from jaxtyping import Bool, Float, Int
 
-from maesn.reporting import adaptation_table as table
 from maesn.runtime import archive
-from maesn.storage import RunError, read_arrays, read_json
-
-Record = TypeVar("Record")
+from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
 _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
@@ -46,6 +42,11 @@ def table_name(path: Path) -> TableName:
     return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
 
 
+def remedy(path: Path) -> str:
+    """Return what to do about a broken file of an adaptation."""
+    return f"write `{path.name}` again with `maesn adapt`"
+
+
 def read_rows(
     path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
 ) -> list[dict[str, Any]]:
@@ -64,29 +65,153 @@ def read_rows(
     return rows
 
 
-def read_adaptation(path: Path) -> table.AdaptationTable:
+Curves = Float[np.ndarray, "*seed task update"]
+
+MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
+COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset")
+
+# Which episodes a row judges.
+EXPLORE, DEPLOY = "explore", "deploy"
+
+
+class PriorReach(NamedTuple):
+    """How broadly a policy explores before it has learned anything of its task."""
+
+    share: float
+    """Share of the tasks whose goal some episode reached."""
+    episodes: int
+    """Number of episodes per task."""
+    num_tasks: int
+    """Number of tasks, without those that are solved at reset."""
+
+
+def prior_reach(
+    success_rate: Float[np.ndarray, " task"],
+    is_solved_at_reset: Bool[np.ndarray, " task"],
+    episodes: int,
+) -> PriorReach | None:
+    """Return what the prior reaches; None if all tasks are solved at reset."""
+    explored = success_rate[~is_solved_at_reset] > 0
+    return PriorReach(float(explored.mean()), episodes, len(explored)) if len(explored) else None
+
+
+@dataclass(frozen=True)
+class AdaptationTable:
+    """An `adaptation/<tasks>-<reward>.csv`: curves `[i, k]` of task i in column k.
+
+    `stack_seeds` adds an axis of seeds to the curves. The measures (see `AdaptationCurves`) are
+    those of the deployed agent where the file has them, else those of the episodes that were
+    learned from.
+    """
+
+    tasks: str
+    """Name of the task set."""
+    reward: str
+    purpose: str
+    """What the measures judge: `EXPLORE` or `DEPLOY`."""
+    updates: Int[np.ndarray, " update"]
+    """Number of updates that lie before each column; starts later if an adaptation continued."""
+    episodes: Int[np.ndarray, " update"]
+    """Episodes per task that the agent has learned from by then."""
+    mean_return: Curves
+    goal_return: Curves
+    success_rate: Curves
+    final_success_rate: Curves
+    time_in_region: Curves
+    solved_at_reset: Curves
+    explored_success_rate: Float[np.ndarray, "*seed task explored"]
+    """`success_rate` of the episodes that were learned from, after every update."""
+    explored_episodes: int | None = None
+    """Episodes of each task that were played for an update; None if no record says so."""
+    trial_episodes: int | None = None
+    """Number of episodes that meta-training has prepared for; None if no record says so."""
+    rule: str = ""
+    """How figures call rule and wrappers; empty for the method as it is."""
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks."""
+        return int(self.mean_return.shape[-2])
+
+    @property
+    def episodes_per_update(self) -> int | None:
+        """Episodes per task that each update learns from; None if the table has a single column."""
+        return int(self.episodes[1] - self.episodes[0]) if len(self.episodes) > 1 else None
+
+    @property
+    def first_beyond(self) -> int | None:
+        """First column that lies beyond what meta-training has prepared for; None without one."""
+        if self.trial_episodes is None or self.episodes[-1] < self.trial_episodes:
+            return None
+        return int(np.searchsorted(self.episodes, self.trial_episodes))
+
+    @property
+    def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
+        """Which tasks some episode starts in the goal region of."""
+        by_task = np.moveaxis(self.solved_at_reset, -2, 0).reshape(self.num_tasks, -1)
+        return np.asarray((by_task > 0).any(axis=1))
+
+    @property
+    def prior_reach(self) -> PriorReach | None:
+        """What the prior of one run reaches; None if the table does not tell."""
+        episodes = self.explored_episodes or self.episodes_per_update
+        if self.updates[0] or episodes is None:
+            return None
+        return prior_reach(self.explored_success_rate[:, 0], self.is_solved_at_reset, episodes)
+
+    def part(
+        self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
+    ) -> "AdaptationTable":
+        """Return the table of some of the tasks and updates."""
+        changed: dict[str, Any] = {
+            name: x[..., tasks, :][..., columns] if x.ndim > 1 else x[columns]
+            for name, x in vars(self).items()
+            if isinstance(x, np.ndarray)
+        }
+        return replace(self, **changed)
+
+
+def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
+    """Return the table of all seeds of a method, with axes `[seed, task, update]`.
+
+    A `RunError` says if they were not adapted alike.
+    """
+    extents = sorted({(t.num_tasks, int(t.updates[0]), int(t.updates[-1])) for t in tables})
+    if len(extents) > 1:
+        found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)
+        raise RunError(
+            f"Expected every seed to be adapted alike, got {found} ({tables[0].tasks} tasks); "
+            "run `maesn adapt` with the same `--tasks` and `--episodes` for each."
+        )
+    curves = [name for name, x in vars(tables[0]).items() if np.ndim(x) > 1]
+    stacked: dict[str, Any] = {
+        name: np.stack([vars(table)[name] for table in tables]) for name in curves
+    }
+    return replace(tables[0], **stacked)
+
+
+def read_adaptation(path: Path) -> AdaptationTable:
     """Read a table of `maesn adapt`, rows in any order, and its record where there is one.
 
     A file that is missing, damaged or lacks a row is a `RunError`.
     """
-    rows = read_rows(path, table.COLUMNS, remedy(path))
+    rows = read_rows(path, COLUMNS, remedy(path))
+    purposes = {row["purpose"] for row in rows}
+    purpose = DEPLOY if DEPLOY in purposes else EXPLORE
     try:
-        columns = {name: _column(name, rows) for name in table.COLUMNS}
-        has_deployed = (columns["purpose"] == table.DEPLOY).any()
-        purpose = table.DEPLOY if has_deployed else table.EXPLORE
-        explored, judged = (_grids(columns, one) for one in (table.EXPLORE, purpose))
+        explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
         if len(judged["task"]) != len(explored["task"]):
             raise ValueError("the tasks of its two purposes differ")
     except ValueError as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {remedy(path)}.") from error
     name, (explored_episodes, trial_episodes, rule) = table_name(path), _record(path)
-    return table.AdaptationTable(
+    return AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,
         purpose=purpose,
         updates=judged["update"][0].astype(int),
         episodes=judged["episodes"][0].astype(int),
-        **{measure: judged[measure] for measure in (*table.MEASURES, "solved_at_reset")},
+        **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
         explored_episodes=explored_episodes,
         trial_episodes=trial_episodes,
@@ -105,69 +230,28 @@ def _record(path: Path) -> tuple[int | None, int | None, str]:
     return *counts, label
 
 
-def _column(name: str, rows: Iterable[Mapping[str, str | None]]) -> np.ndarray:
-    texts = np.array([row[name] or "nothing" for row in rows])
-    if name == "purpose":
-        return texts
-    numbers = texts.astype(np.float64)
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"a number in its column `{name}` is not finite, the adaptation failed")
-    return numbers
-
-
-def _grids(columns: Mapping[str, np.ndarray], purpose: str) -> dict[str, table.Curves]:
+def _grids(rows: Sequence[Mapping[str, Any]], purpose: str) -> dict[str, Curves]:
     """Arrange the numbers of one purpose as `[task, update]`; tasks count from 0."""
-    chosen = columns["purpose"] == purpose
-    rows = {name: column[chosen] for name, column in columns.items() if name != "purpose"}
-    order = np.lexsort((rows["update"], rows["task"]))
-    num_tasks, updates = len(np.unique(rows["task"])), np.unique(rows["update"])
-    if not len(order) or len(order) != num_tasks * len(updates):
-        raise ValueError(f"its rows of purpose {purpose} are no grid of tasks and updates")
-    grids = {name: column[order].reshape(num_tasks, -1) for name, column in rows.items()}
+    chosen = [row for row in rows if row["purpose"] == purpose]
+    columns = {
+        name: np.array([row[name] or "nothing" for row in chosen]).astype(np.float64)
+        for name in COLUMNS
+        if name != "purpose"
+    }
+    for name, column in columns.items():
+        if not np.isfinite(column).all():
+            raise ValueError(
+                f"a number in its column `{name}` is not finite, the adaptation failed"
+            )
+    order = np.lexsort((columns["update"], columns["task"]))
+    num_tasks, updates = len(np.unique(columns["task"])), np.unique(columns["update"])
+    indices = np.meshgrid(np.arange(num_tasks), updates, indexing="ij")
+    found = [columns[name][order] for name in ("task", "update")]
     # A deployed agent need not be judged after every update.
-    whole = purpose == table.DEPLOY or (np.diff(updates) == 1).all()
-    is_grid = (grids["task"] == np.arange(num_tasks)[:, None]).all()
-    same = (grids["update"] == updates).all() and np.ptp(grids["episodes"], axis=0).max() == 0
-    if not (whole and is_grid and same):
+    is_whole = purpose == DEPLOY or (np.diff(updates) == 1).all()
+    if not (num_tasks and is_whole and np.array_equal(found, np.reshape(indices, (2, -1)))):
         raise ValueError(f"its rows of purpose {purpose} lack a task or an update, or repeat one")
+    grids = {name: column[order].reshape(num_tasks, -1) for name, column in columns.items()}
+    if np.ptp(grids["episodes"], axis=0).any():
+        raise ValueError("tasks differ in their numbers of episodes")
     return grids
-
-
-def remedy(path: Path) -> str:
-    """Return what to do about a broken file of an adaptation."""
-    return f"write `{path.name}` again with `maesn adapt`"
-
-
-def read_record(
-    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
-) -> Record:
-    """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
-
-    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
-    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
-    or empty. Messages of errors end with the remedy.
-
-    Raises:
-        RunError: an array is absent, not numeric, empty or of another shape.
-    """
-    arrays, known = read_arrays(path, remedy), dict(sizes)
-    hints, values = get_type_hints(kind), {}
-    for field in dataclasses.fields(cast(Any, kind)):
-        array = arrays.get(field.name)
-        has_default = field.default is not dataclasses.MISSING
-        if has_default and (array is None or not array.size):
-            continue
-        hint = next(iter(get_args(hints[field.name])), hints[field.name])
-        axes = getattr(hint, "dim_str", "").split()
-        wanted = [str(known.get(axis, axis)) for axis in axes]
-        numbers = Integer if hint is int else Real
-        shape: Any = numbers[np.ndarray, " ".join(wanted)]
-        if array is None or not isinstance(array, shape) or not array.size:
-            found = ", ".join(sorted(arrays)) or "no arrays"
-            if array is not None:
-                found = f"{array.dtype} {list(array.shape)}"
-            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
-            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
-        known |= zip(axes, array.shape, strict=True)
-        values[field.name] = array.astype(np.float64) if axes else hint(array)
-    return kind(**values)

@@ -1,32 +1,29 @@
 """Run directories, as far as figures and tables need them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer, Real
 
-from maesn.reporting.adaptation_table import AdaptationTable, PriorReach, prior_reach
-from maesn.reporting.reading import (
-    LATENTS,
-    TableName,
-    read_adaptation,
-    read_record,
-    remedy,
-    table_name,
-)
-from maesn.storage import RunError, read_json, read_json_lines
+from maesn.reporting import reading
+from maesn.reporting.reading import AdaptationTable, TableName
+from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
-# Where a run directory has a recorded exploration.
+# Where a run directory has what `maesn report` has recorded: records of the classes below.
 EXPLORATION = Path("figures") / "exploration.npz"
+LATENT_PATHS = Path("figures") / "latent-paths.npz"
+SEARCHES = Path("figures") / "searches.npz"
 
+Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
 _RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 _METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
-_EXPLORE_REMEDY = "delete it, and `maesn report DIR` records it again"
+_RECORD_REMEDY = "delete it, and `maesn report DIR` records it again"
 
 
 @dataclass(frozen=True)
@@ -67,21 +64,22 @@ class RecordedRun:
     def tables(self) -> dict[TableName, Path]:
         """Return the tables that `maesn adapt` has left, by what their names say."""
         files = sorted((self.path / "adaptation").glob("*.csv"))
-        return {name: file for file in files if (name := table_name(file)).reward}
+        return {name: file for file in files if (name := reading.table_name(file)).reward}
 
     def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
         """Return the usual adaptation to a task set with a reward; None if there is none."""
         file = TableName(tasks, reward).path(self.path)
-        return read_adaptation(file) if file.exists() else None
+        return reading.read_adaptation(file) if file.exists() else None
 
     def latents(self, tasks: str, reward: str) -> Latents | None:
         """Return the latents of the same adaptation; None if there are none."""
         table = TableName(tasks, reward).path(self.path)
-        if not table.with_suffix(LATENTS).exists():
+        file = table.with_suffix(reading.LATENTS)
+        if not file.exists():
             return None
-        adapted = read_adaptation(table)
+        adapted = reading.read_adaptation(table)
         sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-        return read_record(Latents, table.with_suffix(LATENTS), remedy(table), sizes)
+        return read_record(Latents, file, reading.remedy(table), sizes)
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -160,14 +158,77 @@ class RecordedExploration:
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
     """The same of the tasks that the run was adapted to."""
 
-    @property
-    def untrained_reach(self) -> PriorReach | None:
-        """What an untrained policy reaches; None if all tasks are solved at reset."""
-        solved = self.solved_at_reset > 0
-        return prior_reach(self.untrained_success_rate, solved, self.episodes_per_task)
+
+@dataclass(frozen=True)
+class LatentPaths:
+    """An episode of each of many latents, in one task."""
+
+    latents: Float[np.ndarray, "latent z"]
+    paths: Float[np.ndarray, "latent point 2"]
+    """Planar positions in metres, thinned out."""
 
 
-def read_exploration(path: Path) -> RecordedExploration | None:
-    """Read a run's `figures/exploration.npz`; None if there is none."""
-    file = path / EXPLORATION
-    return read_record(RecordedExploration, file, _EXPLORE_REMEDY) if file.exists() else None
+@dataclass(frozen=True)
+class RecordedSearches:
+    """Latent search in some new tasks, one episode after the other.
+
+    Beliefs are of the part of the return that depends on the latent, over a square of the first two
+    components; the others are those of the deployed latent.
+    """
+
+    task: Float[np.ndarray, " task"]
+    """Indices of the tasks."""
+    edge: float
+    """The square goes from -edge to edge."""
+    played: Float[np.ndarray, "task episode z"]
+    returns: Float[np.ndarray, "task episode"]
+    reached: Float[np.ndarray, "task episode"]
+    """1 where an episode reached the goal."""
+    paths: Float[np.ndarray, "task episode point 2"]
+    """Planar positions in metres, thinned out."""
+    deployed: Float[np.ndarray, "task episode_plus_1 z"]
+    """The latent of the highest posterior mean, before each episode and after the last."""
+    mean: Float[np.ndarray, "task episode_plus_1 row column"]
+    """Posterior mean; rows are the second component."""
+    std: Float[np.ndarray, "task episode_plus_1 row column"]
+    """Posterior standard deviation."""
+
+
+def read_recorded(kind: type[Record], file: Path) -> Record | None:
+    """Read a record of `maesn report`; None if there is none."""
+    return read_record(kind, file, _RECORD_REMEDY) if file.exists() else None
+
+
+def read_record(
+    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
+) -> Record:
+    """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
+
+    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
+    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
+    or empty. Messages of errors end with the remedy.
+
+    Raises:
+        RunError: an array is absent, not numeric, empty or of another shape.
+    """
+    arrays, known = read_arrays(path, remedy), dict(sizes)
+    hints, values = get_type_hints(kind), {}
+    for field in fields(cast(Any, kind)):
+        array = arrays.get(field.name)
+        has_default = field.default is not MISSING
+        if has_default and (array is None or not array.size):
+            continue
+        hint = next(iter(get_args(hints[field.name])), hints[field.name])
+        axes = getattr(hint, "dim_str", "").split()
+        wanted = [str(known.get(axis, axis)) for axis in axes]
+        numbers = Integer if hint is int else Real
+        shape: Any = numbers[np.ndarray, " ".join(wanted)]
+        if array is None or not isinstance(array, shape) or not array.size:
+            found = ", ".join(sorted(arrays)) or "no arrays"
+            if array is not None:
+                found = f"{array.dtype} {list(array.shape)}"
+            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
+            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
+        known |= zip(axes, array.shape, strict=True)
+        values[field.name] = array.astype(np.float64) if axes else hint(array)
+    return kind(**values)

@@ -1,13 +1,15 @@
-"""Which runs are seeds of one experiment, and which experiments belong in one figure."""
+"""Which runs are seeds of one experiment, and what they are compared in."""
 
 import json
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from maesn.reporting.adaptation_table import AdaptationTable, Line
-from maesn.reporting.reading import read_adaptation
+from maesn.reporting.comparison import Comparison, Line
+from maesn.reporting.published import comparable_curve
+from maesn.reporting.reading import TableName, read_adaptation, stack_seeds
 from maesn.reporting.runs import RecordedRun
 from maesn.reporting.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.settings import leaves
@@ -33,19 +35,40 @@ class Series:
         """The method's name, with the settings in which it differs from others of that name."""
         return self.style.label
 
-    def adapted(self, tasks: str, reward: str) -> list[Line]:
-        """Return a line for each rule by which runs were adapted to a task set."""
-        found: defaultdict[str, dict[int, AdaptationTable]] = defaultdict(dict)
-        for run in self.runs:
+
+def compare_runs(series: Sequence[Series]) -> list[Comparison]:
+    """Return a comparison for each task set and reward that some run was adapted to."""
+    found: defaultdict[tuple[str, str], list[Line]] = defaultdict(list)
+    for one in series:
+        files: defaultdict[TableName, dict[int, Path]] = defaultdict(dict)
+        for run in one.runs:
             for name, file in run.tables().items():
-                if (name.tasks, name.reward) == (tasks, reward):
-                    found[name.changed][run.seed] = read_adaptation(file)
-        lines: list[Line] = []
-        for changed, tables in sorted(found.items()):
-            rule = next(iter(tables.values())).rule or changed.strip("-")
-            style = self.style.with_rule(len(lines), rule)
-            lines.append(Line(self.name + changed, style, (*tables,), (*tables.values(),)))
-        return lines
+                files[name][run.seed] = file
+        for name in sorted(files):
+            lines = found[name.tasks, name.reward]
+            number = sum(line.source == one.name for line in lines)
+            lines.append(_line(one, name.changed, number, files[name]))
+    family = series[0].runs[0].family
+    return [
+        Comparison(tuple(lines), name=f"{tasks}-{reward}", family=family)
+        for (tasks, reward), lines in found.items()
+    ]
+
+
+def _line(one: Series, changed: str, number: int, files: Mapping[int, Path]) -> Line:
+    """Read the tables that one rule has left, by seed; it is the series' line of that number."""
+    table, run = stack_seeds([read_adaptation(file) for file in files.values()]), one.runs[0]
+    rule = table.rule or changed.strip("-")
+    style = one.style.variant(number, f"{one.label} ({rule})" if rule else one.label)
+    world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
+    return Line(
+        one.name + changed,
+        style,
+        tuple(files),
+        table,
+        source=one.name,
+        published=None if changed else comparable_curve(*world, run.method, table),
+    )
 
 
 def check_world(runs: Sequence[RecordedRun]) -> None:
@@ -75,14 +98,14 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
             )
         seeds[run.seed] = run
     groups = [tuple(seeds.values()) for seeds in experiments.values()]
-    methods = [members[0].method for members in groups]
-    series = []
-    for position, (members, style) in enumerate(zip(groups, series_styles(methods), strict=True)):
-        method, before = methods[position], methods[:position].count(methods[position])
-        name = f"{method}-{before + 1}" if before else method
+    methods = [runs[0].method for runs in groups]
+    series: list[Series] = []
+    for method, group, style in zip(methods, groups, series_styles(methods), strict=True):
+        number = 1 + sum(one.runs[0].method == method for one in series)
         rivals = [other[0] for other in groups if other[0].method == method]
-        label = style.label + _differences(members[0], rivals)
-        series.append(Series(name, replace(style, label=label), members))
+        name = f"{method}-{number}" if number > 1 else method
+        label = style.label + _differences(group[0], rivals)
+        series.append(Series(name, replace(style, label=label), group))
     return series
 
 

@@ -8,8 +8,7 @@ task as several lucky ones and make the interval too narrow.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.stats
@@ -18,10 +17,9 @@ from jaxtyping import Float
 CONFIDENCE = 0.95
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
-_BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB for each update,
-_COLUMNS = 16  # of which there are so many at a time
-# Share of the values that an interquartile mean leaves out at each end.
-_OUTER_QUARTER = 0.25
+_BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB for each point,
+_POINTS = 16  # of which there are so many at a time
+_THRESHOLDS = 101  # of a performance profile
 
 Values = Float[np.ndarray, "*batch _ _"]
 """One value per seed and task. Samples that are compared may differ in their number of seeds."""
@@ -30,23 +28,33 @@ Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
 """A number that describes samples, `Values` each; one number for each element of the batch."""
 
 
-@dataclass(frozen=True)
-class Interval:
-    """A statistic, and what a repetition might have given instead."""
+class Interval(NamedTuple):
+    """A statistic, and what a repetition might have given instead: numbers, or arrays `[point]`."""
 
     label: str
     """What the interval is and what it resamples, to be printed beside it."""
-    mean: float
+    mean: Any
     """The statistic of the values themselves."""
-    low: float
+    low: Any
     """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
-    high: float
-    standard_error: float
+    high: Any
+    standard_error: Any
 
     @property
     def is_known(self) -> bool:
         """Whether it has ends."""
-        return bool(np.isfinite(self.low))
+        return bool(np.isfinite(self.low).all())
+
+    @property
+    def band(self) -> tuple[Any, Any, Any]:
+        """What a curve and its band are drawn from."""
+        return self.mean, self.low, self.high
+
+    @property
+    def points(self) -> list["Interval"]:
+        """The intervals of the points one by one."""
+        rows = zip(*self.band, self.standard_error, strict=True)
+        return [Interval(self.label, *map(float, row)) for row in rows]
 
 
 def mean(x: Values) -> Float[np.ndarray, "*batch"]:
@@ -55,14 +63,12 @@ def mean(x: Values) -> Float[np.ndarray, "*batch"]:
 
 
 def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
-    """Return the mean of the middle half of all values.
+    """Return the mean of the middle half of all values, on which a few outliers have no influence.
 
-    Unlike the mean it does not depend on a few outliers, and unlike the median it uses more than
-    the one in the middle (Agarwal et al., "Deep reinforcement learning at the edge of the
-    statistical precipice", NeurIPS 2021).
+    (Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice",
+    NeurIPS 2021)
     """
-    flat = x.reshape(*x.shape[:-2], -1)
-    return np.asarray(scipy.stats.trim_mean(flat, _OUTER_QUARTER, axis=-1))
+    return np.asarray(scipy.stats.trim_mean(x.reshape(*x.shape[:-2], -1), 0.25, axis=-1))
 
 
 def difference(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
@@ -102,7 +108,7 @@ _NAMES: dict[Statistic, str] = {
 }
 
 
-def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "_ _"]) -> Interval:
+def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interval:
     """Return a statistic of samples `[seed, task]` with its 95 % percentile bootstrap interval.
 
         m* = 1/(S T) Σ_s Σ_t x[a_s, b_t],   a_s uniform on seeds, b_t uniform on tasks, iid
@@ -113,36 +119,12 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "_ _"]) -> Inter
     values has (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
 
     Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
-    task easy for all cancels. Their seeds are unrelated and drawn independently.
+    task easy for all cancels. Their seeds are unrelated and drawn independently. The points of
+    samples `[point, seed, task]` all draw the same resamples, so that curves are smooth.
 
     Raises:
         ValueError: the numbers of tasks differ.
     """
-    (interval,) = _bootstrap(statistic, *(sample[None].copy() for sample in samples))
-    return interval
-
-
-def mean_intervals(values: Float[np.ndarray, "seed task update"]) -> list[Interval]:
-    """Return one interval per update. All draw the same resamples, so that curves are smooth."""
-    columns = np.moveaxis(values, -1, 0).copy()
-    blocks = [columns[first : first + _COLUMNS] for first in range(0, len(columns), _COLUMNS)]
-    return [interval for block in blocks for interval in _bootstrap(mean, block)]
-
-
-def performance_profile(
-    values: Float[np.ndarray, "seed task"], thresholds: Float[np.ndarray, " threshold"]
-) -> list[Interval]:
-    """Return, for each threshold, the share of all values above it, with its interval.
-
-        F(τ) = 1/(S T) Σ_s Σ_t 1[x_st > τ]
-
-    (Agarwal et al. 2021, "performance profiles", run-score distributions).
-    """
-    return mean_intervals((values[..., None] > thresholds).astype(float))
-
-
-def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) -> list[Interval]:
-    """Bootstrap a statistic of every column with the same resamples."""
     num_tasks = [sample.shape[-1] for sample in samples]
     if len(set(num_tasks)) > 1:
         raise ValueError(
@@ -150,22 +132,46 @@ def _bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "column _ _"]) 
             f"{' and '.join(map(str, num_tasks))}; compare results on one task set."
         )
     sizes = [num_tasks[0], *(sample.shape[-2] for sample in samples)]
+    columns = [np.ascontiguousarray(x).reshape(-1, *x.shape[-2:]) for x in samples]
+    blocks = [slice(first, first + _POINTS) for first in range(0, len(columns[0]), _POINTS)]
     generator = np.random.default_rng(0)  # the same numbers in every table and figure
-    batches = []
-    for _ in range(NUM_RESAMPLES // _BATCH):
+    resamples = np.full((len(columns[0]), NUM_RESAMPLES), np.nan)
+    for first in range(0, NUM_RESAMPLES if max(sizes) > 1 else 0, _BATCH):
         tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
-        pairs = zip(samples, seeds, strict=True)
-        batches.append(statistic(*(_draw(sample, rows, tasks) for sample, rows in pairs)))
-    drawn = np.concatenate(batches, axis=-1) if max(sizes) > 1 else np.full((1, 2), np.nan)
+        for block in blocks:
+            drawn = [_draw(x[block], rows, tasks) for x, rows in zip(columns, seeds, strict=True)]
+            resamples[block, first : first + _BATCH] = statistic(*drawn)
     tail = 50 * (1 - CONFIDENCE)
-    low, high = np.percentile(drawn, (tail, 100 - tail), axis=-1)
-    numbers = np.broadcast_arrays(statistic(*samples), low, high, drawn.std(axis=-1, ddof=1))
-    label = _label(sizes[0], sizes[1:], _NAMES[statistic])
-    return [Interval(label, *map(float, row)) for row in zip(*numbers, strict=True)]
+    low, high = np.percentile(resamples, (tail, 100 - tail), axis=-1)
+    numbers = np.stack([statistic(*columns), low, high, resamples.std(axis=-1, ddof=1)])
+    of_points = numbers.reshape(4, *samples[0].shape[:-2])
+    return Interval(_label(sizes[0], sizes[1:], _NAMES[statistic]), *of_points)
+
+
+def curve(values: Float[np.ndarray, "seed task point"]) -> Interval:
+    """Return the mean at each point with its interval."""
+    return bootstrap(mean, np.moveaxis(values, -1, 0))
+
+
+def profiles(
+    samples: Sequence[Float[np.ndarray, "_ _"]],
+) -> tuple[Float[np.ndarray, " threshold"], list[Interval]]:
+    """Return thresholds from the least value to the largest, and the performance profiles there.
+
+    The profile of a sample `[seed, task]` is the share of its values above each threshold:
+
+        F(τ) = 1/(S T) Σ_s Σ_t 1[x_st > τ]
+
+    (Agarwal et al. 2021, "performance profiles", run-score distributions).
+    """
+    ends = [end for sample in samples for end in (sample.min(), sample.max())]
+    thresholds = np.linspace(min(ends), max(ends), _THRESHOLDS)
+    above = (sample[..., None] > thresholds for sample in samples)
+    return thresholds, [curve(one.astype(float)) for one in above]
 
 
 def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
-    """Return `[column, *resample, seed, task]`, what one resample after the other draws."""
+    """Return `[point, *resample, seed, task]`, what one resample after the other draws."""
     # Of the flattened values: much faster than two indices.
     chosen = seeds[..., :, None] * values.shape[-1] + tasks[..., None, :]
     return np.take(values.reshape(len(values), -1), chosen, axis=-1)
@@ -173,13 +179,14 @@ def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarra
 
 def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
     """Say what is resampled, and what is not because there is only one of it."""
+    seeds = " against ".join(map(str, num_seeds)) + " seeds"
     if len(set(num_seeds)) == 1:
         seeds = count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
-    else:
-        seeds = " against ".join(map(str, num_seeds)) + " seeds"
     factors = {count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
-    resampled = " and ".join(name for name, is_resampled in factors.items() if is_resampled)
-    fixed = " and ".join(name for name, is_resampled in factors.items() if not is_resampled)
+    resampled, fixed = (
+        " and ".join(name for name, is_resampled in factors.items() if is_resampled is wanted)
+        for wanted in (True, False)
+    )
     if not resampled:
         return f"no interval{what}: {fixed}"
     level = f"{100 * CONFIDENCE:g} % interval{what}, resampling {resampled}"

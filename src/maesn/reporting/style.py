@@ -7,16 +7,17 @@ Nothing here changes Matplotlib's global state, and no window is ever opened.
 """
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import matplotlib.style
 from matplotlib.figure import Figure
 
-from maesn.storage import explained, write_whole
+from maesn.storage import write_whole
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
@@ -34,11 +35,11 @@ GREY = "#7F7F7F"
 DARK_GREY = "#444444"
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
-_LONG_DASH: LineStyle = (0, (6.0, 1.5))
-_DASH_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2))
-_DASH_DOT_DOT: LineStyle = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
-_DOTS: LineStyle = (0, (1.2, 1.2))
-_SHORT_DASH: LineStyle = (0, (3.0, 1.5))
+_LONG_DASH = (0, (6.0, 1.5))
+_DASH_DOT = (0, (5.0, 1.2, 1.2, 1.2))
+_DASH_DOT_DOT = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
+_DOTS = (0, (1.2, 1.2))
+_SHORT_DASH = (0, (3.0, 1.5))
 _DASHES = ("-", _SHORT_DASH, _DOTS, _DASH_DOT, _LONG_DASH, _DASH_DOT_DOT)
 
 
@@ -47,15 +48,15 @@ class MethodStyle:
     """How one method is drawn."""
 
     label: str
-    colour: str
-    line: LineStyle
-    marker: str
+    colour: str = DARK_GREY
+    line: LineStyle = ":"
+    marker: str = "."
 
-    def with_rule(self, number: int, rule: str) -> "MethodStyle":
-        """Return the style with another rule, the `number`th of the method in its figure."""
-        if not rule:
-            return self
-        return replace(self, label=f"{self.label} ({rule})", line=_DASHES[number % len(_DASHES)])
+    def variant(self, number: int, label: str) -> "MethodStyle":
+        """Return the style of the method's line of that number, from 0: each has other dashes."""
+        return replace(
+            self, label=label, line=_DASHES[number % len(_DASHES)] if number else self.line
+        )
 
 
 METHOD_STYLES = {
@@ -85,24 +86,17 @@ _SPARE = (
 
 
 def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
-    """Return a style for each line of a figure; the first of a method gets the method's own."""
-    styles: list[MethodStyle] = []
-    num_spare = 0
+    """Return a style for each series of a figure; the first of a method gets the method's own."""
+    styles, spare = [], itertools.cycle(_SPARE)
     for position, method in enumerate(methods):
-        style = METHOD_STYLES.get(method)
-        if style is None or method in methods[:position]:
-            spare = _SPARE[num_spare % len(_SPARE)]
-            style = replace(spare, label=style.label if style else method)
-            num_spare += 1
-        styles.append(style)
+        own = METHOD_STYLES.get(method, MethodStyle(method))
+        is_first = method in METHOD_STYLES and method not in methods[:position]
+        styles.append(own if is_first else replace(next(spare), label=own.label))
     return styles
 
 
-@contextmanager
-def publication_style() -> Iterator[None]:
-    """Draw in this style inside the block, whatever the user's own Matplotlib settings are."""
-    with matplotlib.style.context(["default", "maesn.reporting.publication"]):
-        yield
+# Inside this block, figures have this style, whatever the user's own Matplotlib settings are.
+publication_style = partial(matplotlib.style.context, ["default", "maesn.reporting.publication"])
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -123,8 +117,6 @@ def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
     The same figure gives the same bytes every time.
     """
     files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
-    with explained("make", directory):
-        directory.mkdir(parents=True, exist_ok=True)
     if drawn.notes:
         sentences = "".join(f"{note[0].upper()}{note[1:]}.\n" for note in drawn.notes)
         write_whole(directory / f"{name}.txt", sentences.encode())

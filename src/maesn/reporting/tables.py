@@ -10,16 +10,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from maesn.reporting import adaptation_table as data
-from maesn.reporting.adaptation_table import AdaptationTable
-from maesn.reporting.reading import read_adaptation
-from maesn.reporting.statistics import Interval, mean_intervals
-from maesn.storage import write_whole
+from maesn.reporting.comparison import Comparison, Line, note_on_judging
+from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
+from maesn.reporting.statistics import Interval, curve
+from maesn.reporting.style import MethodStyle
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
 _SHOWN_EPISODES = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)  # about equal steps of their logarithm
-WITHOUT_SOLVED = "without tasks solved at reset"
 
 
 class Unit(NamedTuple):
@@ -41,6 +39,10 @@ class Unit(NamedTuple):
         if brief:
             return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
         return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
+
+    def texts(self, intervals: Interval, *, brief: bool = False) -> list[str]:
+        """Return the texts of the points of a curve."""
+        return [self.text(one, brief=brief) for one in intervals.points]
 
 
 UNITS = {
@@ -94,12 +96,7 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
 
-def write_tables(tables: Sequence[TextTable], path: Path) -> None:
-    """Write tables as Markdown."""
-    write_whole(path, "\n".join(table.to_markdown() for table in tables).encode())
-
-
-def summary_tables(
+def update_tables(
     tables: Sequence[AdaptationTable], title: str, *, brief: bool = False
 ) -> list[TextTable]:
     """Summarise adaptation, update by update: one table per seed of the same method is given.
@@ -107,28 +104,27 @@ def summary_tables(
     A second summary leaves out the tasks that are solved at reset, where there are some. Summaries
     that are `brief` fit into 80 columns.
     """
-    solved, parts = data.solved_at_reset(tables), {title: tables}
-    if solved.any() and not solved.all():
-        parts[f"{title}, {WITHOUT_SOLVED}"] = [table.part(~solved) for table in tables]
-    return [_summary_table(part, name, brief=brief) for name, part in parts.items()]
+    seeds = tuple(range(len(tables)))
+    comparison = Comparison((Line("", MethodStyle("the method"), seeds, stack_seeds(tables)),))
+    parts = comparison.parts().items()
+    return [_update_table(part.lines[0], title + addition, brief) for addition, part in parts]
 
 
-def _summary_table(tables: Sequence[AdaptationTable], title: str, *, brief: bool) -> TextTable:
-    first = tables[0]
-    intervals = {name: mean_intervals(data.stack_seeds(tables, name)) for name in UNITS}
-    texts = [_texts(column, name, brief=brief) for name, column in intervals.items()]
-    labels = labels_of(one for column in intervals.values() for one in column)
-    notes = (
-        note_on_solved(data.solved_at_reset(tables)),
-        note_on_beyond(first),
-        f"± half the {labels}" if brief else f"In brackets: {labels}.",
-        f"{data.JUDGED[first.purpose].capitalize()}.",
-    )
+def _update_table(line: Line, title: str, brief: bool) -> TextTable:
+    table = line.table
+    intervals = {name: curve(line.measure(name)) for name in UNITS}
+    texts = [UNITS[name].texts(one, brief=brief) for name, one in intervals.items()]
+    labels = labels_of(intervals.values())
     return TextTable(
         title,
         ("update", "episodes", *(unit.heading for unit in UNITS.values())),
-        tuple(zip(map(str, first.updates), map(str, first.episodes), *texts, strict=True)),
-        tuple(filter(None, notes)),
+        tuple(zip(map(str, table.updates), map(str, table.episodes), *texts, strict=True)),
+        sentences(
+            note_on_solved(table.is_solved_at_reset),
+            line.beyond,
+            f"± half the {labels}" if brief else f"in brackets: {labels}",
+            note_on_judging([line]),
+        ),
     )
 
 
@@ -140,7 +136,7 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
     """
     console = console or Console()
     table = read_adaptation(path)
-    shown = summary_tables([table], f"Adaptation: {path.stem}", brief=True)
+    shown = update_tables([table], f"Adaptation: {path.stem}", brief=True)
     if table.num_tasks <= _FEW_TASKS:
         shown.append(_task_table(table))
     print_tables(shown, console)
@@ -161,22 +157,17 @@ def print_side_by_side(
     for name, path in paths.items():
         found = read_adaptation(path)
         shown = np.isin(found.episodes, [*_SHOWN_EPISODES, found.episodes[-1]])
-        curves = {one: found.measure(one)[None, :, shown] for one in _MAIN}
-        cells = [_texts(mean_intervals(x), one, brief=True) for one, x in curves.items()]
-        episodes = map(str, found.episodes[shown])
-        rows += [(name, *row) for row in zip(episodes, *cells, strict=True)]
+        curves = {one: getattr(found, one)[None, :, shown] for one in _MAIN}
+        cells = [UNITS[one].texts(curve(values), brief=True) for one, values in curves.items()]
+        rows += zip([name] * shown.sum(), map(str, found.episodes[shown]), *cells, strict=True)
     headings = ("rule", "episodes", *(UNITS[one].heading for one in _MAIN))
     print_tables([TextTable(title, headings, tuple(rows), is_named=True)], console)
-
-
-def _texts(intervals: Iterable[Interval], measure: str, *, brief: bool) -> list[str]:
-    return [UNITS[measure].text(one, brief=brief) for one in intervals]
 
 
 def _task_table(table: AdaptationTable) -> TextTable:
     """Return one row per task: before the first update, and after the last."""
     columns = [
-        [UNITS[name].number(value) for value in table.measure(name)[:, column]]
+        [UNITS[name].number(value) for value in getattr(table, name)[:, column]]
         for name in _MAIN
         for column in (0, -1)
     ]
@@ -187,22 +178,17 @@ def _task_table(table: AdaptationTable) -> TextTable:
     )
 
 
+def sentences(*notes: str) -> tuple[str, ...]:
+    """Return the notes that are not empty as sentences."""
+    return tuple(f"{note[0].upper()}{note[1:]}." for note in notes if note)
+
+
 def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
     """Say how many tasks need not be solved, because their episodes start in the goal region."""
     count, verb = int(solved.sum()), "is" if solved.sum() == 1 else "are"
-    return f"{count} of the {len(solved)} tasks {verb} solved at reset." if count else ""
+    return f"{count} of the {len(solved)} tasks {verb} solved at reset" if count else ""
 
 
 def labels_of(intervals: Iterable[Interval]) -> str:
     """Return what intervals are and resample, each text once."""
     return "; or ".join(dict.fromkeys(interval.label for interval in intervals))
-
-
-def note_on_beyond(table: AdaptationTable) -> str:
-    """Say from where on a method does what it was never trained for; empty for nowhere."""
-    if table.first_beyond is None:
-        return ""
-    return (
-        f"Meta-training has prepared for {table.trial_episodes} episodes: from update "
-        f"{table.updates[table.first_beyond]} on it is beyond them."
-    )

@@ -1,10 +1,8 @@
-"""Curves over the episodes of a new task, and what all figures of lines have in common."""
+"""Methods in new tasks: their curves, where they end, and in which share of tasks above what."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -12,18 +10,9 @@ from jaxtyping import Float, Real
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
-from maesn.reporting.adaptation_table import Line, by_text, note_on_judging
-from maesn.reporting.published import PublishedCurve
-from maesn.reporting.statistics import mean_intervals
-from maesn.reporting.style import (
-    DARK_GREY,
-    GREY,
-    TWO_COLUMNS,
-    Drawn,
-    MethodStyle,
-    new_figure,
-    publication_style,
-)
+from maesn.reporting import statistics, style
+from maesn.reporting.comparison import Comparison, Line, by_line, note_on_judging
+from maesn.reporting.style import Drawn, MethodStyle
 
 _NUM_MARKERS = 6
 _BAND_OPACITY = 0.18
@@ -31,90 +20,132 @@ _FAINT = 0.35  # opacity of what a method was never trained for
 _MOST_COLOURED = 5  # lines; more cannot be told apart by colour
 _LABEL_CHARACTERS = 30  # of a line of a label
 _LABEL_SIZE = 6.5  # points
-_LABEL_LINE = 1.2 * _LABEL_SIZE
 _WIDTHS = (1.5, 1.0)  # return, success
-_REFERENCES = {"baseline": (0, (1.0, 1.5)), "oracle": "-"}
-_NONE: Mapping[str, PublishedCurve | None] = MappingProxyType({})
+_ROW = 0.22  # inches
+_HOLLOW = {"markersize": 3.0, "markerfacecolor": "none", "markeredgewidth": 0.6}
+# How the mean returns of those who learn nothing, or are given the task, are drawn.
+_REFERENCES = {
+    "baseline": {"color": style.DARK_GREY, "linewidth": 0.8, "linestyle": (0, (1.0, 1.5))},
+    "oracle": {"color": style.DARK_GREY, "linewidth": 0.8, "linestyle": "-"},
+}
 
-Curve = Float[np.ndarray, "mean_low_high point"]
-"""A line and the ends of its band."""
 
-
-@publication_style()
-def plot_curves(
-    lines: Sequence[Line],
-    title: str,
-    references: Mapping[str, float | None] = MappingProxyType({}),
-    published: Mapping[str, PublishedCurve | None] = _NONE,
-) -> Drawn:
+@style.publication_style()
+def plot_curves(comparison: Comparison) -> Drawn:
     """Draw return and success over the episodes that were learned from in the new task.
 
     The curve of a policy with recurrent state is faint beyond the trials that it was trained on.
-
-    Args:
-        lines: on the same tasks and reward.
-        title: of the figure.
-        references: `baseline` and `oracle` -> their mean return, drawn as a horizontal line.
-        published: name of a line -> the published curve of its method, drawn as open circles.
+    Horizontal lines are the mean returns of baseline and oracle, circles the published curve.
     """
-    figure = new_figure(TWO_COLUMNS, 2.5)
+    figure = style.new_figure(style.TWO_COLUMNS, 2.5)
     returns, success = figure.subplots(1, 2, width_ratios=_WIDTHS)
-    lines = [*lines[:_MOST_COLOURED], *map(_grey, lines[_MOST_COLOURED:])]
-    labels = {}
+    lines, labels = list(comparison.lines), {}
+    for position, line in enumerate(lines[_MOST_COLOURED:], start=_MOST_COLOURED):
+        lines[position] = replace(line, style=replace(line.style, colour=style.GREY))
     for axes, measure in ((returns, "mean_return"), (success, "success_rate")):
         for line in lines:
-            labels[line.label] = draw_line(axes, line.table.episodes, line, measure)
+            found = statistics.curve(line.measure(measure))
+            labels[line.label] = found.label
+            x, first_beyond = line.table.episodes, line.table.first_beyond
+            draw_curve(axes, x, found.band, line.style, len(line.seeds), first_beyond)
         _episodes_axis(axes, lines)
-    notes = note_on_lines(lines, labels)
-    for name, value in references.items():
-        if value is not None:
-            drawn = returns.axhline(value, color=DARK_GREY, linewidth=0.8, label=name)
-            drawn.set_linestyle(_REFERENCES[name])
-    if any(_draw_published(returns, line, published.get(line.name)) for line in lines):
-        notes.append("circles: as published")
+    for name, value in comparison.references().items():
+        returns.axhline(value, label=name, **_REFERENCES[name])
+    published = [(one, curve) for one in lines if (curve := one.published) is not None]
+    for line, curve in published:
+        episodes = curve.update * (line.table.episodes_per_update or 1)
+        shown = episodes <= line.table.episodes[-1]
+        look = {"markeredgecolor": line.style.colour, **_HOLLOW}
+        returns.plot(episodes[shown], curve.mean_return[shown], "o", **look)
     returns.set_ylabel(f"mean {lines[0].table.reward} return")
     percent_axis(success, "success rate")
-    figure.suptitle(title)
+    figure.suptitle(comparison.title)
     label_lines(returns)
-    return Drawn(figure, notes)
+    circles = ["circles: as published"] if published else []
+    return Drawn(figure, [*_notes(lines, labels), *circles])
+
+
+@style.publication_style()
+def plot_ends(comparison: Comparison) -> Drawn:
+    """Draw each line's last mean return and success as a dot with its 95 % interval."""
+    lines = comparison.lines[::-1]
+    figure = style.new_figure(style.TWO_COLUMNS, 0.9 + _ROW * len(lines))
+    returns, success = figure.subplots(1, 2, sharey=True)
+    for row, line in enumerate(lines):
+        _draw_end(returns, row, line, line.column(-1))
+        _draw_end(success, row, line, 100 * line.column(-1, "success_rate"))
+    for name, value in comparison.references().items():
+        returns.axvline(value, **_REFERENCES[name])
+    for axes in (returns, success):
+        axes.grid(axis="x", linewidth=0.3)
+    returns.set_xlabel(f"mean {lines[0].table.reward} return")
+    success.set_xlabel("reaches goal (%)")
+    returns.set_yticks(range(len(lines)), [line.label for line in lines])
+    returns.set_ylim(-0.6, len(lines) - 0.4)
+    figure.suptitle(comparison.title)
+    return Drawn(
+        figure, ["dots: means after the last update; bars: 95 % intervals; small dots: seeds"]
+    )
+
+
+def _draw_end(axes: Axes, row: int, line: Line, ends: Float[np.ndarray, "seed task"]) -> None:
+    """Draw one dot, its interval, and a small dot for each seed."""
+    colour, interval = line.style.colour, statistics.bootstrap(statistics.mean, ends)
+    if interval.is_known:
+        axes.plot([interval.low, interval.high], [row, row], color=colour)
+    if len(ends) > 1:
+        axes.plot(ends.mean(axis=1), np.full(len(ends), row), ".", color=colour, markersize=2.5)
+    axes.plot(interval.mean, row, line.style.marker, color=colour)
+
+
+@style.publication_style()
+def plot_profiles(comparison: Comparison) -> Drawn:
+    """Draw, for each return, in which share of tasks and seeds a line ends above it."""
+    lines, labels = comparison.lines, {}
+    figure = style.new_figure(style.TWO_COLUMNS, 2.2)
+    axes = figure.subplots()
+    thresholds, profiles = statistics.profiles([line.column(-1) for line in lines])
+    for line, profile in zip(lines, profiles, strict=True):
+        draw_curve(axes, thresholds, profile.band, line.style, len(line.seeds))
+        labels[line.label] = profile.label
+    axes.set_xlabel(f"{lines[0].table.reward} return τ")
+    percent_axis(axes, "tasks that end above τ")
+    figure.suptitle(comparison.title)
+    figure.legend(loc="outside right upper")
+    return Drawn(figure, _notes(lines, labels))
 
 
 def draw_curve(
-    axes: Axes, x: Real[np.ndarray, " point"], curve: Curve, style: MethodStyle, num_seeds: int
+    axes: Axes,
+    x: Real[np.ndarray, " point"],
+    curve: Sequence[Float[np.ndarray, " point"]],
+    look: MethodStyle,
+    num_seeds: int,
+    first_beyond: int | None = None,
 ) -> None:
-    """Draw a line and its band in its method's style; the label says if it has several seeds."""
-    mean, *ends = curve
-    axes.fill_between(x, *ends, color=style.colour, alpha=_BAND_OPACITY, linewidth=0)
+    """Draw a mean between the ends of its band; the label says if it is that of several seeds.
+
+    From `first_beyond` on, what meta-training has not prepared a method for is faint.
+    """
+    end = len(x) if first_beyond is None else max(first_beyond, 1)
+    mean, low, high = (one[:end] for one in curve)
+    axes.fill_between(x[:end], low, high, color=look.colour, alpha=_BAND_OPACITY, linewidth=0)
     axes.plot(
-        x,
+        x[:end],
         mean,
-        color=style.colour,
-        linestyle=style.line,
-        marker=style.marker,
-        markevery=max(1, len(x) // _NUM_MARKERS),
+        color=look.colour,
+        linestyle=look.line,
+        marker=look.marker,
+        markevery=max(1, end // _NUM_MARKERS),
         markeredgecolor="white",
         markeredgewidth=0.4,
-        label=style.label if num_seeds == 1 else f"{style.label}, {num_seeds} seeds",
+        label=look.label if num_seeds == 1 else f"{look.label}, {num_seeds} seeds",
     )
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
-
-
-def draw_line(axes: Axes, x: Real[np.ndarray, " point"], line: Line, measure: str) -> str:
-    """Draw the mean of a measure with its intervals, and return what the intervals resample.
-
-    Each column of the line's tables stands at its `x`. What meta-training has not prepared a method
-    for is faint.
-    """
-    intervals = mean_intervals(line.measure(measure))
-    curve = np.array([(one.mean, one.low, one.high) for one in intervals]).T
-    style, beyond = replace(line.style, label=line.label), line.table.first_beyond
-    end = len(x) if beyond is None else max(beyond, 1)
-    draw_curve(axes, x[:end], curve[:, :end], style, len(line.seeds))
     if end < len(x):
-        x, (mean, *ends) = x[end - 1 :], curve[:, end - 1 :]
-        axes.plot(x, mean, color=style.colour, linestyle=":", alpha=_FAINT)
-        axes.fill_between(x, *ends, color=style.colour, alpha=_FAINT / 4, linewidth=0)
-    return intervals[0].label
+        x, mean, low, high = (one[end - 1 :] for one in (x, *curve))
+        axes.plot(x, mean, color=look.colour, linestyle=":", alpha=_FAINT)
+        axes.fill_between(x, low, high, color=look.colour, alpha=_FAINT / 4, linewidth=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
 
 
 def label_lines(axes: Axes) -> None:
@@ -126,7 +157,7 @@ def label_lines(axes: Axes) -> None:
     lines = sorted(named, key=ends_of.__getitem__)
     texts = [textwrap.fill(str(one.get_label()), _LABEL_CHARACTERS) for one in lines]
     ends = axes.transData.transform([(0, ends_of[one]) for one in lines])[:, 1]
-    heights = np.array([_LABEL_LINE * (1 + text.count("\n")) for text in texts])
+    heights = np.array([1.2 * _LABEL_SIZE * (1 + text.count("\n")) for text in texts])
     heights *= figure.dpi / 72
     # The least squares of all displacements, with every label above the one before.
     room = np.cumsum(heights) - heights / 2
@@ -146,57 +177,29 @@ def label_lines(axes: Axes) -> None:
         )
 
 
-def _grey(line: Line) -> Line:
-    return replace(line, style=replace(line.style, colour=GREY))
-
-
 def percent_axis(axes: Axes, label: str) -> None:
     """Let the vertical axis run from 0 to 100 %."""
     axes.set(ylabel=label, ylim=(-0.03, 1.03))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
 
 
-def note_on_lines(lines: Sequence[Line], labels: Mapping[str, str]) -> list[str]:
-    """Say what the bands are, which episodes are judged, what is faint, who has fewer tasks.
-
-    `labels` says by the line's label what its band resamples.
-    """
-    *exceptions, (rule, _) = sorted(by_text(labels).items(), key=lambda pair: len(pair[1]))
-    bands = [f"bands of {', '.join(members)}: {text}" for text, members in exceptions]
-    bands.append(f"{'other bands' if bands else 'bands'}: {rule}")
-    faint = [
-        f"{line.label}, faint: beyond the {line.table.trial_episodes} episodes that it was trained "
-        "for"
-        for line in lines
-        if line.table.first_beyond is not None
-    ]
+def _notes(lines: Sequence[Line], bands: Mapping[str, str]) -> list[str]:
+    """Say what the bands of lines resample, what is judged, what is faint, who has fewer tasks."""
     most = max(line.num_tasks for line in lines)
+    faint = [f"faint: {line.beyond}" for line in lines if line.beyond]
     fewer = [
         f"{line.label}: the first {line.num_tasks} of {most} tasks alone"
         for line in lines
         if line.num_tasks < most
     ]
-    return [*bands, note_on_judging(lines), *faint, *fewer]
-
-
-def _draw_published(axes: Axes, line: Line, curve: PublishedCurve | None) -> bool:
-    """Mark the published returns as far as ours go; return whether there are any."""
-    if curve is None:
-        return False
-    episodes = curve.update * (line.table.episodes_per_update or 1)
-    shown = episodes <= line.table.episodes[-1]
-    marks: dict[str, Any] = {"markersize": 3.0, "markerfacecolor": "none", "markeredgewidth": 0.6}
-    axes.plot(
-        episodes[shown], curve.mean_return[shown], "o", markeredgecolor=line.style.colour, **marks
-    )
-    return True
+    return [f"bands: {by_line(bands)}", note_on_judging(lines), *faint, *fewer]
 
 
 def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
     """Count episodes; beyond the shortest update logarithmically, if updates differ in length."""
-    shortest = {line.table.episodes_per_update for line in lines} - {None}
+    lengths = {line.table.episodes_per_update for line in lines} - {None}
     axes.set_xlabel("episodes in the new task")
-    if len(shortest) > 1:
-        axes.set_xscale("symlog", linthresh=min(filter(None, shortest)), linscale=0.5)
+    if len(lengths) > 1:
+        axes.set_xscale("symlog", linthresh=min(filter(None, lengths)), linscale=0.5)
         axes.set_xlim(left=0)
         axes.xaxis.set_major_formatter(ScalarFormatter())

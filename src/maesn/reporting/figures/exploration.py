@@ -3,7 +3,6 @@
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
+from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
-from maesn.reporting.adaptation_table import PriorReach
 from maesn.reporting.figures import plane
+from maesn.reporting.reading import PriorReach, prior_reach
 from maesn.reporting.runs import Latents, RecordedExploration
 from maesn.reporting.statistics import count
-from maesn.reporting.style import MethodStyle
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
 _PANEL_WIDTH = 2.5  # inches of the plane of latents alone
@@ -27,7 +26,7 @@ _SURROUNDINGS = 0.95  # inches of its title, labels and legend
 class ExplorationPanel(NamedTuple):
     """What one method explores before adaptation."""
 
-    style: MethodStyle
+    style: style.MethodStyle
     exploration: RecordedExploration
     reach: PriorReach | None
     """How many of the goals it reaches; None if that was not counted."""
@@ -40,7 +39,7 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     What a task lays out beside its goal, such as blocks, is drawn as well.
     """
     training, goals = exploration.training_goals, exploration.goals
-    radius, starts = exploration.sparse_radius, exploration.prior_paths[:, 0]
+    radius, start = exploration.sparse_radius, exploration.prior_paths[:, 0].mean(0, keepdims=True)
     middle = goals[np.argmin(np.linalg.norm(goals - goals.mean(0), axis=-1))]
     landmarks = (
         ("training tasks", exploration.training_landmarks, style.VERMILLION),
@@ -52,10 +51,11 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
         for tasks, array, colour in landmarks
         if array is not None
     ]
-    positions = [middle[None], goals, training, starts, *(points for points, *_ in objects)]
+    positions = [middle[None], goals, training, start, *(points for points, *_ in objects)]
     limits = plane.shared_limits(positions, radius)
     # Beside the plane labels take 0.6 inches, above and below it labels and legend take 0.85.
-    figure = style.new_figure(style.ONE_COLUMN, (style.ONE_COLUMN - 0.6) * limits.aspect + 0.85)
+    height = (style.ONE_COLUMN - 0.6) * limits.height / limits.width + 0.85
+    figure = style.new_figure(style.ONE_COLUMN, height)
     axes = figure.subplots()
     _mark(axes, training, "o", style.VERMILLION, f"{len(training)} training goals", alpha=0.7)
     crosses = f"{len(goals)} goals adapted to"
@@ -65,7 +65,6 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     axes.add_patch(region)
     for one in objects:
         _mark(axes, *one, markeredgewidth=0.7, fillstyle="none")
-    start = starts.mean(0, keepdims=True)
     _mark(axes, start, "+", style.BLACK, "start", markersize=6, markeredgewidth=1.0, zorder=3)
     plane.plane_axes(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
@@ -75,8 +74,8 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
 def _mark(
     axes: Axes, points: plane.Points, marker: str, colour: str, label: str, **changed: Any
 ) -> None:
-    usual: dict[str, Any] = {"markersize": 3.5, "markeredgewidth": 0}
-    axes.plot(*points.T, marker, color=colour, label=label, **{**usual, **changed})
+    look = {"markersize": 3.5, "markeredgewidth": 0, **changed}
+    axes.plot(*points.T, marker, color=colour, label=label, **look)
 
 
 @style.publication_style()
@@ -86,15 +85,16 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
     The untrained policy is that of the first run. All are in one world.
     """
     first = explorers[0].exploration
-    untrained = replace(explorers[0].style, label="untrained policy", colour=style.BLACK)
+    solved, episodes = first.solved_at_reset > 0, first.episodes_per_task
+    reach = prior_reach(first.untrained_success_rate, solved, episodes)
+    untrained = ExplorationPanel(style.MethodStyle("untrained policy", style.BLACK), first, reach)
     drawn = [(one, one.exploration.prior_paths) for one in explorers]
-    last = ExplorationPanel(untrained, first, first.untrained_reach)
-    drawn.append((last, first.untrained_paths))
+    drawn.append((untrained, first.untrained_paths))
     limits = plane.shared_limits([first.goals, *(paths for _, paths in drawn)], first.sparse_radius)
     columns = 2 if len(drawn) in (2, 4) else 3
     rows = math.ceil(len(drawn) / columns)
     # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
-    height = (style.TWO_COLUMNS - 0.5) / columns * limits.aspect + 0.42
+    height = (style.TWO_COLUMNS - 0.5) / columns * limits.height / limits.width + 0.42
     figure = style.new_figure(style.TWO_COLUMNS, rows * height + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for unused in panels[len(drawn) :]:
@@ -107,7 +107,8 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
             title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
         axes.set_title(title)
         if position % columns:
-            _drop_y_label(axes)
+            axes.set_ylabel("")
+            axes.tick_params(labelleft=False)
         if position + columns < len(drawn):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
@@ -129,28 +130,27 @@ def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
     if latents is not None and latents.shape[1] < 2:
         latents = None
     # The panel of latents is as high as the planes beside it.
-    widths = [1.0, 1.0] if latents is None else [limits.aspect, 1.0, 1.0]
+    widths = [1.0, 1.0] if latents is None else [limits.height / limits.width, 1.0, 1.0]
     # Beside the panels labels and colour bar take 1.7 inches, above and below them text takes 0.8.
-    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.aspect + 0.8
+    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.height / limits.width + 0.8
     figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, len(widths), width_ratios=widths).tolist()
     drawn = {"z sampled from the prior": sampled, "z fixed": fixed}
     for axes, (title, paths) in zip(panels[-2:], drawn.items(), strict=True):
-        final = plane.final_positions(paths)
-        colours = plane.direction_colours(scale, final)
+        colours = scale.to_rgba(plane.directions(paths[:, -1]))
         plane.draw_explored(axes, limits, exploration, paths, colours)
         # Root mean square distance from their mean.
-        spread = float(np.sqrt(final.var(0).sum()))
+        spread = float(np.sqrt(paths[:, -1].var(0).sum()))
         axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
     if latents is not None:
-        colours = plane.direction_colours(scale, plane.final_positions(sampled))
+        colours = scale.to_rgba(plane.directions(sampled[:, -1]))
         plane.draw_dots(panels[0], latents[:, :2], colours, size=7.0)
         plane.draw_prior(panels[0])
-        reach = np.full(2, 1.15 * float(np.abs(latents[:, :2]).max()))
+        reach = 1.15 * float(np.abs(latents[:, :2]).max())
+        box = Bbox([[-reach, -reach], [reach, reach]])
         labels = {"xlabel": "latent component 1", "ylabel": "latent component 2"}
-        box = plane.Limits(-reach, reach)
         plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
-    _drop_y_label(panels[-1])
+    panels[-1].label_outer()
     plane.direction_bar(figure, panels, scale, "final direction (°)")
     return style.Drawn(figure)
 
@@ -167,12 +167,13 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.D
     mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
     std = np.exp(log_std)
     limits = plane.shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
-    figure = style.new_figure(style.TWO_COLUMNS, _PANEL_WIDTH * limits.aspect + _SURROUNDINGS)
+    height = _PANEL_WIDTH * limits.height / limits.width + _SURROUNDINGS
+    figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     colours = np.tile(to_rgba(style.BLUE), (len(mean), 1))
     if goals is not None:
         scale = plane.direction_scale(goals)
-        colours = plane.direction_colours(scale, goals)
+        colours = scale.to_rgba(plane.directions(goals))
         plane.direction_bar(figure, panels, scale, "direction of the goal (°)")
     for column, later in enumerate((0, latents.mean.shape[1] - 1)):
         axes, centres = panels[column], mean[:, column]
@@ -191,8 +192,3 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.D
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
     return style.Drawn(figure)
-
-
-def _drop_y_label(axes: Axes) -> None:
-    axes.set_ylabel("")
-    axes.tick_params(labelleft=False)

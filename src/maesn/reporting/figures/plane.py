@@ -1,7 +1,7 @@
 """Drawing in the plane of the world, in metres: paths, goals, limits that panels share."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import Bbox
 
 from maesn.reporting.runs import Positions, RecordedExploration
 from maesn.reporting.style import BLACK, DARK_GREY, GREY
@@ -22,7 +23,7 @@ _DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 
 _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 Points = Float[np.ndarray, "point 2"]
-Colours = Float[np.ndarray, "point 4"]
+Colours = str | Float[np.ndarray, "point 4"]
 PRIOR_LINE: dict[str, Any] = {"color": BLACK, "linestyle": "--", "linewidth": 1.0}
 
 _MARGIN = 0.05  # of the larger side
@@ -31,38 +32,20 @@ _DISC_INK = 2.0
 _DISC_OPACITY = (0.015, 0.2)
 
 
-class Limits(NamedTuple):
-    """A rectangle of a plane."""
-
-    low: Float[np.ndarray, "2"]
-    high: Float[np.ndarray, "2"]
-
-    @property
-    def aspect(self) -> float:
-        """Height over width."""
-        width, height = self.high - self.low
-        return float(height / width)
-
-
-def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Limits:
-    """Return limits that hold all points, with discs of `radius` around those of the first array.
-
-    Positions may be NaN, where an episode is over.
-    """
+def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Bbox:
+    """Return a box that holds all points, with discs of `radius` around the first ones."""
     flat = [array.reshape(-1, 2) for array in points]
     corners = np.concatenate([flat[0] - radius, flat[0] + radius, *flat[1:]])
-    low, high = np.nanmin(corners, 0), np.nanmax(corners, 0)
-    margin = max(_MARGIN * float(np.max(high - low)), 1e-3)
-    return Limits(low - margin, high + margin)
+    box = Bbox([corners.min(0), corners.max(0)])
+    return box.padded(max(_MARGIN * max(box.width, box.height), 1e-3))
 
 
-def equal_axes(axes: Axes, limits: Limits, **labels: str) -> None:
+def equal_axes(axes: Axes, limits: Bbox, **labels: str) -> None:
     """Give a panel limits, the same scale in both directions, and labels as of `axes.set`."""
-    xlim, ylim = np.transpose(limits).tolist()
-    axes.set(aspect="equal", xlim=xlim, ylim=ylim, **labels)
+    axes.set(aspect="equal", xlim=limits.intervalx, ylim=limits.intervaly, **labels)
 
 
-def plane_axes(axes: Axes, limits: Limits) -> None:
+def plane_axes(axes: Axes, limits: Bbox) -> None:
     """Make a panel a piece of the world."""
     equal_axes(axes, limits, xlabel="x (m)", ylabel="y (m)")
     axes.grid(visible=False)
@@ -80,36 +63,25 @@ def draw_prior(axes: Axes) -> None:
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **PRIOR_LINE))
 
 
-def draw_dots(axes: Axes, points: Points, colours: str | Colours, size: float = 4.0) -> None:
+def draw_dots(axes: Axes, points: Points, colours: Colours, size: float = 4.0) -> None:
     """Draw a dot at each point."""
     x, y = points.T
     axes.scatter(x, y, c=colours, s=size, linewidths=0, zorder=2.5)
 
 
 def draw_explored(
-    axes: Axes,
-    limits: Limits,
-    exploration: RecordedExploration,
-    paths: Positions,
-    colours: str | Colours,
+    axes: Axes, limits: Bbox, exploration: RecordedExploration, paths: Positions, colours: Colours
 ) -> None:
     """Draw goals in translucent regions, and one line per episode with a dot where it ends."""
     plane_axes(axes, limits)
     goals = exploration.goals
     opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
-    discs = np.full_like(goals, exploration.sparse_radius)
-    draw_ellipses(axes, goals, discs, facecolor=GREY, edgecolor="none", alpha=opacity, zorder=0.5)
+    look = {"facecolor": GREY, "edgecolor": "none", "alpha": opacity, "zorder": 0.5}
+    draw_ellipses(axes, goals, np.full_like(goals, exploration.sparse_radius), **look)
     axes.plot(*goals.T, ".", color=DARK_GREY, markersize=2.5, markeredgewidth=0, zorder=0.6)
     lines = LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6, zorder=2)
     axes.add_collection(lines)
-    draw_dots(axes, final_positions(paths), colours)
-
-
-def final_positions(paths: Positions) -> Points:
-    """Return the last position of every episode that is not NaN."""
-    played = np.isfinite(paths).all(-1)
-    last = paths.shape[1] - 1 - np.argmax(played[:, ::-1], axis=1)
-    return np.asarray(paths[np.arange(len(paths)), last])
+    draw_dots(axes, paths[:, -1], colours)
 
 
 def directions(points: Points) -> Float[np.ndarray, " point"]:
@@ -119,15 +91,10 @@ def directions(points: Points) -> Float[np.ndarray, " point"]:
 
 def direction_scale(goals: Points) -> ScalarMappable:
     """Return a colour for each direction: one end of the goals' range to the other."""
-    angles = directions(goals)
-    low = _ANGLE_STEP * float(np.floor(angles.min() / _ANGLE_STEP))
-    high = _ANGLE_STEP * float(np.ceil(angles.max() / _ANGLE_STEP))
-    return ScalarMappable(Normalize(low, max(high, low + _ANGLE_STEP)), _DIRECTION_COLOURS)
-
-
-def direction_colours(scale: ScalarMappable, points: Points) -> Colours:
-    """Return the colour of each point's direction."""
-    return np.asarray(scale.to_rgba(directions(points)))
+    angles = directions(goals) / _ANGLE_STEP
+    low, high = float(np.floor(angles.min())), float(np.ceil(angles.max()))
+    norm = Normalize(_ANGLE_STEP * low, _ANGLE_STEP * max(high, low + 1))
+    return ScalarMappable(norm, _DIRECTION_COLOURS)
 
 
 def direction_bar(figure: Figure, axes: Sequence[Axes], scale: ScalarMappable, label: str) -> None:

@@ -22,11 +22,10 @@ class PlotlyMissing(RunError):
 
 
 def write_page(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a document of `run_page` or `study_page` as one HTML file.
+    """Write a document of `run_page` or `study_page` as one HTML file; that may be refused.
 
     Raises:
         PlotlyMissing: plotly is not installed.
-        RunError: the file cannot be written.
     """
     parts = {
         "style": _own("page.css"),
@@ -36,35 +35,22 @@ def write_page(path: Path, document: Mapping[str, Any]) -> None:
     }
     page = _own("page.html")
     for name, content in parts.items():
-        before, marker, after = page.partition(f"<!-- {name} -->")
-        assert marker
-        page = before + content + after
+        page = page.replace(f"<!-- {name} -->", content, 1)
     write_whole(path, page.encode())
 
 
 def script_json(document: Any) -> str:
     """Return JSON that may stand in a script element, whatever texts are in it."""
-    text = json.dumps(_plain(document), allow_nan=False, separators=(",", ":"))
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     # No text can then end the element, or begin a comment in it.
     return text.replace("<", "\\u003c")
 
 
-def rounded(values: Any, digits: int = 3) -> list[Any]:
+def rounded(values: Any, digits: int = 3) -> Any:
     """Return an array as nested lists of short numbers; None for NaN."""
-    found: list[Any] = _plain(np.round(np.asarray(values, np.float64), digits))
-    return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    numbers = np.asarray(values, np.float64)
+    found = numbers.round(digits).astype(object)
+    return np.where(np.isfinite(numbers), found, np.array(None)).tolist()
 
 
 def _own(name: str) -> str:
