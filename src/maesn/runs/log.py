@@ -16,6 +16,7 @@ from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 from tensorboardX.summary import text
 
+from maesn.runs.checkpoint import Checkpoint
 from maesn.storage import explained, write_whole
 
 logger = logging.getLogger(__name__)
@@ -87,13 +88,9 @@ class RunLog(NamedTuple):
                 os.fsync(file.fileno())
 
 
-def begin_log(
-    directory: Path, iteration: int, environment_steps: int, settings: Mapping[str, Any]
-) -> RunLog:
-    """Forget what was logged of iterations after this one; `RunError` if that cannot be written.
-
-    The settings, by path, stand on the TensorBoard as a table.
-    """
+def begin_log(directory: Path, start: Checkpoint, settings: Mapping[str, Any]) -> RunLog:
+    """Forget what was logged of iterations after a checkpoint, and show settings, by path."""
+    iteration, steps = start.iteration, start.environment_steps
     # The iteration keeps apart the names of processes that begin within the same second.
     events = _events_file(directory, f"{int(time.time())}.{iteration}")
     log = RunLog(directory / METRICS, directory / TIMING, events)
@@ -102,9 +99,8 @@ def begin_log(
     content = _event(file_version=_VERSION)
     if iteration:
         # Makes TensorBoard hide what an earlier process wrote of later steps.
-        start = SessionLog(status=SessionLog.START)
-        content += _event(step=environment_steps + 1, session_log=start)
-    write_whole(events, content + _event(step=environment_steps, summary=summary))
+        content += _event(step=steps + 1, session_log=SessionLog(status=SessionLog.START))
+    write_whole(events, content + _event(step=steps, summary=summary))
     for path in (log.metrics, log.timing):
         kept = cut_lines(path, iteration)
         if len(kept) < iteration:

@@ -47,8 +47,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     included, on the same machine with the same versions and number of threads. A checkpoint is
     written every `checkpoint_every` iterations and at any end but that of the process.
 
-    `iterations` is the number of meta-iterations in total; None for that of the run's settings.
-    `keep` is how many of the latest checkpoints stay; see `maesn.runs.checkpoint.prune`; 0: all.
+    `iterations` is the total; None for that of the run's settings. `keep` is how many of the latest
+    checkpoints stay, see `maesn.runs.checkpoint.prune`; 0: all.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it; or losses or
@@ -67,10 +67,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         # Before anything is written: all have read the same by then.
         check_agreement(start.iteration, "the iteration that they begin with")
         check_agreement(int(run.config.digest()[:8], 16), "the settings")
-        log = None
-        if is_lead():
-            settings = leaves(run.config.document())
-            log = begin_log(run.directory, start.iteration, start.environment_steps, settings)
+        settings = leaves(run.config.document())
+        log = begin_log(run.directory, start, settings) if is_lead() else None
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
@@ -160,9 +158,8 @@ class _Training:
         logger.warning("%s. The step was rejected; the policy is as before.", said)
         if self.nonfinite == MAX_NONFINITE:
             raise RunError(
-                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved; "
-                "look at `metrics.jsonl`, and start a new run with smaller steps or a smaller "
-                "penalty."
+                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved: "
+                "look at `metrics.jsonl`, and start anew with smaller steps or a smaller penalty."
             )
 
 
@@ -172,8 +169,7 @@ def _compare_versions(run: Run) -> None:
         if now.get(name) != version:
             logger.warning(
                 f"`{run.directory}` was begun with {name} {version} and goes on with "
-                f"{now.get(name)}: it need not become bit for bit what it would have become "
-                "without the interruption."
+                f"{now.get(name)}: it need not become what it would have become without a break."
             )
 
 
@@ -199,24 +195,18 @@ def train_live(
         ):
             for last in steps:
                 recent.append(last.seconds - last.compile_seconds)
-                mean, text = sum(recent) / len(recent), describe(last)
-                left = datetime.timedelta(seconds=round(mean * (total - last.iteration)))
+                mean, done, text = sum(recent) / len(recent), last.iteration, describe(last)
+                left = f"{datetime.timedelta(seconds=round(mean * (total - done)))} left"
                 if console.is_terminal:
-                    bar.update(
-                        bar.task_ids[0],
-                        completed=last.iteration,
-                        description=f"{left} left: {text}",
-                        refresh=True,
-                    )
+                    shown = f"{left}: {text}"
+                    bar.update(bar.task_ids[0], completed=done, description=shown, refresh=True)
                 else:
-                    say(f"{last.iteration}/{total}: {text}, {left} left")
+                    say(f"{done}/{total}: {text}, {left}")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
+        more += run.family_option
         with contextlib.suppress(OSError):
-            say(
-                f"Stopped, and saved. To go on: maesn resume {run.directory}{more}"
-                f"{run.family_option}"
-            )
+            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
         done = run.latest().iteration
