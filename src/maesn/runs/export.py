@@ -133,9 +133,7 @@ def _checked(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
     elif not learner.capabilities.learns_from_reward:
         obstacle = "adapts nothing in a new task"
     elif learner.advantage.drifts:
-        obstacle = (
-            "drifts where all episodes have the same rewards: train without `advantage.drifts`"
-        )
+        obstacle = "drifts where all rewards are the same: train without `advantage.drifts`"
     elif not isinstance(learner.context, LatentContext):
         obstacle = f"has the context {type(learner.context).__name__}"
     elif learner.context.gradient != "likelihood_ratio":

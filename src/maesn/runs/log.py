@@ -1,5 +1,6 @@
 """What a run writes down of every iteration: JSON lines, and events for TensorBoard."""
 
+import contextlib
 import itertools
 import json
 import logging
@@ -100,7 +101,7 @@ def begin_log(directory: Path, start: Checkpoint, settings: Mapping[str, Any]) -
     if iteration:
         # Makes TensorBoard hide what an earlier process wrote of later steps.
         content += _event(step=steps + 1, session_log=SessionLog(status=SessionLog.START))
-    write_whole(events, content + _event(step=steps, summary=summary))
+    append(events, content + _event(step=steps, summary=summary))
     for path in (log.metrics, log.timing):
         kept = cut_lines(path, iteration)
         if len(kept) < iteration:
@@ -121,7 +122,10 @@ def log_figures(directory: Path, pictures: Sequence[Path], environment_steps: in
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
         value = Summary.Value(tag=f"figures/{picture.stem}", image=image)
         content += _event(step=environment_steps, summary=Summary(value=[value]))
-    write_whole(_events_file(directory, "0.figures"), content)
+    events = _events_file(directory, "0.figures")
+    with explained("write", events):
+        events.unlink(missing_ok=True)
+    append(events, content)
 
 
 def append(path: Path, content: bytes) -> None:
@@ -139,21 +143,17 @@ def cut_lines(path: Path, iterations: int) -> set[int]:
     with explained("write", path):
         path.touch()
         content = path.read_bytes()
-    numbered = {_iteration(line): line + b"\n" for line in content.split(b"\n")[:-1]}
-    kept = sorted(n for n in numbered if n is not None and 1 <= n <= iterations)
-    sound = b"".join(numbered[n] for n in kept)
+    numbered: dict[int, bytes] = {}
+    for line in content.split(b"\n")[:-1]:
+        # What is no record of an iteration is damaged.
+        with contextlib.suppress(ValueError, LookupError, TypeError, RecursionError):
+            found = json.loads(line)["iteration"]
+            if type(found) is int and 1 <= found <= iterations:
+                numbered[found] = line + b"\n"
+    sound = b"".join(numbered[n] for n in sorted(numbered))
     if content != sound:
         write_whole(path, sound)
-    return set(kept)
-
-
-def _iteration(line: bytes) -> int | None:
-    """Return the number of the iteration that a line is about; None if the line is damaged."""
-    try:
-        found = json.loads(line)["iteration"]
-    except (ValueError, LookupError, TypeError, RecursionError):
-        return None
-    return found if type(found) is int else None
+    return set(numbered)
 
 
 def _events_file(directory: Path, name: str) -> Path:
