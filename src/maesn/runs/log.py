@@ -118,7 +118,7 @@ def log_figures(directory: Path, pictures: Sequence[Path], environment_steps: in
     content = _event(file_version=_VERSION)
     for picture in pictures:
         png = picture.read_bytes()
-        width, height = struct.unpack(">II", png[16:24])
+        width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
         value = Summary.Value(tag=f"figures/{picture.stem}", image=image)
         content += _event(step=environment_steps, summary=Summary(value=[value]))
