@@ -32,10 +32,9 @@ def check_choice(name: str, value: str, choices: Any) -> None:
 
 def check_number(name: str, value: int | None, least: int, most: int = LARGEST_COUNT) -> None:
     """Refuse by ValueError a number outside of a range; None is never refused."""
-    if value is not None and value < least:
-        raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-    if value is not None and value > most:
-        raise ValueError(f"`{name}` must be at most {most}, got {value}.")
+    if value is not None and not least <= value <= most:
+        bound = f"at least {least}" if value < least else f"at most {most}"
+        raise ValueError(f"`{name}` must be {bound}, got {value}.")
 
 
 def check_positive(settings: Any, *names: str) -> None:
@@ -52,5 +51,4 @@ def check_numbers(settings: Any, **least: int) -> None:
         check_number(name, getattr(settings, name), smallest)
     # JAX would silently take it modulo 2^32.
     check_number("seed", settings.seed, 0, 2**32 - 1)
-    if settings.sparse_radius is not None and not settings.sparse_radius > 0:
-        raise ValueError(f"`sparse_radius` must be positive, got {settings.sparse_radius}.")
+    check_positive(settings, "sparse_radius")

@@ -80,16 +80,33 @@ def new_directory(directory: Path, files: Sequence[str]) -> Iterator[None]:
             directory.mkdir(parents=True, exist_ok=True)
             if not (directory / LOCK).exists():
                 _check_vacant(directory, [])
-        with locked(directory):
+        with locked(directory), explained("fill", directory):
             _check_vacant(directory, [LOCK, *files[:-1]])
-            with explained("fill", directory), contextlib.ExitStack() as failed:
-                failed.callback(_remove, directory, files)
+            try:
                 yield
-                failed.pop_all()
+            except BaseException:
+                for path in [directory / name for name in files]:
+                    path.unlink(missing_ok=True)
+                    if path.parent != directory:
+                        with contextlib.suppress(OSError):  # it is not empty
+                            path.parent.rmdir()
+                raise
     finally:
         if not existed:
             with contextlib.suppress(OSError):  # it is not empty
                 directory.rmdir()
+
+
+def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
+    """Refuse a directory that holds more than a process can have left that died over filling it."""
+    own = {directory / name for name in expected}
+    own |= {path.parent for path in own}
+    for path in directory.rglob("*"):
+        if path not in own and not (own and path.suffix == archive.PARTIAL):
+            raise RunError(
+                f"`{directory}` must be a new or an empty directory, but holds files: choose "
+                f"another one, or go on with the run in it (maesn resume {directory})."
+            )
 
 
 def discard_partial(directory: Path, name: str = "*", seconds: float = 0.0) -> None:
@@ -108,28 +125,6 @@ def check_writable(path: Path) -> None:
             raise IsADirectoryError(errno.EISDIR, "Is a directory")
         with tempfile.TemporaryFile(dir=path.parent) as probe:
             probe.write(bytes(65536))  # a full disk may still have room for a name
-
-
-def _check_vacant(directory: Path, expected: Sequence[str]) -> None:
-    """Refuse a directory that holds more than a process can have left that died over filling it."""
-    own = {directory / name for name in expected}
-    own |= {path.parent for path in own}
-    for path in directory.rglob("*"):
-        if path not in own and not (own and path.suffix == archive.PARTIAL):
-            raise RunError(
-                f"`{directory}` must be a new or an empty directory, but holds files: choose "
-                f"another one, or go on with the run in it (maesn resume {directory})."
-            )
-
-
-def _remove(directory: Path, files: Sequence[str]) -> None:
-    """Remove these files, and the folders that they leave empty."""
-    paths = [directory / name for name in files]
-    for path in paths:
-        path.unlink(missing_ok=True)
-    for folder in {path.parent for path in paths} - {directory}:
-        with contextlib.suppress(OSError):
-            folder.rmdir()
 
 
 def refuse_links(directory: Path) -> None:
@@ -170,7 +165,6 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
     """Read a JSON object. Messages of errors end with the remedy."""
     with _expecting("a JSON object", path, remedy):
-        archive.refuse_special(path)
         return _parsed(path.read_bytes())
 
 
@@ -180,10 +174,8 @@ def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, An
     A last line without its line break is left out: it may be being written at this moment.
     """
     with _expecting("lines of JSON objects", path, remedy):
-        archive.refuse_special(path)
-        complete, _, _ = path.read_bytes().rpartition(b"\n")
-        lines = enumerate(complete.splitlines(), start=1)
-        return [_parsed(line, f"line {number}") for number, line in lines]
+        lines = path.read_bytes().split(b"\n")[:-1]
+        return [_parsed(line, f"line {number}") for number, line in enumerate(lines, start=1)]
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
@@ -207,20 +199,26 @@ def locked(directory: Path) -> Iterator[None]:
 
     If another one does, or there are links in it, that is a `RunError`.
     """
-    path = directory / LOCK
+    path, owner, mine = directory / LOCK, b"", False
     refuse_links(directory)
     with explained("open", path):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     with os.fdopen(descriptor, "r+b", buffering=0) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise _occupied(directory, file.read()) from error
+            # Its last owner may just have removed it.
+            mine = os.path.samestat(path.stat(), os.fstat(descriptor))
+        except (BlockingIOError, FileNotFoundError):
+            owner = file.read(200)
         except OSError:
+            mine = True
             warning = "The file system of `%s` has no locks: let no other process work in it."
             logger.warning(warning, directory)
-        if not _is_at(path, file.fileno()):  # its last owner has just removed it
-            raise _occupied(directory)
+        if not mine:
+            raise RunError(
+                f"{owner.decode(errors='replace') or 'another process'} is at work in "
+                f"`{directory}`: wait for it, stop it, or choose another directory."
+            )
         with contextlib.suppress(OSError):  # a lock that names nobody is one as well
             file.truncate()
             file.write(f"process {os.getpid()} on {platform.node()}".encode())
@@ -231,24 +229,11 @@ def locked(directory: Path) -> Iterator[None]:
                 path.unlink()
 
 
-def _occupied(directory: Path, owner: bytes = b"") -> RunError:
-    named = owner[:200].decode(errors="replace") or "another process"
-    return RunError(
-        f"{named} is at work in `{directory}`: wait for it, stop it, or choose another directory."
-    )
-
-
-def _is_at(path: Path, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(path.stat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
-
-
 @contextlib.contextmanager
 def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
     """Turn whatever goes wrong while a file is read into a `RunError`."""
     try:
+        archive.refuse_special(path)
         yield
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None)
@@ -258,7 +243,6 @@ def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
 
 def _parsed(text: bytes, what: str = "it") -> dict[str, Any]:
     with contextlib.suppress(ValueError):
-        document = archive.parse_json(text)
-        if isinstance(document, dict):
+        if isinstance(document := archive.parse_json(text), dict):
             return document
     raise ValueError(f"{what} is no JSON object")

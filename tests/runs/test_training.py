@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+import shutil
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -94,6 +95,15 @@ def test_settings_and_figures_stand_on_the_board(tmp_path: Path) -> None:
     ((step, figure),) = ((step, value) for step, value in found if value.tag == "figures/curve")
     assert (step, figure.image.width, figure.image.height) == (7, 5, 3)
     assert figure.image.encoded_image_string == picture.read_bytes()
+
+
+def test_events_can_be_removed_while_training_goes_on(tmp_path: Path) -> None:
+    run = create(tmp_path / "run", iterations=3)
+    for progress in train(run):
+        if progress.iteration == 1:
+            shutil.rmtree(run.directory / "tensorboard")
+    assert run.latest().iteration == 3
+    assert len(events(run)["returns/after"]) == 2
 
 
 def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:

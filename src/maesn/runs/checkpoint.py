@@ -47,10 +47,8 @@ class Checkpoint(NamedTuple):
     """A moment between two iterations, which training can go on from."""
 
     state: Any
-    iteration: int
-    """Iterations so far."""
-    environment_steps: int
-    """Control steps that were played so far."""
+    iteration: int  # iterations so far
+    environment_steps: int  # control steps that were played so far
 
 
 def named_leaves(tree: Any) -> dict[str, Any]:
@@ -79,16 +77,15 @@ def read_checkpoint(path: Path) -> Tensors:
     try:
         with explained("read", path):
             refuse_special(path)
-        with explained("read", path), safetensors.safe_open(path, framework="numpy") as file:
-            metadata = dict(file.metadata() or {})
-            values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            with safetensors.safe_open(path, framework="numpy") as file:
+                metadata = dict(file.metadata() or {})
+                values = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (RunError, ValueError, safetensors.SafetensorError) as error:
         raise CheckpointError(f"`{path}` is no readable checkpoint: {error}") from error
     stated, content = metadata.pop(CHECKSUM, "none"), Tensors(values, metadata)
     if _checksum(content) != stated:
-        raise CheckpointError(
-            f"`{path}` is damaged: its content does not have the checksum that it states."
-        )
+        what = "its content does not have the checksum that it states"
+        raise CheckpointError(f"`{path}` is damaged: {what}.")
     return content
 
 
@@ -100,22 +97,13 @@ def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:
         if wanted != found:
             what = f"tensor `{name}` should be {wanted}, but is {found}"
             raise MismatchError(f"`{source}` does not fit this learner: {what}.")
-    return jax.tree.unflatten(
-        jax.tree.structure(like), [jnp.asarray(values[name]) for name in expected]
-    )
+    leaves = [jnp.asarray(values[name]) for name in expected]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
-def checked_steps(source: Path | str, state: Any, metadata: Mapping[str, str]) -> int:
-    """Return the environment steps behind a state; `CheckpointError` if a number makes no sense."""
-    # A checksum says that a file is as it was written, not that what was written makes sense.
-    for name, leaf in named_leaves(state).items():
-        if not np.isfinite(np.asarray(leaf)).all():
-            raise CheckpointError(f"`{source}` is damaged: tensor `{name}` is not finite.")
-    steps = metadata.get("environment_steps", "nothing")
-    if not (steps.isdecimal() and len(steps) < 20):
-        what = f"it must state its environment steps as a number, got {steps}"
-        raise CheckpointError(f"`{source}` is damaged: {what}.")
-    return int(steps)
+def file_name(iteration: int) -> str:
+    """Return the name of the checkpoint of an iteration."""
+    return f"iteration-{iteration:06d}.safetensors"
 
 
 def checkpoint_paths(directory: Path) -> list[Path]:
@@ -135,9 +123,7 @@ def prune(path: Path, keep: int) -> None:
     read_checkpoint(path)
     paths = checkpoint_paths(path.parent)
     before = paths[: paths.index(path) + 1]
-    first: dict[int, Path] = {}
-    for one in before:
-        first.setdefault(len(str(_number(one))) if _number(one) else 0, one)
+    first = {len(str(_number(one))) if _number(one) else 0: one for one in reversed(before)}
     for one in set(before[:-keep]) - set(first.values()):
         with contextlib.suppress(OSError):  # a file too many does no harm
             one.unlink()
@@ -158,10 +144,10 @@ def _describe(leaf: Any) -> str:
 
 
 def _checksum(content: Tensors) -> str:
-    arrays = sorted(content.values.items())
-    described = [[name, _describe(array)] for name, array in arrays]
     # The order of the metadata is lost in the file, hence the sorting.
-    sha = hashlib.sha256(json.dumps([sorted(content.metadata.items()), described]).encode())
+    metadata, arrays = sorted(content.metadata.items()), sorted(content.values.items())
+    described = [[name, _describe(array)] for name, array in arrays]
+    sha = hashlib.sha256(json.dumps([metadata, described]).encode())
     for _, array in arrays:
         sha.update(array.tobytes())
     return sha.hexdigest()

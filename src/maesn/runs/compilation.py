@@ -11,8 +11,7 @@ import jax.monitoring
 # Moves the compilation cache; empty, 0 or off: no cache.
 CACHE_VARIABLE = "MAESN_CACHE"
 
-# JAX's name of the time that XLA takes; tracing in Python is not in it.
-_COMPILED = "/jax/core/compile/backend_compile_duration"
+_durations: list[float] = []  # of the compilations of this process, in seconds
 
 
 def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
@@ -20,31 +19,26 @@ def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
     chosen = environment.get(CACHE_VARIABLE)
     if chosen is not None:
         return None if chosen in ("", "0", "off") else Path(chosen)
-    if environment.get("XDG_CACHE_HOME"):
-        return Path(environment["XDG_CACHE_HOME"]) / "maesn"
     home = Path(environment.get("HOME", "~")).expanduser()
-    return home / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "maesn"
+    usual = home / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+    return Path(environment.get("XDG_CACHE_HOME") or usual) / "maesn"
 
 
 def enable_compilation_cache() -> None:
     """Keep compiled programs on disk, so that the next process starts at once."""
-    directory = cache_directory()
     settings = {
-        "jax_compilation_cache_dir": str(directory),
+        "jax_compilation_cache_dir": str(cache_directory()),
         # Most programs of the first iteration compile in less than the second of JAX's default.
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }
-    for name, value in settings.items() if directory else ():
+    for name, value in settings.items() if cache_directory() else ():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
 
 
-# How long each compilation of this process took, in seconds.
-_durations: list[float] = []
-
-
 def _listen(event: str, duration_secs: float, **_: str | int) -> None:
-    if event == _COMPILED:
+    # The time that XLA takes; tracing in Python is not in it.
+    if event == "/jax/core/compile/backend_compile_duration":
         _durations.append(duration_secs)
 
 

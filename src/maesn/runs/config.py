@@ -4,6 +4,7 @@ The file and every checkpoint hold a digest of all that it says, so a change by 
 `maesn.runs.changes` makes one on purpose.
 """
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import platform
@@ -78,12 +79,9 @@ class RunSettings:
 class Change:
     """A deliberate change of a run that had begun."""
 
-    iteration: int
-    """Iterations that were done before it."""
-    changed: dict[str, Any]
-    """Name of a setting -> its new value."""
-    digest: str
-    """Of the configuration before it: earlier checkpoints state this one."""
+    iteration: int  # iterations that were done before it
+    changed: dict[str, Any]  # name of a setting -> its new value
+    digest: str  # of the configuration before it, which earlier checkpoints state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,20 +90,14 @@ class RunConfig:
 
     settings: RunSettings
     learner: AbstractMetaLearner[Any, Any]
-    family: str
-    """The family's own name, by which it is found again."""
-    world: EnvRecord
-    """The environment of training; see `maesn.envs.recorded.describe_env`."""
-    task_digest: str
-    """Digest of the training tasks."""
-    engine: str
-    """What moves the world."""
-    versions: dict[str, str]
-    """Of Python and of the packages that took part."""
-    changes: tuple[Change, ...] = ()
-    """What was changed since the run began, the earliest first."""
+    family: str  # the family's own name, by which it is found again
+    world: EnvRecord  # of training
+    task_digest: str  # of the training tasks
+    engine: str  # what moves the world
+    versions: dict[str, str]  # of Python and of the packages that took part
+    changes: tuple[Change, ...] = ()  # since the run began, the earliest first
+    # Where a policy comes from that comes with the library: command and commit.
     provenance: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Where a policy comes from that comes with the library: command and commit."""
 
     def document(self) -> dict[str, Any]:
         """Return all of it but its digest, as JSON values."""
@@ -114,10 +106,6 @@ class RunConfig:
     def digest(self) -> str:
         """Return a hexadecimal hash of all of it: equal if and only if it is."""
         return digest_of_document(self.document())
-
-    def digests(self) -> tuple[str, ...]:
-        """Return the hashes that a checkpoint of the run may state: today's and earlier ones."""
-        return (self.digest(), *(change.digest for change in self.changes))
 
 
 def new_config(
@@ -155,23 +143,13 @@ def make_env(
         return family.make_env(variant=settings.variant, reward_kind=reward, **radius)
 
 
-def check_sizes(directory: Path, trained: AnyEnv, env: AnyEnv, remedy: str) -> None:
-    """Refuse an environment whose observations or actions have other sizes than a run's own."""
-    for name in ("observation_size", "action_size"):
-        wanted, found = getattr(env, name), getattr(trained, name)
-        if wanted != found:
-            raise RunError(
-                f"`{directory}` must have an environment of `{name}` {wanted}, as this "
-                f"`{env.name}` of variant `{env.variant}` has, got {found}: {remedy}."
-            )
-
-
 def installed_versions(engine: str) -> dict[str, str]:
     """Return the versions that decide whether a run can be repeated bit for bit."""
-    names = (*_PACKAGES, *_ENGINE_PACKAGES.get(engine, ()))
-    installed = [name for name in names if any(importlib.metadata.distributions(name=name))]
-    packages = {name: importlib.metadata.version(name) for name in installed}
-    return {"python": platform.python_version()} | packages
+    versions = {"python": platform.python_version()}
+    for name in (*_PACKAGES, *_ENGINE_PACKAGES.get(engine, ())):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[name] = importlib.metadata.version(name)
+    return versions
 
 
 def write_config(directory: Path, config: RunConfig) -> None:

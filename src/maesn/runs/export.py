@@ -47,8 +47,7 @@ def exported_policy(
     Args:
         learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
         env: the environment that it acts in.
-        description: what should be known of the policy on the robot, beside family, horizon and
-            control period.
+        description: what should be known of the policy beside family, horizon and control period.
         start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
             it, which the step sizes go on from; None for the prior.
         search: with what prior and how a robot searches; None to follow the policy gradient.
@@ -56,13 +55,7 @@ def exported_policy(
     Raises:
         ValueError: the runtime cannot learn as this learner does, or a number is not finite.
     """
-    obstacle = _obstacle(learner)
-    if obstacle is not None:
-        raise ValueError(
-            f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
-            "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
-        )
-    assert isinstance(learner, GradientFastLearner)
+    learner = _checked(learner)
     prior = jax.tree.map(lambda x: x[0], learner.context.start_new(learner.context_table, 1))
     latent, update = (prior, 0) if start is None else start
     if latent.mean.shape != prior.mean.shape:
@@ -131,25 +124,30 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     return actuators
 
 
-def _obstacle(learner: AbstractFastLearner[Any]) -> str | None:
-    """Return why the runtime's update in closed form is not the learner's own; None if it is."""
+def _checked(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
+    """Return a learner whose own update is the runtime's in closed form; refuse any other."""
     if isinstance(learner, BonusFastLearner):
-        return "has a curiosity bonus, which needs a model"
-    if not isinstance(learner, GradientFastLearner):
-        return f"is a {type(learner).__name__}"
-    if not learner.capabilities.learns_from_reward:
-        return "adapts nothing in a new task"
-    if learner.advantage.drifts:
-        return "drifts where all episodes have the same rewards: train without `advantage.drifts`"
-    if not isinstance(learner.context, LatentContext):
-        return f"has the context {type(learner.context).__name__}"
-    if learner.context.gradient != "likelihood_ratio":
-        return f"adapts its latent by the {learner.context.gradient} gradient"
-    if learner.adaptation.policy is not None:
-        return "adapts the policy's weights in a new task"
-    if not isinstance(learner.policy, GaussianMLPPolicy):
-        return f"has the policy {type(learner.policy).__name__} instead of `GaussianMLPPolicy`"
-    return None
+        obstacle = "has a curiosity bonus, which needs a model"
+    elif not isinstance(learner, GradientFastLearner):
+        obstacle = f"is a {type(learner).__name__}"
+    elif not learner.capabilities.learns_from_reward:
+        obstacle = "adapts nothing in a new task"
+    elif learner.advantage.drifts:
+        obstacle = "drifts where all rewards are the same: train without `advantage.drifts`"
+    elif not isinstance(learner.context, LatentContext):
+        obstacle = f"has the context {type(learner.context).__name__}"
+    elif learner.context.gradient != "likelihood_ratio":
+        obstacle = f"adapts its latent by the {learner.context.gradient} gradient"
+    elif learner.adaptation.policy is not None:
+        obstacle = "adapts the policy's weights in a new task"
+    elif not isinstance(learner.policy, GaussianMLPPolicy):
+        obstacle = f"has the policy {type(learner.policy).__name__} instead of `GaussianMLPPolicy`"
+    else:
+        return learner
+    raise ValueError(
+        f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
+        "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
+    )
 
 
 def _policy(learner: GradientFastLearner) -> GaussianPolicy:

@@ -6,16 +6,18 @@ import json
 import logging
 import math
 import os
+import struct
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
-from tensorboardX.record_writer import RecordWriter
+from tensorboardX.record_writer import masked_crc32c
 from tensorboardX.summary import text
 
+from maesn.runs.checkpoint import Checkpoint
 from maesn.storage import explained, write_whole
 
 logger = logging.getLogger(__name__)
@@ -23,6 +25,8 @@ logger = logging.getLogger(__name__)
 METRICS = "metrics.jsonl"
 TIMING = "timing.jsonl"
 TENSORBOARD = "tensorboard"
+
+_VERSION = "brain.Event:2"  # of the format of TensorBoard's files
 
 # Numbers that have another name on a TensorBoard. Those without a path go to `charts/`.
 _TAGS = {
@@ -35,20 +39,13 @@ _TAGS = {
 class Progress(NamedTuple):
     """One finished iteration."""
 
-    iteration: int
-    """Iterations so far, this one included."""
-    environment_steps: int
-    """Control steps so far."""
-    seconds: float
-    """Wall time of the iteration, compilation included."""
-    compile_seconds: float
-    """The part of `seconds` in which programs were compiled: the first iteration, mostly."""
-    steps_per_second: float
-    """Control steps per second of the time without compilation."""
-    devices: int
-    """Devices that shared the tasks."""
-    info: dict[str, float]
-    """What the learner reports, by path: `return_after`, `trust_region/kl`, ..."""
+    iteration: int  # iterations so far, this one included
+    environment_steps: int  # control steps so far
+    seconds: float  # wall time of the iteration, compilation included
+    compile_seconds: float  # the part in which programs were compiled: mostly the first iteration
+    steps_per_second: float  # control steps per second of the time without compilation
+    devices: int  # that shared the tasks
+    info: dict[str, float]  # what the learner reports: `return_after`, `trust_region/kl`, ...
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""
@@ -56,169 +53,116 @@ class Progress(NamedTuple):
         return next(found, None)
 
 
-class JsonLines:
-    """A file with one JSON object for each iteration, which can be cut back to any of them."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with explained("open", path):
-            # Unbuffered: what could not be written must not be tried again later.
-            self._file = path.open("a+b", buffering=0)
-
-    def cut(self, iterations: int) -> tuple[int, int]:
-        """Keep the sound lines of iterations 1 ... `iterations`.
-
-        Returns:
-            How many of these have none, and the first of them.
-        """
-        with explained("write", self.path):
-            content = self.path.read_bytes()
-            numbered = {_iteration(line): line for line in content.splitlines(keepends=True)}
-            kept = sorted(n for n in numbered if n is not None and 1 <= n <= iterations)
-            sound = b"".join(numbered[n] for n in kept)
-            if content.startswith(sound):
-                self._file.truncate(len(sound))
-            else:  # damaged in the middle
-                write_whole(self.path, sound)
-                self._file.close()
-                self._file = self.path.open("a+b", buffering=0)
-        agree = (found == wanted for wanted, found in enumerate(kept, start=1))
-        return iterations - len(kept), 1 + sum(itertools.takewhile(bool, agree))
-
-    def append(self, record: Mapping[str, float | int]) -> None:
-        """Write one line. Numbers that are not finite become null: JSON has none."""
-        finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
-        line = json.dumps(finite, allow_nan=False).encode() + b"\n"
-        with explained("write", self.path):
-            while line:  # a disk that is nearly full takes a part of it
-                line = line[self._file.write(line) :]
-
-    def sync(self) -> None:
-        """Make all lines survive a power cut."""
-        with explained("write", self.path):
-            os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-
-def _iteration(line: bytes) -> int | None:
-    """Return the number of the iteration that a line is about; None if the line is damaged."""
-    with contextlib.suppress(ValueError, RecursionError):
-        record = json.loads(line)
-        if line.endswith(b"\n") and isinstance(record, dict):
-            found = record.get("iteration")
-            return found if type(found) is int else None
-    return None
-
-
-class EventLog:
-    """Events for TensorBoard, written at once and in this thread."""
-
-    # Once a full disk has ended the thread of `tensorboardX.SummaryWriter`, it waits for ever.
-
-    def __init__(
-        self, directory: Path, iteration: int, environment_steps: int, name: str = ""
-    ) -> None:
-        self._directory = directory
-        # The iteration keeps apart the names of processes that begin within the same second.
-        name = f"events.out.tfevents.{name or f'{int(time.time())}.{iteration}'}"
-        with explained("write", directory):
-            directory.mkdir(exist_ok=True)
-            self._records = RecordWriter(str(directory / name))
-        self.append(file_version="brain.Event:2")
-        if iteration:
-            # Makes TensorBoard hide what an earlier process wrote of later steps.
-            start = SessionLog(status=SessionLog.START)
-            self.append(step=environment_steps + 1, session_log=start)
-
-    def append(self, **event: Any) -> None:
-        """Write one event of these fields."""
-        with explained("write", self._directory):
-            self._records.write(Event(wall_time=time.time(), **event).SerializeToString())
-
-    def sync(self) -> None:
-        """Make all events survive a power cut."""
-        with explained("write", self._directory):
-            self._records.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        with explained("write", self._directory):
-            self._records.close()
-
-
-def log_figures(directory: Path, pictures: Sequence[Path], environment_steps: int) -> None:
-    """Show PNGs on a run's TensorBoard, in place of those of the last time."""
-    events = EventLog(directory / TENSORBOARD, 0, environment_steps, name="0.figures")
-    with contextlib.closing(events):
-        for picture in pictures:
-            content = picture.read_bytes()
-            width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
-            image = Summary.Image(
-                width=width, height=height, colorspace=4, encoded_image_string=content
-            )
-            value = Summary.Value(tag=f"figures/{picture.stem}", image=image)
-            events.append(step=environment_steps, summary=Summary(value=[value]))
-
-
 class RunLog(NamedTuple):
-    """The log files of a run directory; see `open_log`."""
+    """The log files of a run directory; see `begin_log`."""
 
-    metrics: JsonLines
-    timing: JsonLines
-    events: EventLog
-
-    def cut(self, iteration: int) -> None:
-        """Keep the lines of iterations 1 ... `iteration`."""
-        self.metrics.cut(iteration)
-        self.timing.cut(iteration)
+    metrics: Path
+    timing: Path
+    events: Path
 
     def write(self, progress: Progress) -> None:
         """Write down one iteration; raises `RunError` if the disk is full, or the like."""
         timing = progress._asdict()
         info, steps = timing.pop("info"), progress.environment_steps
-        self.timing.append(timing)
-        self.metrics.append({"iteration": progress.iteration, "environment_steps": steps, **info})
+        metrics = {"iteration": progress.iteration, "environment_steps": steps, **info}
+        for path, record in ((self.timing, timing), (self.metrics, metrics)):
+            # JSON has no numbers that are not finite.
+            finite = {n: value if math.isfinite(value) else None for n, value in record.items()}
+            append(path, json.dumps(finite, allow_nan=False).encode() + b"\n")
         scalars = {_TAGS.get(name, name): value for name, value in info.items()}
         scalars |= {"SPS": progress.steps_per_second, "iteration": progress.iteration}
         values = [
             Summary.Value(tag=tag if "/" in tag else f"charts/{tag}", simple_value=value)
             for tag, value in scalars.items()
         ]
-        self.events.append(step=steps, summary=Summary(value=values))
+        append(self.events, _event(step=steps, summary=Summary(value=values)))
+
+    def cut(self, iterations: int) -> None:
+        """Keep the lines of iterations 1 ... `iterations`."""
+        for path in (self.metrics, self.timing):
+            cut_lines(path, iterations)
 
     def sync(self) -> None:
         """Make all that was written survive a power cut."""
-        for file in self:
-            file.sync()
+        for path in self:
+            with explained("write", path), path.open("ab") as file:
+                os.fsync(file.fileno())
 
 
-@contextlib.contextmanager
-def open_log(
-    directory: Path, iteration: int, environment_steps: int, settings: Mapping[str, Any]
-) -> Iterator[RunLog]:
-    """Open the log files of a run, and forget what was written of iterations after this one.
+def begin_log(directory: Path, start: Checkpoint, settings: Mapping[str, Any]) -> RunLog:
+    """Forget what was logged of iterations after a checkpoint, and show settings, by path."""
+    iteration, steps = start.iteration, start.environment_steps
+    # The iteration keeps apart the names of processes that begin within the same second.
+    events = _events_file(directory, f"{int(time.time())}.{iteration}")
+    log = RunLog(directory / METRICS, directory / TIMING, events)
+    table = "".join(f"| {name} | {value} |\n" for name, value in settings.items())
+    summary = text("settings", f"| setting | value |\n|-|-|\n{table}")
+    content = _event(file_version=_VERSION)
+    if iteration:
+        # Makes TensorBoard hide what an earlier process wrote of later steps.
+        content += _event(step=steps + 1, session_log=SessionLog(status=SessionLog.START))
+    append(events, content + _event(step=steps, summary=summary))
+    for path in (log.metrics, log.timing):
+        kept = cut_lines(path, iteration)
+        if len(kept) < iteration:
+            first = next(n for n in itertools.count(1) if n not in kept)
+            logger.warning(
+                f"`{path}` lacks {iteration - len(kept)} of the {iteration} iterations before this "
+                f"one, the first of them {first}. The learner has not lost them."
+            )
+    return log
 
-    The settings, by path, stand on the TensorBoard as a table.
-    """
-    events = directory / TENSORBOARD
-    with (
-        contextlib.closing(JsonLines(directory / METRICS)) as metrics,
-        contextlib.closing(JsonLines(directory / TIMING)) as timing,
-        contextlib.closing(EventLog(events, iteration, environment_steps)) as tensorboard,
-    ):
-        log = RunLog(metrics, timing, tensorboard)
-        table = "".join(f"| {name} | {value} |\n" for name, value in settings.items())
-        tensorboard.append(
-            step=environment_steps, summary=text("settings", f"| setting | value |\n|-|-|\n{table}")
-        )
-        for file in (metrics, timing):
-            missing, first = file.cut(iteration)
-            if missing:
-                logger.warning(
-                    f"`{file.path}` lacks {missing} of the {iteration} iterations before this "
-                    f"one, the first of them {first}. The learner has not lost them."
-                )
-        yield log
+
+def log_figures(directory: Path, pictures: Sequence[Path], environment_steps: int) -> None:
+    """Show PNGs on a run's TensorBoard, in place of those of the last time."""
+    content = _event(file_version=_VERSION)
+    for picture in pictures:
+        png = picture.read_bytes()
+        width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+        image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
+        value = Summary.Value(tag=f"figures/{picture.stem}", image=image)
+        content += _event(step=environment_steps, summary=Summary(value=[value]))
+    events = _events_file(directory, "0.figures")
+    with explained("write", events):
+        events.unlink(missing_ok=True)
+    append(events, content)
+
+
+def append(path: Path, content: bytes) -> None:
+    """Write at the end of a file; raises `RunError` if not all of it could be written."""
+    with explained("write", path):
+        path.parent.mkdir(exist_ok=True)  # again, where a user has removed old events
+        # Unbuffered: what could not be written must not be tried again later.
+        with path.open("ab", buffering=0) as file:
+            while content:  # a disk that is nearly full takes a part of it
+                content = content[file.write(content) :]
+
+
+def cut_lines(path: Path, iterations: int) -> set[int]:
+    """Keep the sound lines of iterations 1 ... `iterations`, and return those that have one."""
+    with explained("write", path):
+        path.touch()
+        content = path.read_bytes()
+    numbered: dict[int, bytes] = {}
+    for line in content.split(b"\n")[:-1]:
+        # What is no record of an iteration is damaged.
+        with contextlib.suppress(ValueError, LookupError, TypeError, RecursionError):
+            found = json.loads(line)["iteration"]
+            if type(found) is int and 1 <= found <= iterations:
+                numbered[found] = line + b"\n"
+    sound = b"".join(numbered[n] for n in sorted(numbered))
+    if content != sound:
+        write_whole(path, sound)
+    return set(numbered)
+
+
+def _events_file(directory: Path, name: str) -> Path:
+    return directory / TENSORBOARD / f"events.out.tfevents.{name}"
+
+
+def _event(**fields: Any) -> bytes:
+    """Return an event as TensorBoard's files hold it: length and content, each with a checksum."""
+    # Once a full disk has ended the thread of `tensorboardX.SummaryWriter`, it waits for ever.
+    content = Event(wall_time=time.time(), **fields).SerializeToString()
+    parts = (struct.pack("<Q", len(content)), content)
+    return b"".join(part + struct.pack("<I", masked_crc32c(part)) for part in parts)

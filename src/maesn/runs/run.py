@@ -20,16 +20,8 @@ from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebu
 from maesn.envs.sources import find_tasks, resolve_family, save_tasks, warn_of_known_tests
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs import checkpoint, sources
-from maesn.runs.checkpoint import Checkpoint
-from maesn.runs.config import (
-    CONFIG,
-    RunConfig,
-    RunSettings,
-    check_sizes,
-    new_config,
-    read_config,
-    write_config,
-)
+from maesn.runs.checkpoint import Checkpoint, CheckpointError, named_leaves
+from maesn.runs.config import CONFIG, RunConfig, RunSettings, new_config, read_config, write_config
 from maesn.runs.log import METRICS
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_policy, make_world
@@ -51,8 +43,7 @@ class Run:
     config: RunConfig
     family: TaskFamily
     training_tasks: TaskSet
-    own_family: str | None = None
-    """`module:name` of the family if it is the user's own; None if that is not known."""
+    own_family: str | None = None  # `module:name` of a user's own family, where it is known
 
     @property
     def family_option(self) -> str:
@@ -76,11 +67,9 @@ class Run:
         It is a `RunError` if another one does, or has changed the run since it was opened.
         """
         with storage.locked(self.directory):
+            path = self.directory / CONFIG
             if read_config(self.directory).digest() != self.config.digest():
-                raise RunError(
-                    f"`{self.directory / CONFIG}` has changed since the run was opened: open it "
-                    "again."
-                )
+                raise RunError(f"`{path}` has changed since the run was opened: open it again.")
             for folder in (self.directory, self.directory / CHECKPOINTS):
                 storage.discard_partial(folder)
             yield
@@ -114,14 +103,14 @@ class Run:
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
             warn_of_known_tests(family, tasks)
-        files = [f"{CHECKPOINTS}/{_checkpoint_name(0)}", sources.TASKS_FILE, CONFIG]
+        # The configuration last: a directory with this file in it is a whole run.
+        files = [f"{CHECKPOINTS}/{checkpoint.file_name(0)}", sources.TASKS_FILE, CONFIG]
         with storage.new_directory(run.directory, files):
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             state = run.untrained_state() if init_from is None else run._begun_state(init_from)
             check_policy(learner.player(state), run.env())
             run.save_state(state)
-            # Last: a directory with this file in it is a whole run.
             write_config(run.directory, run.config)
         return run
 
@@ -135,15 +124,13 @@ class Run:
         """
         own = family if isinstance(family, str) else None
         if isinstance(source, Run):
-            own = own or source.own_family
-            family = source.family if family is None else family
+            own, family = own or source.own_family, family or source.family
             source = source.directory
         directory = sources.find_run(source)
         config = read_config(directory)
-        own = own or config.settings.own_family
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
-        return cls(directory, config, found, tasks, own)
+        return cls(directory, config, found, tasks, own or config.settings.own_family)
 
     def env(
         self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None
@@ -173,9 +160,9 @@ class Run:
         """
         tasks = self.training_tasks if tasks is None else tasks
         threads = self.settings.num_threads if num_threads is None else num_threads
-        env, engine = self.env(reward_kind, sparse_radius), engine or self.settings.engine
+        env = self.env(reward_kind, sparse_radius)
         with refusals():
-            return make_world(env, tasks, threads, engine)
+            return make_world(env, tasks, threads, engine or self.settings.engine)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""
@@ -204,7 +191,7 @@ class Run:
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
-        path = self.directory / CHECKPOINTS / _checkpoint_name(iteration)
+        path = self.directory / CHECKPOINTS / checkpoint.file_name(iteration)
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -219,7 +206,8 @@ class Run:
     def load(self, path: str | Path) -> Checkpoint:
         """Read one checkpoint of this run; `MismatchError` if it belongs to another one."""
         values, metadata = checkpoint.read_checkpoint(Path(path))
-        if metadata.get("config") not in self.config.digests():
+        earlier = [change.digest for change in self.config.changes]
+        if metadata.get("config") not in (self.config.digest(), *earlier):
             raise checkpoint.MismatchError(
                 f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
                 f"`{metadata.get('family')}` that was written with another `config.json` than this "
@@ -227,8 +215,15 @@ class Run:
                 "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        steps = checkpoint.checked_steps(path, state, metadata)
-        return Checkpoint(state, int(self.learner.iteration(state)), steps)
+        # A checksum says that a file is as it was written, not that what was written makes sense.
+        broken = [name for name, value in values.items() if not np.isfinite(value).all()]
+        if broken:
+            raise CheckpointError(f"`{path}` is damaged: tensor `{broken[0]}` is not finite.")
+        steps = metadata.get("environment_steps", "nothing")
+        if not (steps.isdecimal() and len(steps) < 20):
+            what = f"it must state its environment steps as a number, got {steps}"
+            raise CheckpointError(f"`{path}` is damaged: {what}.")
+        return Checkpoint(state, int(self.learner.iteration(state)), int(steps))
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
@@ -236,14 +231,14 @@ class Run:
         for path in reversed(self.checkpoints()):
             try:
                 found = self.load(path)
-            except checkpoint.CheckpointError as error:
+            except CheckpointError as error:
                 damage.append(str(error))
                 continue
             for sentence in damage:
                 logger.warning("%s Using `%s` instead.", sentence, path)
             return found
         nothing = f"`{self.directory / CHECKPOINTS}` holds no sound checkpoint: restore one."
-        raise checkpoint.CheckpointError(" ".join([nothing, *damage]))
+        raise CheckpointError(" ".join([nothing, *damage]))
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""
@@ -253,10 +248,17 @@ class Run:
         """Return a first state with what another run has learned; see `create`."""
         same_family = read_config(sources.find_run(init_from)).family == self.config.family
         source = Run.open(init_from, self.family if same_family else None)
-        check_sizes(source.directory, source.env(), self.env(), "begin with a run in the same one")
-        fresh, values = self.untrained_state(), checkpoint.named_leaves(source.latest_state())
-        larger = checkpoint.named_leaves(self.structure(more_tasks=1))
-        for name, leaf in checkpoint.named_leaves(fresh).items():
+        env, trained = self.env(), source.env()
+        for name in ("observation_size", "action_size"):
+            if getattr(env, name) != getattr(trained, name):
+                raise RunError(
+                    f"`{init_from}` must have an environment of `{name}` {getattr(env, name)}, as "
+                    f"this `{env.name}` of variant `{env.variant}` has, got "
+                    f"{getattr(trained, name)}: begin with a run in the same one."
+                )
+        fresh, values = self.untrained_state(), named_leaves(source.latest_state())
+        larger = named_leaves(self.structure(more_tasks=1))
+        for name, leaf in named_leaves(fresh).items():
             per_task = leaf.shape != larger[name].shape  # a row for each
             if per_task or leaf is self.learner.iteration(fresh):
                 values[name] = leaf
@@ -267,10 +269,6 @@ class Run:
         description = jax.eval_shape(env.describe, self.training_tasks[0]).size
         sizes = (env.observation_size, env.action_size, rows, description)
         return self.learner, self.iteration_key(_UNTRAINED), *sizes
-
-
-def _checkpoint_name(iteration: int) -> str:
-    return f"iteration-{iteration:06d}.safetensors"
 
 
 @eqx.filter_jit  # one program instead of many small ones takes half the time to compile

@@ -7,11 +7,12 @@ the settings listed here. What is unknown, missing or of the wrong type is a `Va
 import ast
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
-import types
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 
@@ -67,10 +68,10 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
 
 def from_json(document: Mapping[str, Any]) -> eqx.Module:
     """Return the settings that `to_json` has written."""
-    tag = document.get(TAG)
+    fields = dict(document)
+    tag = fields.pop(TAG, None)
     if not isinstance(tag, str) or tag not in REGISTRY:
         raise ValueError(f"`{TAG}` must be one of {', '.join(REGISTRY)}, got {tag!r}.")
-    fields = {name: value for name, value in document.items() if name != TAG}
     return fields_from_json(REGISTRY[tag], fields)
 
 
@@ -94,14 +95,12 @@ def differing(settings: Any, usual: Any) -> dict[str, Any]:
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return settings with other JSON values by their path; `KeyError` if there is no such path."""
     document = fields_to_json(settings)
+    known = leaves(document)
     for path, value in changes.items():
         *parents, last = path.split(".")
-        target: Any = document
-        for parent in parents:
-            target = target.get(parent) if isinstance(target, dict) else None
-        if not isinstance(target, dict) or last == TAG or isinstance(target.get(last, {}), dict):
+        if path not in known or last == TAG:
             raise KeyError(path)
-        target[last] = value
+        functools.reduce(dict.__getitem__, parents, document)[last] = value
     return fields_from_json(type(settings), document)
 
 
@@ -123,26 +122,24 @@ def values_of_words(words: Iterable[str]) -> dict[str, Any]:
 
 def fields_to_json(settings: Any) -> dict[str, Any]:
     """Return the fields of any dataclass of settings as JSON values."""
-    hints = get_type_hints(type(settings))
-    return {
-        field.name: _encode(getattr(settings, field.name), hints[field.name])
-        for field in dataclasses.fields(settings)
-    }
+    hints = _hints(type(settings)).items()
+    return {name: _encode(getattr(settings, name), hint) for name, hint in hints}
 
 
 def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Settings:
     """Return the dataclass of settings that `fields_to_json` has written."""
+    hints, title = _hints(kind), kind.__name__
+    wrong = [f"has no field `{name}`" for name in document if name not in hints]
+    wrong += [f"lacks the field `{name}`" for name in hints if name not in document]
+    if wrong:
+        raise ValueError(f"`{title}` {wrong[0]}; it has {list(hints)}.")
+    return kind(**{n: decode(document[n], hint, f"{title}.{n}") for n, hint in hints.items()})
+
+
+def _hints(kind: Any) -> dict[str, Any]:
+    """Return the types of a dataclass's fields."""
     hints = get_type_hints(kind)
-    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    for complaint, wrong in (
-        ("has no field", sorted(document.keys() - set(names))),
-        ("lacks the field", sorted(set(names) - document.keys())),
-    ):
-        if wrong:
-            raise ValueError(f"`{kind.__name__}` {complaint} `{wrong[0]}`; it has {names}.")
-    return kind(
-        **{name: decode(document[name], hints[name], f"{kind.__name__}.{name}") for name in names}
-    )
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 
 
 def _encode(value: Any, hint: Any) -> Any:
@@ -161,38 +158,26 @@ def decode(value: Any, hint: Any, where: str) -> Any:
     wanted = _required(hint)
     if wanted is Any or (value is None and wanted is not hint):
         return value
-    origin, decoded = get_origin(wanted), value
+    origin, arguments = get_origin(wanted) or wanted, get_args(wanted)
     if origin is tuple and isinstance(value, list):
-        item = get_args(wanted)[0]
-        return tuple(decode(one, item, f"{where}[{i}]") for i, one in enumerate(value))
+        return tuple(decode(one, arguments[0], f"{where}[{i}]") for i, one in enumerate(value))
     if origin is dict and isinstance(value, dict):
-        item = get_args(wanted)[1]
-        return {name: decode(one, item, f"{where}.{name}") for name, one in value.items()}
-    if isinstance(value, dict):
+        return {name: decode(one, arguments[1], f"{where}.{name}") for name, one in value.items()}
+    if isinstance(value, dict) and isinstance(origin, type):
         # Settings have a tag; of another dataclass the field tells the class.
-        known = isinstance(wanted, type) and dataclasses.is_dataclass(wanted)
-        untagged = known and not issubclass(wanted, eqx.Module)
-        decoded = fields_from_json(wanted, value) if untagged else from_json(value)
-    elif wanted is float and type(value) is int:
-        decoded = float(value)
-    if not _fits(decoded, wanted):
-        name = wanted.__name__ if isinstance(wanted, type) else wanted
-        raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")
-    return decoded
+        tagged = not dataclasses.is_dataclass(origin) or issubclass(origin, eqx.Module)
+        made = from_json(value) if tagged else fields_from_json(origin, value)
+        if isinstance(made, origin):
+            return made
+    elif (origin is Literal and value in arguments) or type(value) is origin:
+        return value  # `type`, not `isinstance`: True is no number of tasks
+    elif origin is float and type(value) is int:
+        return float(value)
+    name = wanted.__name__ if isinstance(wanted, type) else wanted
+    raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")
 
 
 def _required(hint: Any) -> Any:
     """Return X for "X or None", and any other hint as it is."""
-    if get_origin(hint) not in (Union, types.UnionType):
-        return hint
-    (inner,) = (argument for argument in get_args(hint) if argument is not type(None))
-    return inner
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a decoded value is of the type that a field declares."""
-    if get_origin(hint) is Literal:
-        return value in get_args(hint)
-    if isinstance(value, eqx.Module):
-        return isinstance(value, get_origin(hint) or hint)
-    return type(value) is hint  # not `isinstance`: True is no number of tasks
+    others = [one for one in get_args(hint) if one is not NoneType]
+    return others[0] if NoneType in get_args(hint) else hint

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
 from maesn.envs.sources import find_tasks, load_tasks, resolve_family
+from maesn.runs.config import CONFIG
 from maesn.storage import RunError, explained, new_directory, write_whole
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
@@ -68,27 +69,22 @@ def working_copy(run: str | Path) -> Path:
     if source.parent != TRAINED:
         return source
     copy = Path(f"maesn-{source.name}")
-    found = _content(copy)
-    if found == _content(source):
-        return copy
-    if found:
+    if not (copy / CONFIG).exists():
+        files = [path.relative_to(source) for path in source.rglob("*.*")]
+        files.sort(key=lambda file: file.name == CONFIG)  # last: it makes the copy whole
+        with new_directory(copy, list(map(str, files))):
+            for file in files:
+                write_whole(copy / file, (source / file).read_bytes())
+    elif _content(copy) != _content(source):
         raise RunError(
             f"`{copy}` is another run than the policy `{source.name}` that comes with this version "
             f"of the library: name `{copy}` itself if it is meant, or move it away."
         )
-    # The name of `config.json` is behind `checkpoints/`: it makes the copy whole.
-    files = sorted(path.relative_to(source) for path in source.rglob("*.*"))
-    with new_directory(copy, list(map(str, files))):
-        for file in files:
-            write_whole(copy / file, (source / file).read_bytes())
     return copy
 
 
 def _content(directory: Path) -> dict[str, bytes]:
-    """Return the files that make a run what it is; nothing if it was never whole."""
-    config = directory / "config.json"
-    if not config.exists():
-        return {}
+    """Return the files that make a run what it is."""
     with explained("read", directory):
-        files = [config, *sorted(directory.glob("checkpoints/*.safetensors"))]
+        files = [directory / CONFIG, *directory.glob("checkpoints/*.safetensors")]
         return {file.name: file.read_bytes() for file in files}

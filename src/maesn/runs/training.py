@@ -3,11 +3,12 @@
 import contextlib
 import dataclasses
 import datetime
+import functools
 import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import jax
@@ -23,7 +24,7 @@ from maesn.numerics.processes import check_agreement, is_lead, together, total_o
 from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
 from maesn.runs.compilation import compile_seconds
 from maesn.runs.config import installed_versions
-from maesn.runs.log import Progress, RunLog, open_log
+from maesn.runs.log import Progress, RunLog, begin_log
 from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number, leaves
@@ -38,11 +39,6 @@ MAX_NONFINITE = 5
 # The latest checkpoints that stay: others than the last one in case that it is damaged.
 KEEP = 3
 
-# Iterations whose mean duration, without compilation, predicts the time that is left.
-_WINDOW = 20
-# Columns of a terminal that has room for a bar beside the numbers.
-_WIDE = 110
-
 
 def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
@@ -51,8 +47,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     included, on the same machine with the same versions and number of threads. A checkpoint is
     written every `checkpoint_every` iterations and at any end but that of the process.
 
-    `iterations` is the number of meta-iterations in total; None for that of the run's settings.
-    `keep` is how many of the latest checkpoints stay; see `maesn.runs.checkpoint.prune`; 0: all.
+    `iterations` is the total; None for that of the run's settings. `keep` is how many of the latest
+    checkpoints stay, see `maesn.runs.checkpoint.prune`; 0: all.
 
     Raises:
         RunError: the run cannot be read or written, or another process trains it; or losses or
@@ -71,15 +67,12 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         # Before anything is written: all have read the same by then.
         check_agreement(start.iteration, "the iteration that they begin with")
         check_agreement(int(run.config.digest()[:8], 16), "the settings")
-        log = None
-        if is_lead():
-            settings = leaves(run.config.document())
-            opened = open_log(run.directory, start.iteration, start.environment_steps, settings)
-            log = stack.enter_context(opened)
+        settings = leaves(run.config.document())
+        log = begin_log(run.directory, start, settings) if is_lead() else None
         if start.iteration:
             _compare_versions(run)
         world = stack.enter_context(contextlib.closing(run.world()))
-        training = _Training(run, log, start, keep, saved=start.iteration)
+        training = _Training(run, log, keep, start, saved=start.iteration)
         # Again if the first time is interrupted: there is nothing left to do otherwise.
         stack.callback(training.end)
         stack.callback(training.end)
@@ -93,19 +86,14 @@ class _Training:
     """A run between two iterations."""
 
     run: Run
-    log: RunLog | None
-    """None in a process that leaves writing to another one."""
-    checkpoint: Checkpoint
+    log: RunLog | None  # None in a process that leaves writing to another one
     keep: int
-    saved: int
-    """Iteration of the latest checkpoint on disk."""
-    steps: int = 0
-    """Control steps that were played in the present iteration."""
-    nonfinite: int = 0
-    """Iterations in a row whose step was not finite."""
+    checkpoint: Checkpoint
+    saved: int  # iteration of the latest checkpoint on disk
+    steps: int = 0  # control steps that were played in the present iteration
+    nonfinite: int = 0  # iterations in a row whose step was not finite
 
     def count(self, episodes: Episodes, *_: Any) -> None:
-        """Count the control steps of episodes."""
         self.steps += int(np.asarray(episodes.valid).sum())
 
     def advance(self, collect: Collector) -> Progress:
@@ -122,12 +110,12 @@ class _Training:
         metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
-            info={name: float(value) for name, value in named_leaves(metrics).items()},
+            environment_steps=after.environment_steps,
             seconds=seconds,
             compile_seconds=compiling,
             steps_per_second=self.steps / max(seconds - compiling, 1e-9),
-            environment_steps=after.environment_steps,
             devices=num_devices(),
+            info={name: float(value) for name, value in named_leaves(metrics).items()},
         )
         if self.log is not None:
             self.log.write(progress)
@@ -135,10 +123,16 @@ class _Training:
         self.checkpoint = after
         self._watch(progress)
         if after.iteration % run.settings.checkpoint_every == 0:
-            self.save()
+            self._save()
         return progress
 
-    def save(self) -> None:
+    def end(self) -> None:
+        """Leave log and checkpoint in agreement, whatever was interrupted."""
+        if self.log is not None:
+            self.log.cut(self.checkpoint.iteration)
+        self._save()
+
+    def _save(self) -> None:
         """Write a checkpoint unless it is there already, and delete those that are not kept."""
         if self.log is None or self.saved == self.checkpoint.iteration:
             return
@@ -148,12 +142,6 @@ class _Training:
         self.saved = self.checkpoint.iteration
         if self.keep:
             prune(path, self.keep)
-
-    def end(self) -> None:
-        """Leave log and checkpoint in agreement, whatever was interrupted."""
-        if self.log is not None:
-            self.log.cut(self.checkpoint.iteration)
-        self.save()
 
     def _watch(self, progress: Progress) -> None:
         """Say that a step was not finite, and give up after several in a row."""
@@ -170,9 +158,8 @@ class _Training:
         logger.warning("%s. The step was rejected; the policy is as before.", said)
         if self.nonfinite == MAX_NONFINITE:
             raise RunError(
-                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved; "
-                "look at `metrics.jsonl`, and start a new run with smaller steps or a smaller "
-                "penalty."
+                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved: "
+                "look at `metrics.jsonl`, and start anew with smaller steps or a smaller penalty."
             )
 
 
@@ -182,8 +169,7 @@ def _compare_versions(run: Run) -> None:
         if now.get(name) != version:
             logger.warning(
                 f"`{run.directory}` was begun with {name} {version} and goes on with "
-                f"{now.get(name)}: it need not become bit for bit what it would have become "
-                "without the interruption."
+                f"{now.get(name)}: it need not become what it would have become without a break."
             )
 
 
@@ -195,28 +181,36 @@ def train_live(
     Returns the last iteration, None if nothing was left to do. All else is as for `train`.
     """
     console = console or Console(quiet=not is_lead())
+    # As it is: no markup, no colours, no line breaks of its own.
+    say = functools.partial(console.print, markup=False, highlight=False, soft_wrap=True)
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
+    # Without compilation, the mean duration of these predicts the time that is left.
+    recent: deque[float] = deque(maxlen=20)
     try:
         with (
             ending_by_signals(),
             contextlib.closing(train(run, iterations, keep)) as steps,
-            _display(console, total) as show,
+            _live_bar(console, total) as bar,
         ):
-            recent: deque[float] = deque(maxlen=_WINDOW)
             for last in steps:
                 recent.append(last.seconds - last.compile_seconds)
-                left = sum(recent) / len(recent) * (total - last.iteration)
-                show(last, f"{datetime.timedelta(seconds=round(left))} left")
+                mean, done, text = sum(recent) / len(recent), last.iteration, describe(last)
+                left = f"{datetime.timedelta(seconds=round(mean * (total - done)))} left"
+                if console.is_terminal:
+                    shown = f"{left}: {text}"
+                    bar.update(bar.task_ids[0], completed=done, description=shown, refresh=True)
+                else:
+                    say(f"{done}/{total}: {text}, {left}")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.family_option
         with contextlib.suppress(OSError):
-            _say(console, f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
         done = run.latest().iteration
-        _say(console, f"{run.directory} has done {done} of {total} iterations: nothing is left.")
+        say(f"{run.directory} has done {done} of {total} iterations: nothing is left.")
     return last
 
 
@@ -238,35 +232,22 @@ def describe(progress: Progress) -> str:
 
 
 @contextlib.contextmanager
-def _display(console: Console, total: int) -> Iterator[Callable[[Progress, str], None]]:
-    """Yield what shows an iteration and the time that is left."""
-    if not console.is_terminal:
-        yield lambda progress, left: _say(
-            console, f"{progress.iteration}/{total}: {describe(progress)}, {left}"
-        )
-        return
+def _live_bar(console: Console, total: int) -> Iterator[Bar]:
+    """Show a bar of one task if there is a terminal."""
     columns: list[Any] = [
         MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
     ]
-    if console.width >= _WIDE:
+    if console.width >= 110:  # there is room for it beside the numbers
         columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
     # A thread that refreshes it would outlive the terminal.
     bar = Bar(*columns, console=console, auto_refresh=False)
-    shown = bar.add_task("compiling", total=total)
-    bar.start()
+    bar.add_task("compiling", total=total)
+    if console.is_terminal:
+        bar.start()
     try:
-        yield lambda progress, left: bar.update(
-            shown,
-            completed=progress.iteration,
-            description=f"{left}: {describe(progress)}",
-            refresh=True,
-        )
+        yield bar
     finally:
         with contextlib.suppress(OSError):  # the terminal may be what is gone
-            bar.stop()
-
-
-def _say(console: Console, text: str) -> None:
-    # As it is: no markup, no colours, no line breaks of its own.
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+            if console.is_terminal:
+                bar.stop()
