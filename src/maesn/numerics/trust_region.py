@@ -28,7 +28,7 @@ class Candidate(NamedTuple):
 
 
 class TrustRegionInfo(eqx.Module):
-    """What happened in one step."""
+    """Info of one step."""
 
     accepted: Bool[Array, ""]
     """False if no candidate improved the loss within the trust region: nothing has changed."""

@@ -24,7 +24,7 @@ class ValueState(eqx.Module):
 
     network: RecurrentNetwork
     opt_state: Any
-    """Of Adam."""
+    """State of Adam."""
     moments: Float[Array, " 3"]
     """Running sums of 1, return, and squared return, from which mean and deviation follow."""
 
@@ -70,7 +70,7 @@ class RecurrentValue(eqx.Module):
     ) -> tuple[ValueState, Bool[Array, ""]]:
         """Return the value function fitted to returns, and whether the fit was accepted.
 
-        If the result is not finite, the value function stays as it is.
+        If the result is not finite, the value function does not change.
         """
         moments = _moments_after(state.moments, trials, returns)
         mean, std = _mean_and_std(moments)

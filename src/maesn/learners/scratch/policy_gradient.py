@@ -38,9 +38,9 @@ class PolicyGradientState(eqx.Module):
 
     agents: Agents
     opt_state: Any
-    """Of the steps, one per task."""
+    """States of the policy steps, one per task."""
     keys: TaskKeys
-    """Of all further draws of each task."""
+    """One key per task, for all later draws."""
     update: Int[Array, ""]
     """Number of updates so far."""
 
@@ -49,7 +49,7 @@ def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
     """Refuse recurrent policies: the steps of the weights here judge every time step by itself.
 
     Args:
-        name: of the argument.
+        name: name of the argument.
         owner: what was given for it.
         is_recurrent: whether its policy is.
 
@@ -107,7 +107,7 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network."""
     improvement: PolicyImprovement = PolicyImprovement()
-    """How the weights follow their experience."""
+    """The policy gradient method."""
 
     def __check_init__(self) -> None:
         refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
@@ -135,7 +135,7 @@ IMPROVEMENTS = {
     "trpo": PolicyImprovement(TRPO),
     "reinforce": PolicyImprovement(GradientStep()),
 }
-"""How a policy's weights can follow the gradient of one task, by name."""
+"""The policy gradient methods for one task, by name."""
 
 
 def reinforce(
@@ -150,7 +150,7 @@ def reinforce(
     Args:
         observation_size: components of an observation.
         action_size: components of an action, or number of choices.
-        step_size: of every update. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`.
+        step_size: size of every update. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`.
         settings: others of `PolicyGradient`.
     """
     improvement = PolicyImprovement(GradientStep(step_size))
