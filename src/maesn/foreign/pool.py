@@ -66,6 +66,9 @@ class WorkerError(RuntimeError):
 class WorkerPool:
     """Worker processes, each of which hosts every n-th environment.
 
+    Tasks are pickled. Every request raises a `WorkerError` if an environment cannot be used; the
+    pool must then be closed.
+
     Args:
         recipe: arguments of `maesn.foreign.hosted.HostedEnvironment`. Functions that a worker
             cannot import (those of a script, and lambdas) are sent by value.
@@ -89,28 +92,14 @@ class WorkerPool:
         return [worker.process.pid for worker in self._workers]
 
     def describe(self, task: bytes) -> Interface:
-        """Return the interface of the environment of a task.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (interface,)),) = self._ask("describe", 1, [task])
-        return interface
+        """Return the interface of the environment of a task."""
+        answer: Interface = self._ask_about(task, "describe")
+        return answer
 
     def complaint(self, task: bytes) -> str | None:
-        """Return the complaint of Gymnasium's own check about a task's environment, if any.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (complaint,)),) = self._ask("complaint", 1, [task])
-        return complaint
+        """Return the complaint of Gymnasium's own check about a task's environment, if any."""
+        answer: str | None = self._ask_about(task, "complaint")
+        return answer
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
         """Begin an episode in every simulation.
@@ -118,31 +107,17 @@ class WorkerPool:
         Args:
             tasks: one for each simulation, pickled.
             seeds: one for each episode.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
         """
         return self._read("begin", len(tasks), tasks, seeds)
 
     def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
-        """Advance every simulation whose episode has not ended.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
-        """
+        """Advance every simulation whose episode has not ended."""
         return self._read("step", len(controls), controls)
 
     def renders(self, task: bytes) -> bool:
-        """Return whether the environment of a task draws itself.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (renders,)),) = self._ask("renders", 1, [task])
-        return renders
+        """Return whether the environment of a task draws itself."""
+        answer: bool = self._ask_about(task, "renders")
+        return answer
 
     def pictures(
         self, num_simulations: int, size: tuple[int, int]
@@ -152,9 +127,6 @@ class WorkerPool:
         Args:
             num_simulations: number of the first ones; at most as many as have begun.
             size: width and height of the pictures, in pixels.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
         """
         pictures: list[Any] = [None] * num_simulations
         for share, drawn in self._ask("picture", num_simulations, [size] * num_simulations):
@@ -172,6 +144,11 @@ class WorkerPool:
         if self._guard is not None:
             self._guard.close()
             self._guard = None
+
+    def _ask_about(self, task: bytes, request: str) -> Any:
+        """Return the first worker's answer about a task."""
+        ((_, (answer,)),) = self._ask(request, 1, [task])
+        return answer
 
     def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
         readings: Readings = {}
