@@ -52,13 +52,13 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """REINFORCE inside, TRPO outside (algorithm 1 of the paper)."""
 
     context: AbstractContextSettings[Any]
-    """What the policy is conditioned on."""
+    """Settings of the context that the policy is conditioned on."""
     adaptation: Adaptation
-    """What an inner step changes."""
+    """The inner update."""
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network."""
     advantage: AdvantageEstimator = AdvantageEstimator()
-    """How rewards become advantages."""
+    """The estimator of advantages."""
     trust_region: TrustRegion = TrustRegion()
     """The outer step."""
     schedule: StepSchedule = StepSchedule()
