@@ -75,7 +75,7 @@ def differentiate(
     """Return loss and KL, the gradient of the loss, and the curvature times a vector."""
     flat, unravel = ravel_pytree(parameters)
     _, gradient = objective.loss_and_gradient(parameters)
-    product = REGION._curvature(
+    product = REGION._curvature_product(
         lambda x: objective.distributions(unravel(x), objective.post),
         flat,
         step_weights(objective.post),

@@ -71,7 +71,7 @@ def products(
     @jax.jit
     def columns(x: jax.Array) -> jax.Array:
         updated = objective.updated(unravel(x))
-        product = REGION._curvature(
+        product = REGION._curvature_product(
             lambda x: sampled_distributions(objective, unravel(x), updated, outer, inner),
             x,
             step_weights(objective.post.every(*outer)),

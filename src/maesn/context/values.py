@@ -1,4 +1,4 @@
-"""Contexts: arrays of one task, and how z, the policy's input, is drawn from them."""
+"""Contexts: arrays of one task, from which z, an input of the policy, is drawn."""
 
 import math
 from abc import abstractmethod
@@ -21,35 +21,35 @@ class AbstractContext(eqx.Module):
     def draw(
         self, noise: Float[Array, " noise"], description: Float[Array, " description"]
     ) -> Float[Array, " z"]:
-        """Return z, what the policy is fed during one episode.
+        """Return z, the policy's constant input during one episode.
 
         Args:
             noise: the episode's standard normal draw, `noise_size` components.
-            description: what tells the episode's task from all others, `description_size`
+            description: the description of the episode's task, `description_size`
                 components.
         """
 
     @property
     @abstractmethod
     def size(self) -> int:
-        """Number of components that are fed to the policy."""
+        """Number of components of z."""
 
     @property
     @abstractmethod
     def noise_size(self) -> int:
-        """Number of standard normal components behind one z."""
+        """Number of components of the noise of one z."""
 
     @property
     def description_size(self) -> int:
-        """Number of components of the task's description behind one z: 0 but for an oracle."""
+        """Number of components of the description that z is made of; 0 except for an oracle."""
         return 0
 
     def at_mean(self) -> "AbstractContext":
-        """Return a context whose z is always the mean of this one's: itself if z is not random."""
+        """Return a context with z fixed at its mean: this one if z is not random."""
         return self
 
     def widened(self, factor: float) -> "AbstractContext":
-        """Return a context whose z varies so many times as much: itself if z is not random."""
+        """Return a context with `factor` times the standard deviation of z; see `at_mean`."""
         return self
 
 
@@ -71,7 +71,7 @@ class Nothing(AbstractContext):
 
 
 class Bias(AbstractContext):
-    """The context of `BiasContext`: fed to the policy as it is."""
+    """The context of `BiasContext`: z is the value itself."""
 
     value: Float[Array, "*batch z"]
 
@@ -124,7 +124,7 @@ class Latent(AbstractContext):
 
 
 class TaskDescription(AbstractContext):
-    """The context of `OracleContext`: the policy is fed the description of its task."""
+    """The context of `OracleContext`: z is the description of the task."""
 
     size_of_description: int = eqx.field(static=True)
 

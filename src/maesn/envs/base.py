@@ -180,7 +180,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
 
     @abstractmethod
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        """Return the planar position (metres) by which figures show where the agent is."""
+        """Return the agent's planar position (metres), for figures."""
 
     def judged_position(self, readings: Readings, task: Task) -> Float[Array, " 2"]:
         """Return the planar position (metres) of what has to reach the goal, for pictures.
@@ -191,7 +191,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
 
     @abstractmethod
     def goal(self, task: Task) -> Float[Array, " 2"]:
-        """Return the planar position (metres) by which figures show the task."""
+        """Return the task's planar position (metres), for figures."""
 
     def landmarks(self, task: Task) -> Float[Array, "landmark 2"]:
         """Return the planar positions (metres) of what a task places beside its goal.

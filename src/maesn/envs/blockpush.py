@@ -68,14 +68,14 @@ BAND_HEIGHT = 0.2
 
 
 class BlockPushTask(NamedTuple):
-    """Which block is to be moved where, and where all blocks start."""
+    """A block, its goal, and the initial positions of all blocks."""
 
     block: Int[Array | np.ndarray, "*row"]
     """Index of the block that counts, 0 to 4."""
     goal: Float[Array | np.ndarray, "*row 2"]
-    """Where it is to go, in metres."""
+    """Goal position of the block, in metres."""
     layout: Float[Array | np.ndarray, "*row 5 2"]
-    """Where the five blocks stand at the start, in metres."""
+    """Initial positions of the five blocks, in metres."""
 
 
 class BlockPush(AbstractMujocoEnv[BlockPushTask]):
@@ -171,7 +171,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         return jnp.asarray(task.goal)
 
     def landmarks(self, task: BlockPushTask) -> Float[Array, "5 2"]:
-        """Return where the blocks stand at the start."""
+        """Return the initial positions of the blocks."""
         return jnp.asarray(task.layout)
 
 

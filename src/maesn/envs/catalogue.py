@@ -15,13 +15,13 @@ from maesn.envs.wheeled import wheeled
 FAMILIES: dict[str, TaskFamily] = {
     family.name: family for family in (point, wheeled, ant, blockpush)
 }
-"""What is worth learning."""
+"""The families to learn: a point mass and three robots."""
 
 PROBES: dict[str, TaskFamily] = {
     family.name: family
     for family in (hidden_target, delayed_target, hidden_side, hidden_end, bandit, chain)
 }
-"""What is known already; see `maesn.envs.probes`."""
+"""Tiny families whose best return is known; see `maesn.envs.probes`."""
 
 
 def find_family(name: str) -> TaskFamily:

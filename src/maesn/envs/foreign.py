@@ -160,7 +160,7 @@ def gymnasium_family(
     The first use of the family makes one environment, to look at its spaces.
 
     Args:
-        name: of the family.
+        name: name of the family.
         make_env: returns the environment of a task (one row of what `draw_tasks` returns, as
             NumPy arrays) with the "dense" or the "sparse" reward, its second argument. An
             environment with a method `set_task(task)` is kept and given the next task; any other

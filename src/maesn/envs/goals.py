@@ -62,9 +62,9 @@ def half_circle_family(
     """Return the family whose goals lie on a half circle.
 
     Args:
-        name: of the family.
+        name: name of the family.
         make_env: makes the environment; its tasks are goals.
-        radius: of the half circle, in metres.
+        radius: radius of the half circle, in metres.
         seed: fixes the sets of the family.
     """
     return TaskFamily(

@@ -101,10 +101,10 @@ class HiddenSide(AbstractProbe[Side]):
 
 
 class HiddenEnd(AbstractProbe[Lifetime]):
-    """An episode that nature ends after ceil(L) steps, L being the task, whatever the agent does.
+    """An episode that ends after ceil(L) steps, L being the task, whatever the agent does.
 
-    Observation (1): share of the horizon that is over. Reward: 1 for every step lived, so that the
-    return is min(ceil(L), T); sparse, 1 for the step that ends the episode. Afterwards state,
+    Observation (1): elapsed share of the horizon. Reward: 1 for every step lived, so that the
+    return is min(ceil(L), T); sparse, 1 for the step that ends the episode. Afterwards states,
     observations and rewards are NaN: where a mask is forgotten, NaN shows it.
     """
 

@@ -1,8 +1,8 @@
-"""Environments written down, so that a changed default in code cannot change an existing run.
+"""Records of environments, so that a changed default in code cannot change an existing run.
 
-`describe_env` returns what decides an environment's numbers, as JSON values. `rebuild_env` makes
-the environment again, and refuses one that has become another. Settings, constants of the class and
-the text of a MuJoCo model are recorded; the code of functions is not.
+`describe_env` records an environment as JSON values: its settings, the constants of its class, and
+a digest of its MuJoCo model. It does not record the code of functions. `rebuild_env` makes the
+environment again, and raises an error if it would differ from the record.
 """
 
 import dataclasses
@@ -24,8 +24,7 @@ EnvRecord: TypeAlias = dict[str, Any]
 
 # What `TaskFamily.make_env` is called with.
 _FAMILY_SETTINGS = ("variant", "reward_kind", "sparse_radius")
-# These name things or are for figures; the model is recorded by its digest, and the last one is
-# set by `typing.Generic`.
+# Names, and what only figures need. A digest stands for the model. `typing.Generic` sets the last.
 _LEFT_OUT = ("name", "engine", "planar", "model", "_is_protocol")
 _MODEL_DIGEST = "model_digest"
 _CONSTANTS = (bool, int, float, str, tuple, np.ndarray, np.generic)
@@ -33,37 +32,37 @@ _MISSING = object()
 
 
 def describe_env(env: AnyEnv) -> EnvRecord:
-    """Return what decides the environment's numbers, as JSON values by name.
+    """Return all settings and constants of an environment, as JSON values by name.
 
-    These are all fields of the environment and all attributes of its class that are numbers,
-    strings, booleans, None, or tuples or dataclasses of these (`horizon`, `sparse_radius`,
-    `control_period`, ...); arrays by their digest; and `model_digest` of a MuJoCo model. Infinite
-    numbers and NaN are written as text. Functions are left out.
+    These are the fields of the environment and the attributes of its class (`horizon`,
+    `sparse_radius`, `control_period`, ...) that are numbers, strings, booleans, None, or tuples or
+    dataclasses of these. A digest stands for an array, and `model_digest` for a MuJoCo model.
+    Infinite numbers and NaN are written as text. Functions are left out.
 
     Args:
-        env: of whatever family.
+        env: an environment of any family.
 
     Raises:
         FileNotFoundError: its MuJoCo model is missing.
     """
     record: EnvRecord = {}
     for name in _attributes(type(env)):
-        record |= _plain(name, getattr(env, name, None))
+        record |= _json_entries(name, getattr(env, name, None))
     if isinstance(env, AbstractMujocoEnv):
         record[_MODEL_DIGEST] = model_digest(env.model)
     return record
 
 
 def rebuild_env(family: TaskFamily, recorded: EnvRecord, **overrides: Any) -> AnyEnv:
-    """Return the environment that was recorded, whatever the family's defaults are today.
+    """Return the recorded environment, whatever the family's defaults are today.
 
     Args:
-        family: that the recorded environment belongs to.
-        recorded: what `describe_env` returned, possibly read from JSON.
+        family: the family of the recorded environment.
+        recorded: the result of `describe_env`, possibly read from JSON.
         overrides: fields that are to differ from the record, such as `reward_kind`.
 
     Raises:
-        ValueError: a constant of the environment or its model is not what was recorded, or a
+        ValueError: a constant of the environment or its model differs from the record, or a
             recorded or overriding value cannot be used.
         FileNotFoundError: its MuJoCo model is missing.
     """
@@ -76,7 +75,7 @@ def rebuild_env(family: TaskFamily, recorded: EnvRecord, **overrides: Any) -> An
 
 
 def _attributes(kind: type[AnyEnv]) -> Iterator[str]:
-    """Yield the names of all fields and class attributes, each once; not those of methods."""
+    """Yield the name of every field and every constant of the class once."""
     names: dict[str, None] = {}
     for base in reversed(kind.__mro__):
         names |= dict.fromkeys(inspect.get_annotations(base))
@@ -86,14 +85,16 @@ def _attributes(kind: type[AnyEnv]) -> Iterator[str]:
             yield name
 
 
-def _plain(name: str, value: Any) -> EnvRecord:
-    """Return a value as JSON values under its name; nothing if it cannot be written down."""
+def _json_entries(name: str, value: Any) -> EnvRecord:
+    """Return the entries that record a value: none if JSON cannot hold it."""
     if dataclasses.is_dataclass(value):
-        parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        plain = {key: _plain(f"{name}.{key}", part) for key, part in parts.items()}
-        if not all(plain.values()):  # functions belong to it: it does more than to hold numbers
-            return {}
-        return {key: part for found in plain.values() for key, part in found.items()}
+        entries: EnvRecord = {}
+        for field in dataclasses.fields(value):
+            part = _json_entries(f"{name}.{field.name}", getattr(value, field.name))
+            if not part:  # a function: the dataclass does more than hold numbers
+                return {}
+            entries |= part
+        return entries
     try:
         return {name: _json(value)}
     except TypeError:
@@ -115,7 +116,7 @@ def _json(value: Any) -> Any:
 
 
 def _from_family(family: TaskFamily, wanted: EnvRecord) -> AnyEnv:
-    """Return the family's environment with those settings that a family can be asked for."""
+    """Return the family's environment with the settings that `TaskFamily.make_env` takes."""
     own = family.make_env()
     settings = {
         name: wanted[name]
@@ -134,22 +135,23 @@ def _with_fields(env: AnyEnv, recorded: EnvRecord, overrides: EnvRecord) -> AnyE
             f"`{unknown[0]}` is not a field of `{env.name}`: choose from {', '.join(own)}."
         )
     present = describe_env(env)
-    differing = {
-        name: _restored(recorded[name], value)
+    changes = {
+        name: _from_json(recorded[name], like=value)
         for name, value in own.items()
-        if name in recorded and name in present and recorded[name] != present[name]
-    }
-    # Of arrays only the digest is known: `_check_equal` refuses others.
-    arrays = {name for name, value in own.items() if isinstance(value, np.ndarray | jax.Array)}
-    changes = {name: value for name, value in differing.items() if name not in arrays} | overrides
+        if name in recorded
+        and name in present
+        and recorded[name] != present[name]
+        # A digest cannot be turned back into an array: `_check_equal` will refuse this one.
+        and not isinstance(value, np.ndarray | jax.Array)
+    } | overrides
     return dataclasses.replace(env, **changes) if changes else env
 
 
-def _restored(value: Any, like: Any) -> Any:
-    """Return a JSON value in the form of the field's present value."""
+def _from_json(value: Any, like: Any) -> Any:
+    """Return a JSON value with the type of the field's present value."""
     if isinstance(value, list):
         parts = like if isinstance(like, tuple | list) and len(like) == len(value) else value
-        return tuple(_restored(part, one) for part, one in zip(value, parts, strict=True))
+        return tuple(_from_json(part, like=one) for part, one in zip(value, parts, strict=True))
     if isinstance(like, float) and isinstance(value, str):
         return float(value)  # "inf", "-inf" or "nan"
     return value
@@ -158,7 +160,7 @@ def _restored(value: Any, like: Any) -> Any:
 def _check_equal(env: AnyEnv, recorded: EnvRecord, ignored: tuple[str, ...]) -> None:
     found = describe_env(env)
     for name in found | recorded:
-        if name in ignored or (name in found and found.get(name) == recorded.get(name, _MISSING)):
+        if name in ignored or found.get(name, _MISSING) == recorded.get(name, _MISSING):
             continue
         now = repr(found[name]) if name in found else "gone"
         then = repr(recorded[name]) if name in recorded else "not there"

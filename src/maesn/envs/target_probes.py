@@ -22,15 +22,16 @@ SPARSE_RADIUS = 0.5  # the action 0 is twice as far away
 
 
 class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
-    """A target g on the upper half circle of radius 1, which the first action has to hit.
+    """The first action has to hit a target g on the upper half circle of radius 1.
 
-    State and observation: share of the episode that is over (1), then a_0 (2; zero before it is
-    known). Later actions change nothing. The reward comes at step T-1 alone: -|a_0 - g|^2; sparse,
-    the same within the radius, and elsewhere -|g|^2, the reward of the action 0.
+    The observation is the elapsed share of the episode (1 component) and a_0 (2 components, zero
+    before the first step). Later actions change nothing. All rewards are 0 but the last. The dense
+    one is -|a_0 - g|^2. The sparse one is the same if |a_0 - g| is at most `sparse_radius`;
+    otherwise it is -|g|^2, as for the action 0.
 
     If a_0 ~ N(m, diag(s^2)), the expected dense return is -(|m - g|^2 + sum_i s_i^2). The best
-    action for all targets together is their mean (0, 2/pi), with return -(1 - 4/pi^2) = -0.595. An
-    agent with a higher return has learned from the task.
+    single action for all targets is their mean (0, 2/pi), with return -(1 - 4/pi^2) = -0.595. An
+    agent with a higher return has adapted to the task.
     """
 
     sparse_radius: eqx.AbstractVar[float]
@@ -42,9 +43,9 @@ class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
         return action
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
-        steps, first = readings["qpos"][:1], readings["qpos"][1:]
-        first = jnp.where(steps == 0, control, first)
-        return {"qpos": jnp.concatenate([steps + 1, first]), "qvel": readings["qvel"]}
+        step, first_action = readings["qpos"][:1], readings["qpos"][1:]
+        first_action = jnp.where(step == 0, control, first_action)
+        return {"qpos": jnp.concatenate([step + 1, first_action]), "qvel": readings["qvel"]}
 
     def observe(self, readings: Readings) -> Float[Array, " 3"]:
         return readings["qpos"] / jnp.array([self.horizon, 1.0, 1.0])
@@ -56,10 +57,11 @@ class AbstractTargetProbe(AbstractReaching, AbstractProbe[Goal]):
         next_readings: Readings,
         task: Goal,
     ) -> Reward:
-        error = jnp.sum((next_readings["qpos"][1:] - task) ** 2)
-        goal = goal_reward(error, -jnp.sum(task**2), self.reward_kind, self.sparse_radius**2)
-        last = next_readings["qpos"][0] == self.horizon
-        return Reward(jnp.where(last, goal, 0.0), jnp.zeros(()))
+        squared_error = jnp.sum((next_readings["qpos"][1:] - task) ** 2)
+        no_hit = -jnp.sum(task**2)
+        goal = goal_reward(squared_error, no_hit, self.reward_kind, self.sparse_radius**2)
+        is_last_step = next_readings["qpos"][0] == self.horizon
+        return Reward(jnp.where(is_last_step, goal, 0.0), jnp.zeros(()))
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return observation[1:]
@@ -81,7 +83,7 @@ class HiddenTarget(AbstractTargetProbe):
 class DelayedTarget(AbstractTargetProbe):
     """The target probe over ten steps: the reward comes nine steps after the action that earned it.
 
-    Discounted to the start it is gamma^(T-1) times as much.
+    Its discount is gamma^(T-1).
     """
 
     name: ClassVar[str] = "delayed_target"

@@ -14,15 +14,15 @@ from maesn.policies import AbstractPolicy, PolicyInput
 
 
 class Agent(eqx.Module):
-    """What acts in one task."""
+    """A policy with the context of one task."""
 
     policy: AbstractPolicy
     context: AbstractContext
     statistics: ObservationStatistics | None = None
-    """By which observations are normalised before the policy sees them; None for not at all."""
+    """Normalise the observations before the policy sees them; None leaves them as they are."""
 
     def perceive(self, received: PolicyInput) -> PolicyInput:
-        """Return what the policy sees of what the world tells: observations are normalised."""
+        """Return the policy's input with its observation normalised."""
         if self.statistics is None:
             return received
         return received._replace(observation=self.statistics.normalized(received.observation))
@@ -31,9 +31,9 @@ class Agent(eqx.Module):
 class Agents(eqx.Module):
     """One agent per task slot.
 
-    Methods that leave the policy's weights alone in their inner step share one copy of them. This
-    is not only smaller: a product with shared weights is one matrix product over the whole batch,
-    where stacked weights make it a batch of small ones, as long as the tasks are mapped at once.
+    As long as no inner update changes the policy's weights, all agents share one copy of them. That
+    saves memory and time: a product with shared weights is one matrix product over the whole batch,
+    and not a batch of small ones, where the tasks are mapped at once.
     """
 
     policy: AbstractPolicy
@@ -42,26 +42,28 @@ class Agents(eqx.Module):
     """Contexts, with a leading `task` axis."""
     shares_policy: bool = eqx.field(static=True)
     statistics: ObservationStatistics | None = None
-    """Shared by all tasks, and changed by no inner step."""
+    """Shared by all tasks; no inner update changes them."""
     trial_state: TrialState | None = None
-    """Where the trials go on, `[task, episode, ...]`: `Episodes.trial_end` of the episodes before.
-    None to begin new trials."""
+    """State from which the trials continue, `[task, episode, ...]`: `Episodes.trial_end` of the
+    previous episodes. None starts new trials."""
 
     def at_mean(self) -> "Agents":
         """Return the same agents, with every context held at its mean."""
         return replace(self, context=self.context.at_mean())
 
     def parts(self) -> tuple[Any, Any]:
-        """Return what all tasks share, and what has a row for each; `of_parts` joins them."""
+        """Split into what all tasks share and what has a row per task; `of_parts` joins them."""
         shared, own = (self.policy, None) if self.shares_policy else (None, self.policy)
         return (shared, self.statistics), (own, self.context, self.trial_state)
 
     @staticmethod
     def of_parts(shared: Any, rows: Any) -> "Agents":
-        """Return the agents of these parts. An own policy goes before a shared one."""
+        """Join the results of `parts`. A policy per task replaces a shared one."""
         (policy, statistics), (own, context, trial_state) = shared, rows
-        chosen = policy if own is None else own
-        return Agents(chosen, context, own is None, statistics, trial_state)
+        shares_policy = own is None
+        return Agents(
+            policy if shares_policy else own, context, shares_policy, statistics, trial_state
+        )
 
     def map(self, function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
         """Map `function(agent, *row)` over the tasks.

@@ -1,4 +1,4 @@
-"""What the dynamics of a world did, step by step: what a model of them is fitted to."""
+"""Transitions of a world, to fit a model of its dynamics to."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ FEATURE_CLIP = 10.0
 
 
 class Transitions(NamedTuple):
-    """What the dynamics did, step by step, episodes behind each other."""
+    """Transitions of all episodes, one after another."""
 
     rows: Float[Array, "transition feature"]
     """Observation, action, and change of the observation, side by side."""
@@ -45,10 +45,10 @@ def check_observed(observation_size: int) -> None:
 
 
 def transitions(episodes: Episodes) -> Transitions:
-    """Return what happened in all steps of all episodes.
+    """Return the transitions of all steps of all episodes.
 
     Raises:
-        ValueError: the episodes do not hold what was observed after their last step.
+        ValueError: the episodes lack the observation after their last step.
     """
     time, states = episodes.action.shape[-2], episodes.observation.shape[-2]
     if states != time + 1:

@@ -1,4 +1,4 @@
-"""What a trial consists of between two episodes: what one hands to the next."""
+"""The state of a trial between two of its episodes."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from maesn.axes import RecurrentState
 
 
 class TrialState(eqx.Module):
-    """What one episode hands to the next one of the same trial."""
+    """State that an episode passes on to the next one of its trial."""
 
     recurrent_state: RecurrentState
     """The policy's own, `[*batch ...]`; None for a policy that is not recurrent."""
@@ -24,7 +24,7 @@ class TrialState(eqx.Module):
         observed_reward: Float[Array, " time"],
         valid: Bool[Array, " time"],
     ) -> "TrialState":
-        """Return the state after one more episode. Invalid steps leave nothing behind.
+        """Return the state after one more episode. Invalid steps do not change it.
 
         Args:
             recurrent_state: the policy's own after the episode.

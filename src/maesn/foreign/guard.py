@@ -1,7 +1,7 @@
-"""A small process that ends workers, and what they have started, when their parent is gone.
+"""A small process that kills workers and their children when the parent is gone.
 
-Linux can signal a process when its parent ends (`PR_SET_PDEATHSIG`), but that does not reach the
-processes of its environments, and takes the end of the parent's thread for that of the parent.
+Linux can signal a process when its parent ends (`PR_SET_PDEATHSIG`). But that does not reach the
+processes that environments start, and it also happens when the thread ends that started the worker.
 """
 
 import contextlib
@@ -9,8 +9,8 @@ import subprocess
 import sys
 from typing import IO
 
-# The end of the input is the end of the parent, however that came about. A second is for
-# environments that can be closed.
+# The input ends when the parent does, however that ends. The workers get a second to close their
+# environments.
 _PROGRAM = """
 import os, signal, sys, time
 for number in (signal.SIGTERM, signal.SIGHUP):
@@ -34,7 +34,7 @@ class Guard:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is not for it
+            start_new_session=True,  # so that Ctrl-C does not end it
         )
 
     @property
@@ -43,13 +43,13 @@ class Guard:
         return self._process.stdin
 
     def watch(self, group: int) -> None:
-        """End this process group as well."""
-        with contextlib.suppress(OSError):  # killed by somebody: nothing else depends on it
+        """Add a process group to those that will be killed."""
+        with contextlib.suppress(OSError):  # somebody has killed the guard; workers run without it
             self._input.write(b"%d\n" % group)
             self._input.flush()
 
     def close(self) -> None:
-        """Watch no longer."""
+        """End the guard, and spare the process groups."""
         self._process.kill()
         self._process.wait()
         with contextlib.suppress(OSError):

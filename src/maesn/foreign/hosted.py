@@ -18,13 +18,13 @@ from maesn.foreign.observations import fault
 
 # Names under which environments report success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
-# Numbers beyond it are infinite in the single precision of the policies. Of double precision, to
-# which numbers that it is compared with are raised: in half precision it would be infinite itself.
+# Larger numbers are infinite in the policies' single precision. It is a double so that NumPy
+# compares in double precision: in half precision the bound itself would be infinite.
 _LARGEST = np.float64(np.finfo(np.float32).max)
 
 
 class Reading(NamedTuple):
-    """What an environment has returned."""
+    """The checked result of `reset` or `step`."""
 
     observation: np.ndarray
     reward: float
@@ -34,20 +34,20 @@ class Reading(NamedTuple):
 
 
 class HostedError(Exception):
-    """An environment did what it must not; the message says what."""
+    """An environment broke its contract; the message says how."""
 
 
 class HostedEnvironment:
-    """An environment that plays one episode after the other, of whatever task.
+    """An environment that plays one episode after the other, of any task.
 
-    After its end, an episode keeps its last reading with reward 0, while others go on. Its
+    After its end, an episode keeps its last reading with reward 0 while others go on: the
     environment is not stepped again before it is reset.
 
     Args:
-        make_env: the user's; called with a task and the kind of reward. It is called once if what
-            it returns has a method `set_task`, and for every new task otherwise.
+        make_env: the user's function of a task and the kind of reward. It is called once if its
+            environment has a method `set_task`, and for every new task otherwise.
         reward: "dense" or "sparse".
-        interface: what every task must look like; None for what the first one looks like.
+        interface: the interface that every task must have; None for that of the first one.
     """
 
     def __init__(
@@ -57,20 +57,20 @@ class HostedEnvironment:
         self._reward = reward
         self._interface = interface
         self._env: gymnasium.Env[Any, Any] | None = None
-        # Read once per task: every look-up goes through all wrappers.
+        # Kept, because every look-up goes through all wrappers.
         self._action_space: spaces.Space[Any] | None = None
         self._observation_space: spaces.Space[Any] | None = None
         self._task: bytes | None = None
         self._last: Reading | None = None
 
     def describe(self, task: bytes) -> Interface:
-        """Return what the environment of a task looks like from outside.
+        """Return the interface of the environment of a task.
 
         Args:
             task: pickled.
 
         Raises:
-            HostedError: the environment raised, or cannot be learned in.
+            HostedError: the environment raised an error, or its spaces are not supported.
         """
         self._with_task(task)
         assert self._interface is not None
@@ -80,11 +80,11 @@ class HostedEnvironment:
         """Begin an episode.
 
         Args:
-            task: pickled, so that two tasks can be compared whatever they are made of.
-            seed: of the episode.
+            task: pickled, so that tasks of any type can be compared.
+            seed: seed of the episode.
 
         Raises:
-            HostedError: the environment raised, or what it returned cannot be used.
+            HostedError: the environment raised an error, or its result cannot be used.
         """
         env = self._with_task(task)
         result = _ask("reset", lambda: env.reset(seed=seed))
@@ -96,13 +96,13 @@ class HostedEnvironment:
         return reading
 
     def step(self, control: np.ndarray) -> Reading:
-        """Go on by one step, unless the episode has ended.
+        """Step the environment, unless its episode has ended.
 
         Args:
-            control: within the bounds, flattened.
+            control: the action within its bounds, flattened.
 
         Raises:
-            HostedError: the environment raised, or what it returned cannot be used.
+            HostedError: the environment raised an error, or its result cannot be used.
         """
         assert self._env is not None
         assert self._action_space is not None
@@ -130,10 +130,10 @@ class HostedEnvironment:
         return self._last
 
     def complaint(self, task: bytes) -> str | None:
-        """Return what Gymnasium's own check finds; None if it finds nothing.
+        """Return the complaint of Gymnasium's own check; None if there is none.
 
-        It plays some steps, and asks for more than is needed here: exact types and bounds, and the
-        same episode for the same seed.
+        The check plays some steps. It demands more than is needed here: exact types and bounds, and
+        the same episode for the same seed.
         """
         env = self._with_task(task)
         try:
@@ -151,18 +151,18 @@ class HostedEnvironment:
             task: pickled.
 
         Raises:
-            HostedError: the environment raised, or cannot be learned in.
+            HostedError: the environment raised an error, or its spaces are not supported.
         """
         return self._with_task(task).render_mode == "rgb_array"
 
     def picture(self, size: tuple[int, int]) -> UInt8[np.ndarray, "height width 3"]:
-        """Return what the environment draws of its present state, with bars to fill the size.
+        """Return the environment's picture of its present state, padded to a size.
 
         Args:
             size: width and height in pixels.
 
         Raises:
-            HostedError: the environment raised, or what it returned is no picture.
+            HostedError: the environment raised an error, or returned no picture.
         """
         assert self._env is not None
         drawn = _ask("render", self._env.render)
@@ -175,7 +175,7 @@ class HostedEnvironment:
         return np.asarray(ImageOps.pad(Image.fromarray(picture), size, color="white"))
 
     def close(self) -> None:
-        """Release what the environment holds."""
+        """Close the environment."""
         if self._env is not None:
             env, self._env = self._env, None
             _ask("close", env.close)
@@ -240,10 +240,10 @@ class HostedEnvironment:
 
 
 def _ask(what: str, question: Callable[[], Any]) -> Any:
-    """Return the answer of a user's code, or say what it raised and where."""
+    """Call a user's code, and turn its exceptions into a `HostedError`."""
     try:
         return question()
-    except Exception as error:  # whatever it is, it belongs to the user
+    except Exception as error:
         name = what if " " in what else f"`{what}`"
         raise HostedError(f"{name} {raised(error)}") from error
 
@@ -253,7 +253,7 @@ def _action(space: spaces.Space[Any], control: np.ndarray) -> Any:
         return space.start + int(np.argmax(control))
     assert isinstance(space, spaces.Box)
     action = control.astype(space.dtype).reshape(space.shape)
-    # Bounds may not be numbers of single precision. (`np.clip` is slower on so few numbers.)
+    # Rounding to single precision may pass a bound. (`np.clip` is slower on so few numbers.)
     return np.minimum(np.maximum(action, space.low), space.high)
 
 

@@ -1,4 +1,4 @@
-"""What an environment looks like from outside: the same for every task of a family."""
+"""The interface of an environment, the same for every task of a family: its spaces and times."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,12 +7,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-# Of the range of an action; beyond it, bounds are no more than the largest numbers of their type.
+# Largest range of an action. Wider bounds are just the largest numbers of their type.
 _LARGEST_WIDTH = 1e30
 
 
 class InterfaceError(ValueError):
-    """An environment cannot be learned in; the message says why."""
+    """An environment's spaces are not supported; the message says why."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ def fault(space: spaces.Space[Any], value: Any, where: str = "the observation") 
     Spaces of other kinds than those below are not looked into.
 
     Args:
-        space: of the observation, which flattens to a vector.
-        value: what the environment has returned.
-        where: what the sentence calls the observation.
+        space: space of the observation, which flattens to a vector.
+        value: the observation that the environment has returned.
+        where: the name of the observation in the sentence.
     """
     if isinstance(space, spaces.Box | spaces.MultiBinary):
         return _fault_of_numbers(space, value, where)

@@ -28,17 +28,17 @@ from maesn.foreign.hosted import Reading
 from maesn.foreign.interface import Interface
 from maesn.foreign.worker import MARK, Failure
 
-# What the environments have returned, one row each; see `maesn.foreign.hosted.Reading`.
+# The fields of `maesn.foreign.hosted.Reading`, with a row for each environment.
 Readings: TypeAlias = dict[str, Float[np.ndarray, "simulation ..."]]
 
-# Seconds that a new process may take until it calls its first environment: the imports of a user's
-# module can be long, on a machine that does other things as well.
+# Seconds that a new process may take until it calls its first environment: importing a user's
+# module can take long on a busy machine.
 START_LIMIT = 300.0
 # Seconds in which a worker may close its environments before it is killed.
 _GRACE = 2.0
 _CHECKS_PER_LIMIT = 10
 
-# With the parent's path, so that whatever could be imported there can be imported here.
+# With the parent's module path, so that the worker can import all that the parent can.
 _PROGRAM = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from maesn.foreign.worker import main; main(*map(int, sys.argv[2:]))"
@@ -49,16 +49,16 @@ class WorkerError(RuntimeError):
     """An environment failed, hangs, or took its process down.
 
     Attributes:
-        simulation: which one, as a row of the arrays that `begin` was given.
-        reason: what it did.
+        simulation: index of the environment among the arguments of `begin`.
+        reason: what went wrong.
 
-    If the environment has raised an exception, a note says in which calls of its code.
+    If the environment has raised an exception, a note holds the traceback of its code.
     """
 
-    def __init__(self, simulation: int, reason: str, calls: str = "") -> None:
+    def __init__(self, simulation: int, reason: str, traceback: str = "") -> None:
         super().__init__(f"simulation {simulation}: {reason}")
-        if calls:
-            self.add_note(f"In the process of the environment:\n{calls.rstrip()}")
+        if traceback:
+            self.add_note(f"In the process of the environment:\n{traceback.rstrip()}")
         self.simulation = simulation
         self.reason = reason
 
@@ -66,10 +66,13 @@ class WorkerError(RuntimeError):
 class WorkerPool:
     """Worker processes, each of which hosts every n-th environment.
 
+    Tasks are pickled. Every request raises a `WorkerError` if an environment cannot be used; the
+    pool must then be closed.
+
     Args:
-        recipe: arguments of `maesn.foreign.hosted.HostedEnvironment`. Functions in it that cannot
-            be imported elsewhere (of a script, or without a name) are sent as they are.
-        num_workers: number of processes at most; they start when there are simulations for them.
+        recipe: arguments of `maesn.foreign.hosted.HostedEnvironment`. Functions that a worker
+            cannot import (those of a script, and lambdas) are sent by value.
+        num_workers: largest number of processes; they start when there are simulations for them.
         time_limit: seconds that one call of one environment may take.
 
     Raises:
@@ -85,76 +88,45 @@ class WorkerPool:
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers that have been started."""
+        """Process ids of the workers that have been started."""
         return [worker.process.pid for worker in self._workers]
 
     def describe(self, task: bytes) -> Interface:
-        """Return what the environment of a task looks like from outside.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (interface,)),) = self._ask("describe", 1, [task])
-        return interface
+        """Return the interface of the environment of a task."""
+        answer: Interface = self._ask_about(task, "describe")
+        return answer
 
     def complaint(self, task: bytes) -> str | None:
-        """Return what Gymnasium's own check finds in the environment of a task.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (complaint,)),) = self._ask("complaint", 1, [task])
-        return complaint
+        """Return the complaint of Gymnasium's own check about a task's environment, if any."""
+        answer: str | None = self._ask_about(task, "complaint")
+        return answer
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
         """Begin an episode in every simulation.
 
         Args:
             tasks: one for each simulation, pickled.
-            seeds: of the episodes.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
+            seeds: one for each episode.
         """
         return self._read("begin", len(tasks), tasks, seeds)
 
     def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
-        """Advance every simulation whose episode has not ended.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
-        """
+        """Advance every simulation whose episode has not ended."""
         return self._read("step", len(controls), controls)
 
     def renders(self, task: bytes) -> bool:
-        """Return whether the environment of a task draws itself.
-
-        Args:
-            task: pickled.
-
-        Raises:
-            WorkerError: the environment cannot be used; the pool must be closed.
-        """
-        ((_, (renders,)),) = self._ask("renders", 1, [task])
-        return renders
+        """Return whether the environment of a task draws itself."""
+        answer: bool = self._ask_about(task, "renders")
+        return answer
 
     def pictures(
         self, num_simulations: int, size: tuple[int, int]
     ) -> list[UInt8[np.ndarray, "height width 3"]]:
-        """Return what the first simulations draw of their present states.
+        """Return the pictures that the first simulations draw of their present states.
 
         Args:
-            num_simulations: of the first ones; at most as many as have begun.
+            num_simulations: number of the first ones; at most as many as have begun.
             size: width and height of the pictures, in pixels.
-
-        Raises:
-            WorkerError: an environment cannot be used; the pool must be closed.
         """
         pictures: list[Any] = [None] * num_simulations
         for share, drawn in self._ask("picture", num_simulations, [size] * num_simulations):
@@ -162,7 +134,7 @@ class WorkerPool:
         return pictures
 
     def close(self) -> None:
-        """Stop all workers, and whatever processes their environments have started."""
+        """Stop all workers, and all processes that their environments have started."""
         workers, self._workers = self._workers, []
         for worker in workers:
             worker.connection.close()
@@ -172,6 +144,11 @@ class WorkerPool:
         if self._guard is not None:
             self._guard.close()
             self._guard = None
+
+    def _ask_about(self, task: bytes, request: str) -> Any:
+        """Return the first worker's answer about a task."""
+        ((_, (answer,)),) = self._ask(request, 1, [task])
+        return answer
 
     def _read(self, request: str, num_simulations: int, *columns: Any) -> Readings:
         readings: Readings = {}
@@ -185,11 +162,11 @@ class WorkerPool:
     def _ask(
         self, request: str, num_simulations: int, *columns: Any
     ) -> Iterator[tuple[slice, Sequence[Any]]]:
-        """Yield the simulations of each worker, and its answer, as they come in."""
-        workers = self._staff(num_simulations)
+        """Yield the simulations of each worker and its answer, in the order of arrival."""
+        workers = self._workers_for(num_simulations)
         stride = len(workers)
         for first, worker in enumerate(workers):
-            # A worker that is gone already is found out when its answer is missing.
+            # A missing answer will tell that a worker is gone.
             with contextlib.suppress(OSError):
                 worker.connection.send((request, *(column[first::stride] for column in columns)))
         pending = {worker.connection: (first, worker) for first, worker in enumerate(workers)}
@@ -203,8 +180,8 @@ class WorkerPool:
             for first, worker in pending.values():
                 watch.look(worker, first, stride)
 
-    def _staff(self, num_simulations: int) -> "list[_Worker]":
-        """Return the workers of so many simulations, and start those that are missing."""
+    def _workers_for(self, num_simulations: int) -> "list[_Worker]":
+        """Return the workers for this number of simulations; start those that are missing."""
         number = min(self._num_workers, num_simulations)
         self._guard = self._guard or Guard()
         while len(self._workers) < number:
@@ -228,22 +205,22 @@ class _Worker:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *numbers],
                 pass_fds=descriptors,
-                # JAX may be imported by a user's module; the accelerator is not the workers'.
+                # A user's module may import JAX, which must leave the accelerator to the parent.
                 env=os.environ | {"JAX_PLATFORMS": "cpu"},
                 stdin=subprocess.DEVNULL,
                 # A session of its own: Ctrl-C is the parent's to handle.
                 start_new_session=True,
             )
-        with contextlib.suppress(OSError):  # found out when its answer is missing
+        with contextlib.suppress(OSError):  # a missing answer will tell that it is gone
             self.connection.send_bytes(recipe)
 
     def mark(self) -> tuple[int, int]:
-        """Return the number of calls so far, and the environment of the last one."""
+        """Return the number of calls so far, and the environment that was called last."""
         calls, environment = MARK.unpack_from(self._mark, 0)
         return calls, environment
 
     def stop(self, deadline: float) -> None:
-        """Wait until the deadline for the process to end, and end it then."""
+        """Wait until the deadline for the process to end, then kill it and its children."""
         try:
             self.process.wait(max(deadline - time.monotonic(), 0.0))
         except subprocess.TimeoutExpired:
@@ -256,7 +233,7 @@ class _Worker:
 
 
 class _Watch:
-    """Notices workers whose environment does not return."""
+    """Detects workers whose environment hangs."""
 
     def __init__(self, time_limit: float) -> None:
         self._time_limit = time_limit
@@ -264,7 +241,7 @@ class _Watch:
         self._seen: dict[int, tuple[int, float]] = {}
 
     def look(self, worker: _Worker, first: int, stride: int) -> None:
-        """Raise `WorkerError` if the worker's mark has not moved within the limit."""
+        """Raise `WorkerError` if the worker's mark has not changed within the limit."""
         calls, environment = worker.mark()
         now = time.monotonic()
         seen, since = self._seen.get(first, (-1, now))
@@ -286,7 +263,7 @@ class _Watch:
 def _content(recipe: tuple[Any, ...]) -> bytes:
     try:
         return cloudpickle.dumps(recipe)
-    except Exception as error:  # what a user's closure holds can raise anything
+    except Exception as error:  # the objects in a user's closure can raise anything
         raise WorkerError(
             0, f"`make_env` cannot be sent to a process: {described(error)}"
         ) from error
@@ -302,5 +279,5 @@ def _answer(worker: _Worker, first: int, stride: int) -> Sequence[Any]:
             f"the environment has ended its process (exit code {code})",
         ) from error
     if isinstance(answer, Failure):
-        raise WorkerError(first + stride * answer.environment, answer.reason, answer.calls)
+        raise WorkerError(first + stride * answer.environment, answer.reason, answer.traceback)
     return answer

@@ -1,7 +1,7 @@
-"""The program of a worker process: hosts a share of the environments and steps them in turn.
+"""The program of a worker process, which hosts a share of the environments and steps them in turn.
 
-It is started by `maesn.foreign.pool`, and ends when its connection does. If an environment hangs
-then, `maesn.foreign.guard` ends it.
+`maesn.foreign.pool` starts it. It ends when its connection is closed; if an environment hangs then,
+`maesn.foreign.guard` kills it.
 """
 
 import contextlib
@@ -15,33 +15,34 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maesn.foreign.errors import calls_of, described, raised, shortened
+from maesn.foreign.errors import described, raised, shortened, user_traceback
 from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
 
-# What a worker writes before each call of an environment: how many calls so far, and whose.
+# Before each call of an environment, the worker writes the number of calls so far and the
+# environment's index to shared memory. So the pool can tell which environment hangs.
 MARK = struct.Struct("=Qq")
 
 
 class Failure(NamedTuple):
-    """What a worker answers if one of its environments cannot go on."""
+    """A worker's answer if one of its environments cannot go on."""
 
     environment: int
-    """Which one, among those of the worker."""
+    """Index of the environment within the worker."""
     reason: str
-    calls: str
-    """Those of its code in which it has raised an exception; empty if it has not."""
+    traceback: str
+    """Lines of the user's code in which an exception was raised; empty without one."""
 
 
 def main(connection_descriptor: int, mark_descriptor: int) -> None:
     """Serve the parent process until it closes the connection.
 
     Args:
-        connection_descriptor: of a socket to the parent, which sends first the recipe and then
-            requests.
-        mark_descriptor: of a file that both processes map.
+        connection_descriptor: file descriptor of a socket to the parent, which sends the recipe
+            (arguments of `HostedEnvironment`) and then requests.
+        mark_descriptor: file descriptor of the memory for `MARK`, which both processes map.
     """
-    # Schedulers signal all processes of a job; the parent then saves, and ends this one. A handler
-    # that does nothing, because what is ignored would be ignored by environments' processes too.
+    # Schedulers signal all processes of a job. The parent then saves, and ends this process. Hence
+    # an empty handler, and not SIG_IGN, which the environments' own processes would inherit.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: None)
     connection = Connection(connection_descriptor)
@@ -67,7 +68,7 @@ def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":
         return _Share(pickle.loads(recipe), mark)
     except Exception as error:  # noqa: BLE001  # the import of a user's module can raise anything
         reason = f"`make_env` cannot be loaded: {described(error)}"
-        connection.send(Failure(0, reason, calls_of(error)))
+        connection.send(Failure(0, reason, user_traceback(error)))
         return None
 
 
@@ -81,15 +82,15 @@ class _Share:
         self._environments: list[HostedEnvironment] = []
 
     def answer(self, request: str, columns: list[Sequence[Any]]) -> Any:
-        """Ask one environment after the other.
+        """Call a method of one environment after the other.
 
         Args:
-            request: the method of `HostedEnvironment` that is called.
-            columns: for each of its arguments, one value for each environment.
+            request: name of the method of `HostedEnvironment`.
+            columns: for each argument of the method, one value per environment.
 
         Returns:
-            What they return, readings as one array for each field; or the `Failure` of the first
-            one that cannot go on.
+            The results, readings as one array per field; or the `Failure` of the first environment
+            that cannot go on.
         """
         answers = []
         for index, arguments in enumerate(zip(*columns, strict=True)):
@@ -100,17 +101,17 @@ class _Share:
             try:
                 answers.append(getattr(self._environments[index], request)(*arguments))
             except HostedError as error:
-                return Failure(index, shortened(str(error)), calls_of(error.__cause__))
+                return Failure(index, shortened(str(error)), user_traceback(error.__cause__))
             except Exception as error:  # noqa: BLE001  # of a user's code, wherever it is called
-                return Failure(index, f"the environment {raised(error)}", calls_of(error))
-        return _by_field(answers) if request in ("begin", "step") else answers
+                return Failure(index, f"the environment {raised(error)}", user_traceback(error))
+        return _stack_fields(answers) if request in ("begin", "step") else answers
 
     def close(self) -> None:
-        """Close all environments, whatever each of them does about it."""
+        """Close all environments, and ignore their errors."""
         for environment in self._environments:
             with contextlib.suppress(Exception):
                 environment.close()
 
 
-def _by_field(readings: list[Reading]) -> tuple[np.ndarray, ...]:
+def _stack_fields(readings: list[Reading]) -> tuple[np.ndarray, ...]:
     return tuple(np.asarray(column, np.float32) for column in zip(*readings, strict=True))

@@ -55,7 +55,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         """Start an episode.
 
         Args:
-            seed: of the draws from here on; None to go on drawing as before.
+            seed: seed of all later draws; None to go on drawing as before.
             options: `{"task": index}` chooses the task of this episode.
 
         Returns:
@@ -76,7 +76,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         """Advance by one control step.
 
         Args:
-            action: in the action space; beyond it the actuators saturate.
+            action: an element of the action space; beyond it the actuators saturate.
 
         Returns:
             Observation, reward, whether the episode has terminated, whether it has run out of

@@ -1,4 +1,4 @@
-"""What can be asked of the Gymnasium environments. What cannot is refused by its own name."""
+"""Checked options of the Gymnasium environments."""
 
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeAlias
@@ -17,12 +17,12 @@ RENDER_MODES = ("rgb_array",)
 
 
 def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> None:
-    """Refuse a name that stands for nothing: ignoring it would do something else than was asked.
+    """Raise an error about unknown names, instead of ignoring them.
 
     Args:
-        kind: what the names stand for, with an article.
-        given: the names that came.
-        known: all that there are.
+        kind: kind of the names, with an article.
+        given: the names to check.
+        known: all valid names.
 
     Raises:
         ValueError: a name is not known.
@@ -39,7 +39,7 @@ def make_steppable(
     """Return the environment of a family, which must be one that Gymnasium can step.
 
     Args:
-        family: of tasks.
+        family: the family of tasks.
         reward: dense or sparse.
         variant: whose reward formulas.
         sparse_radius: radius of the goal region in metres; None for the family's own.
@@ -91,10 +91,10 @@ def checked_task(
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return a render mode if there is such.
+    """Return the render mode, checked to exist.
 
     Raises:
-        ValueError: there is not.
+        ValueError: it does not.
     """
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise ValueError(

@@ -20,12 +20,12 @@ from maesn.gym.settings import TaskChoice, checked_task, make_steppable
 from maesn.physics import PhysicsError
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
 
-# Of the pictures, in pixels.
+# Size of the pictures, in pixels.
 WIDTH, HEIGHT = 480, 360
 
 
 class Glimpse(NamedTuple):
-    """What is seen of the present states, one row for each episode."""
+    """Observations of the present states, one row for each episode."""
 
     observation: Float[np.ndarray, "episode observation"]
     solved: Bool[np.ndarray, " episode"]
@@ -33,7 +33,7 @@ class Glimpse(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """What a step has brought, one row for each episode."""
+    """The result of a step, one row for each episode."""
 
     glimpse: Glimpse
     reward: Float[np.ndarray, " episode"]
@@ -88,12 +88,12 @@ class Stepper:
 
     @property
     def observation_space(self) -> Box:
-        """Of one episode: unbounded, in the order and the units of the environment's page."""
+        """Space of one episode: unbounded, in the order and units of the environment's page."""
         return Box(-np.inf, np.inf, (self.env.observation_size,), np.float32)
 
     @property
     def action_space(self) -> Box:
-        """Of one episode: [-1, 1] covers the actuators' range, see `docs/howto/gymnasium.md`."""
+        """Space of one episode: [-1, 1] is the actuators' range, see `docs/howto/gymnasium.md`."""
         return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
 
     def choose(self, task: TaskChoice = None) -> Int[np.ndarray, " episode"] | None:
@@ -151,7 +151,7 @@ class Stepper:
         """Advance all episodes by one step.
 
         Args:
-            action: in the action space; beyond it the actuators saturate.
+            action: an element of the action space; beyond it the actuators saturate.
             ended: episodes that are over. What happens to them means nothing.
 
         Raises:
@@ -167,7 +167,7 @@ class Stepper:
         judged = _judge(self.env, before, action, self._readings, self._present)
         glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
-        # An observation at an end by nature may be anything: nobody acts on it.
+        # An observation at the task's own end may be anything: no policy acts on it.
         self._refuse("observation", np.isfinite(glimpse[0]).all(1) | ended | terminated)
         self._refuse("reward", np.isfinite(total) | ended)
         self._steps += 1
@@ -176,7 +176,7 @@ class Stepper:
         return Transition(Glimpse(*_seen(glimpse)), total, goal, terminated, out_of_time)
 
     def open_scene(self) -> Scene:
-        """Return what draws the states.
+        """Return the scene that draws the states.
 
         Raises:
             RenderingError: the system has no library to draw with.

@@ -78,7 +78,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         """Start episodes.
 
         Args:
-            seed: of the draws from here on: episode i draws with `seed + i`, or with the i-th of
+            seed: seed of all later draws: episode i draws with `seed + i`, or with the i-th of
                 several; None to go on drawing as before.
             options: `{"task": index}` chooses the task of these episodes, for all of them or for
                 each; `{"reset_mask": mask}` starts those of the mask and leaves the others alone.

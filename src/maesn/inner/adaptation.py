@@ -66,7 +66,7 @@ class Adaptation(eqx.Module):
         )
 
     def least_episodes(self, context: AbstractContextSettings[Any]) -> int:
-        """Return how many episodes of a task a step needs, to move anything.
+        """Return the number of episodes per task below which a step cannot change anything.
 
         A latent that moves by its likelihood ratio compares the returns of episodes. Of a single
         one the standardised advantage is 0, and nothing moves unless the policy does.
@@ -95,11 +95,11 @@ class Adaptation(eqx.Module):
         """Move every task's agent once. Differentiable in the agents and in the step sizes.
 
         Args:
-            agents: who played `episodes`.
+            agents: the agents that played `episodes`.
             sizes: the learned step sizes; parts with fixed ones are ignored.
             context: settings of the context.
             episodes: what the agents played, `[task, episode, ...]`.
-            advantages: of those episodes, `[task, ...]`.
+            advantages: advantages of those episodes, `[task, ...]`.
             scale: multiplies every step size.
         """
         moved_policy, moved_context = agents.map(
@@ -128,11 +128,11 @@ class Adaptation(eqx.Module):
         """Return the moved parts (policy, context) of one agent; None for a part that stays.
 
         Args:
-            agent: of one task.
+            agent: one task's agent.
             sizes: the learned step sizes; parts with fixed ones are ignored.
             context: settings of the context.
             episodes: what the agent played, `[episode, ...]`.
-            advantages: of those episodes.
+            advantages: advantages of those episodes.
             scale: multiplies every step size.
         """
 
@@ -181,7 +181,7 @@ def _if_begun(step: InnerStep | None, iteration: int) -> InnerStep | None:
 class StepSchedule(eqx.Module):
     """Step sizes in a new task: full steps first, then each half of the one before.
 
-    With two full steps the sizes are a, a, a/2, a/4, ...; the latents stand still after about
+    With two full steps the sizes are a, a, a/2, a/4, ...; the latents hardly move after about
     eight updates. Source: the reference's test script, which halves the step after every update
     but the first.
     """
@@ -189,9 +189,9 @@ class StepSchedule(eqx.Module):
     full_steps: int = 2
     """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
     factor: float = 0.5
-    """What the step size is multiplied by in every later update; 1 keeps it."""
+    """Factor on the step size in every later update; 1 keeps it."""
     scale: float = 1.0
-    """What every step size is multiplied by."""
+    """Factor on every step size."""
 
     def __check_init__(self) -> None:
         if self.full_steps < 1:

@@ -1,11 +1,11 @@
-"""From rewards to advantages: a linear baseline fitted per task, and GAE."""
+"""Advantages: a linear baseline fitted per task, and generalised advantage estimation."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.experience.episodes import Episodes
+from maesn.experience.episodes import Episodes, Thinning
 from maesn.numerics import (
     discounted_returns,
     generalized_advantages,
@@ -15,8 +15,8 @@ from maesn.numerics import (
 )
 from maesn.numerics.tasks import map_tasks
 
-# Range that observations are clipped to and time that t is divided by, from the reference's
-# linear feature baseline.
+# Observations are clipped to this range, and t is divided by this number of steps, as in the
+# reference's linear feature baseline.
 FEATURE_CLIP = 10.0
 FEATURE_TIME_SCALE = 100.0
 
@@ -30,18 +30,15 @@ class Advantages(eqx.Module):
     """A_0 of the draw of z, the zeroth action of the episode."""
 
     def every(self, stride: int, offset: int | Array) -> "Advantages":
-        """Return the advantages that belong to `Episodes.every` of the same arguments."""
-        time = self.step.shape[-1]
-        stride = min(stride, time)
-        indices = jnp.asarray(offset) + stride * jnp.arange(time // stride)
-        return Advantages(jnp.take(self.step, indices, axis=-1), self.episode)
+        """Return the advantages of the steps that `Episodes.every` returns."""
+        return Advantages(Thinning(stride, offset).take(self.step, -1), self.episode)
 
 
 class AdvantageEstimator(eqx.Module):
     """Generalised advantage estimation with a linear baseline.
 
-    The baseline is fitted afresh on each task's batch, by ridge regression of the discounted
-    return on rllab's features, and holds no state. Values follow the reference.
+    The baseline is fitted anew to each task's batch, by ridge regression of the discounted returns
+    on rllab's features. It keeps no state. Default values follow the reference.
     """
 
     discount: float = 0.99
@@ -53,9 +50,10 @@ class AdvantageEstimator(eqx.Module):
     drifts: bool = False
     """Whether to learn from episodes that all have the same rewards, as the reference does.
 
-    There is nothing to learn from them. But the baseline does not fit them exactly, and what it
-    misses is standardised like any other advantage: a step of bounded KL divergence then goes as
-    far as ever, in a random direction. If all rewards are 0 the fit is exact, and nothing moves."""
+    There is nothing to learn from such episodes. But the baseline does not fit them exactly, and
+    its errors are standardised like any other advantages: a step with a bound on the KL then goes
+    as far as ever, in a random direction. If all rewards are 0 the fit is exact, and nothing
+    moves."""
 
     def __check_init__(self) -> None:
         for name, value in (("discount", self.discount), ("gae_lambda", self.gae_lambda)):
@@ -69,8 +67,8 @@ class AdvantageEstimator(eqx.Module):
 
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
-        All advantages are 0 where several episodes have the same rewards (a sparse reward without
-        control costs, before the goal is found), unless the estimator `drifts`.
+        All advantages are 0 where all of several episodes have the same rewards (a sparse reward
+        without control costs, before the goal is found), unless the estimator `drifts`.
 
         Args:
             episodes: episodes of one task, `[episode, time, ...]`.
@@ -79,28 +77,30 @@ class AdvantageEstimator(eqx.Module):
         returns = jax.vmap(discounted_returns, in_axes=(0, 0, None))(
             reward, episodes.valid, self.discount
         )
-        value = self._baseline(episodes, returns)
-        # Every episode counts as complete: also after the clock runs out, no reward follows.
-        raw = jax.vmap(generalized_advantages, in_axes=(0, 0, None, 0, None, None))(
+        value = self._fitted_values(episodes, returns)
+        # The value after the last step is 0: an episode that ran out of time counts as complete.
+        step = jax.vmap(generalized_advantages, in_axes=(0, 0, None, 0, None, None))(
             reward, value, jnp.zeros(()), episodes.valid, self.discount, self.gae_lambda
         )
-        first = returns[:, 0] - value[:, 0]
-        counts = self.drifts | _rewards_differ(reward)
+        episode = returns[:, 0] - value[:, 0]
+        informative = self.drifts | _rewards_differ(reward)
+        every_episode = jnp.ones_like(episode, dtype=bool)
         return Advantages(
-            step=jnp.where(counts, standardize(raw, episodes.valid), 0.0),
-            episode=jnp.where(counts, standardize(first, jnp.ones_like(first, dtype=bool)), 0.0),
+            step=jnp.where(informative, standardize(step, episodes.valid), 0.0),
+            episode=jnp.where(informative, standardize(episode, every_episode), 0.0),
         )
 
     def of_tasks(self, episodes: Episodes) -> Advantages:
         """Return the advantages of every task, `[task, ...]`."""
-        # Not by `vmap`: on the CPU, XLA never comes back from the batched products of some sizes
-        # (25 tasks, 5000 steps and 56 features, with jaxlib 0.10.2).
+        # Not by `vmap`: on the CPU, XLA hangs in batched products of some sizes (25 tasks, 5000
+        # steps and 56 features, with jaxlib 0.10.2).
         advantages: Advantages = map_tasks(self, episodes, how="serial")
         return advantages
 
-    def _baseline(
+    def _fitted_values(
         self, episodes: Episodes, returns: Float[Array, "episode time"]
     ) -> Float[Array, "episode time"]:
+        """Return the linear baseline's prediction of the discounted return at every step."""
         features = _features(episodes.observation[:, : returns.shape[1]], episodes.valid)
         rows = features.reshape(-1, features.shape[-1])
         weight = episodes.valid.reshape(-1).astype(rows.dtype)
@@ -109,9 +109,9 @@ class AdvantageEstimator(eqx.Module):
 
 
 def _rewards_differ(reward: Float[Array, "episode time"]) -> Bool[Array, ""]:
-    """Whether some episode has other rewards than the first one. Invalid steps hold 0.
+    """Whether some episode's rewards differ from those of the first. Invalid steps hold 0.
 
-    A single episode counts as different: its steps can be compared with each other.
+    True for a single episode, whose steps can be compared with each other.
     """
     return jnp.any(reward != reward[:1]) | (reward.shape[0] == 1)
 

@@ -24,10 +24,10 @@ def inner_loss(
     ratio of section "Using the Latent Spaces for Exploration"; advantages as in the reference.)
 
     Args:
-        agent: what is adapted; the gradient is taken with respect to it.
-        context: rule of the context.
+        agent: the agent to adapt; the gradient is taken with respect to it.
+        context: settings of the context.
         episodes: one task's episodes, played by the agent before the step.
-        advantages: of those episodes.
+        advantages: advantages of those episodes.
     """
     drawn = jax.vmap(context.inner_draw, in_axes=(None, 0, 0))(
         agent.context, episodes.noise, episodes.z
@@ -49,7 +49,7 @@ def outer_loss(
     Args:
         new: action distributions under the parameters that vary, `[episode, time, action]`.
         episodes: one task's episodes, played by the adapted agent.
-        advantages: of those episodes.
+        advantages: advantages of those episodes.
     """
     actions = _actions(episodes)
     old_log_prob = episodes.behaviour.log_prob(actions)
@@ -74,7 +74,7 @@ def action_distributions(
     Args:
         agent: supplies the policy.
         episodes: one task's episodes.
-        drawn: what the policy is fed in each episode.
+        drawn: z of each episode.
     """
     inputs = agent.perceive(episodes.policy_inputs())
     trial = episodes.trial_start

@@ -27,7 +27,7 @@ Purpose: TypeAlias = Literal["explore", "deploy"]
 
 
 class Capabilities(NamedTuple):
-    """What a fast learner can do, and what it needs. The defaults are those of most learners."""
+    """Abilities and needs of a fast learner. The defaults are those of most learners."""
 
     is_recurrent: bool = False
     """Whether an action depends on earlier steps: a step cannot then be judged by itself."""
@@ -61,7 +61,7 @@ class Capabilities(NamedTuple):
 
 
 class SavedContexts(NamedTuple):
-    """Where an earlier adaptation stopped."""
+    """The contexts at the end of an earlier adaptation."""
 
     context: AbstractContext
     """One context per task, stacked."""
@@ -74,12 +74,12 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
 
     @abstractmethod
     def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> FastState:
-        """Return the state before any experience, or that of an earlier adaptation.
+        """Return the initial state, or that of an earlier adaptation.
 
         Args:
             keys: one key per task slot. All that is random in slot i, now and in later updates,
                 comes from `keys[i]`, so it does not depend on how many slots there are.
-            saved: where to go on, one context per key; None to begin anew.
+            saved: contexts to continue from, one per key; None to start anew.
 
         Raises:
             ValueError: this learner cannot go on from contexts (`capabilities.resumes`).
@@ -87,11 +87,11 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
 
     @abstractmethod
     def agents(self, state: FastState, purpose: Purpose = "explore") -> Agents:
-        """Return who plays the next episodes, one agent per task.
+        """Return the agents that play the next episodes, one per task.
 
         Args:
-            state: of the learner.
-            purpose: what the episodes are for. `update` takes those of `explore` alone.
+            state: the learner's state.
+            purpose: purpose of the episodes. `update` takes those of `explore` alone.
         """
 
     @abstractmethod
@@ -108,7 +108,7 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
 
     @property
     def capabilities(self) -> Capabilities:
-        """What this learner can do."""
+        """The abilities and needs of this learner."""
         return Capabilities()
 
 
@@ -153,7 +153,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
 
     @abstractmethod
     def fast_learner(self, state: MetaState) -> AbstractFastLearner[Any]:
-        """Return what has been learned, as a learner for new tasks."""
+        """Return the trained learner for new tasks."""
 
     def player(self, state: MetaState) -> AbstractPolicy:
         """Return the policy that plays first in a new task."""
@@ -177,12 +177,12 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
 
     @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:
-        """Return the number of meta-iterations that lie behind a state."""
+        """Return the number of meta-iterations that led to a state."""
 
     def metrics(self, info: Info) -> Any:
-        """Return what is logged of a meta-iteration: scalars, named by their path in the tree."""
+        """Return the scalars to log of a meta-iteration, named by their path in the tree."""
         return info
 
     def slots(self) -> tuple[Any, ...]:
-        """Return what tells this method from others; all other settings are free."""
+        """Return the settings that define the method; all others are free."""
         return (type(self),)

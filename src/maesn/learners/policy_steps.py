@@ -1,4 +1,4 @@
-"""How a policy's weights follow what it has played: REINFORCE, PPO or TRPO, one slot."""
+"""Policy gradient steps on a policy's weights: REINFORCE, PPO or TRPO, one slot."""
 
 import math
 from abc import abstractmethod
@@ -55,9 +55,9 @@ class AbstractPolicyStep(eqx.Module):
         Args:
             key: random key.
             policy: has played the trials.
-            opt_state: of the optimiser.
-            trials: what was played.
-            advantages: of every step; ignored where invalid.
+            opt_state: state of the optimiser.
+            trials: the trials to learn from.
+            advantages: the advantage of every step; ignored where invalid.
         """
 
 
@@ -65,10 +65,10 @@ Scaling: TypeAlias = Literal["none", "adam"]
 
 
 class GradientStepInfo(eqx.Module):
-    """What happened in one `GradientStep`."""
+    """Info of one `GradientStep`."""
 
     loss: Float[Array, ""]
-    """Before the step."""
+    """Loss before the step."""
     gradient_norm: Float[Array, ""]
 
 
@@ -115,7 +115,7 @@ class GradientStep(AbstractPolicyStep):
 
 
 class ProximalInfo(eqx.Module):
-    """What happened in one `ProximalStep`."""
+    """Info of one `ProximalStep`."""
 
     accepted: Bool[Array, ""]
     """False if the improved weights were not finite: nothing has changed."""
@@ -187,7 +187,7 @@ class ProximalStep(AbstractPolicyStep):
 
         Args:
             new: distributions that vary, `[trial time action]`.
-            trials: what was played.
+            trials: the trials to learn from.
             advantages: A_t.
         """
         valid = trials.valid

@@ -18,14 +18,14 @@ from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
-# Of MAESN + theta when its second stage begins. With MAML's 0.1 the return after the update falls
-# from -283 to -409 at once (results/README.md, section "Answers").
+# Step size of the weights in MAESN + theta when its second stage begins. With MAML's 0.1 the return
+# after the update falls from -283 to -409 at once (results/README.md, section "Answers").
 THETA_STEP = 0.0
-# Of MAML + bias; from the reference's run on the ant.
+# Step size of MAML + bias, from the reference's run on the ant.
 BIAS_STEP = 0.5
-# Where an inner step runs through the policy; results/curvature has what it was chosen by.
+# For inner steps that run through the policy; results/curvature has the measurements.
 HESSIAN_STRIDE = 4
-# Of a bias that is adapted alone, chosen there as well.
+# For a bias that is adapted alone; measured there as well.
 BIAS_HESSIAN_STRIDE = 10
 BIAS_CG_STEPS = 10
 
@@ -176,7 +176,7 @@ def _with_bonus(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callabl
 
 
 BONUS_SUFFIX = "+curiosity"
-"""What is appended to the name of a method with a curiosity bonus."""
+"""Suffix of the name of a method with a curiosity bonus."""
 
 METHODS = PRESETS | {name + BONUS_SUFFIX: _with_bonus(preset) for name, preset in PRESETS.items()}
 """Every preset, without and with a curiosity bonus."""

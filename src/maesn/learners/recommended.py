@@ -19,7 +19,7 @@ class Recommendation(NamedTuple):
 
     value: Any
     source: str
-    """Where it is shown to work."""
+    """File with the evidence, and what it shows."""
 
 
 # Latents that begin at 0, the mean of the prior, instead of at draws from it.

@@ -1,4 +1,4 @@
-"""Trials: what a policy has played, with all that it takes to judge another policy on it."""
+"""Trials: recorded episodes, with all that another policy's likelihood of them depends on."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -18,54 +18,53 @@ from maesn.policies import AbstractPolicy, PolicyInput
 class Trials(eqx.Module):
     """Independent trials, each of one episode or of several episodes of the same task.
 
-    `time` runs over all episodes of a trial, one behind the other. An episode that ended early
-    leaves a gap of invalid steps before the next one. A recurrent state begins anew in every trial.
+    `time` runs over all episodes of a trial, one after another. An episode that ended early leaves
+    a gap of invalid steps before the next one. The recurrent state is reset at the start of every
+    trial.
     """
 
     inputs: PolicyInput
-    """What the policy saw, `[trial time ...]`; 0 where invalid."""
+    """Inputs of the policy, `[trial time ...]`; 0 where invalid."""
     action: Float[Array, "trial time action"]
-    """What it did; 0 where invalid."""
+    """The policy's actions; 0 where invalid."""
     reward: Float[Array, "trial time"]
-    """What it learns from; 0 where invalid."""
+    """Rewards to learn from; 0 where invalid."""
     valid: Bool[Array, "trial time"]
     behaviour: AbstractDistribution
     """The distribution that each action was drawn from, `[trial time action]`."""
     z: Float[Array, "trial z"]
-    """What its context fed to it throughout each trial."""
+    """The context's input to the policy, constant during a trial."""
 
     def distributions(self, policy: AbstractPolicy) -> AbstractDistribution:
-        """Return a policy's distributions along the trials, `[trial time action]`.
+        """Return a policy's action distributions along the trials, `[trial time action]`.
 
         Gradients run through the whole of every trial.
         """
         trials = self.valid.shape[0]
-        fresh = jax.tree.map(
+        initial_states = jax.tree.map(
             lambda x: jnp.broadcast_to(x, (trials, *x.shape)), policy.initial_recurrent_state()
         )
-        return policy.unroll(self.inputs, self.valid, self.z, fresh)[0]
+        return policy.unroll(self.inputs, self.valid, self.z, initial_states)[0]
 
     def sample_trials(self, key: Key, stride: int) -> "Trials":
-        """Draw one of `stride` trials, at least one in all; of all devices that share them."""
+        """Draw one in `stride` of the trials of all devices, at least one; return this device's."""
         count = self.valid.shape[0] * mesh.num_shards()
         rows = jax.random.permutation(key, count)[: max(count // stride, 1)]
         return mesh.share(mesh.gather(self), rows)
 
     def sample_steps(self, key: Key, stride: int) -> "Trials":
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""
-        time = self.valid.shape[1]
-        thinning = Thinning.draw(key, stride, time)
-        steps = thinning.offset + thinning.stride * jnp.arange(time // thinning.stride)
-        fields = self.inputs, self.action, self.reward, self.valid, self.behaviour
-        return _join(jax.tree.map(lambda x: jnp.take(x, steps, axis=1), fields), self.z)
+        thinning = Thinning.draw(key, stride, self.valid.shape[1])
+        steps = self.inputs, self.action, self.reward, self.valid, self.behaviour
+        return _join(jax.tree.map(lambda x: thinning.take(x, 1), steps), self.z)
 
 
 def join_episodes(episodes: Sequence[Episodes]) -> Trials:
-    """Put the episodes of trials one behind the other.
+    """Concatenate the episodes of each trial in time.
 
     Args:
-        episodes: the first, second, ... episode of every trial, `[task, episode, time, ...]`. What
-            is parallel there, tasks and episodes, are independent trials here.
+        episodes: the first, second, ... episode of every trial, `[task, episode, time, ...]`. Each
+            pair of a task and an episode index is one trial.
     """
     flat = [
         jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), _steps(one, one.policy_inputs()))
@@ -81,8 +80,8 @@ def trials_of(agent: Agent, episodes: Episodes) -> Trials:
     """Return one task's episodes `[episode, time, ...]` as trials of one episode each.
 
     Args:
-        agent: has played them.
-        episodes: what it has played.
+        agent: the agent that played them.
+        episodes: its episodes.
     """
     return _join(_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
 
@@ -97,7 +96,7 @@ def _join(steps: _Steps, z: Float[Array, "trial z"]) -> Trials:
 
 
 def _steps(episodes: Episodes, inputs: PolicyInput) -> _Steps:
-    """Return what was played, with the axes of the episodes; 0 where invalid."""
+    """Return all that has a time axis, with the axes of the episodes; 0 where invalid."""
     valid = episodes.valid
     action = jnp.where(valid[..., None], episodes.action, 0.0)
     reward = jnp.where(valid, episodes.reward, 0.0)

@@ -42,7 +42,7 @@ class BayesianNetwork(eqx.Module):
 
     @property
     def noise_size(self) -> int:
-        """Number of standard normal components behind one evaluation: one per unit."""
+        """Number of components of the noise of one evaluation: one per unit."""
         return sum(layer.bias.shape[-1] for layer in self.mean.layers)
 
     @property

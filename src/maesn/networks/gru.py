@@ -56,7 +56,7 @@ class GRU(eqx.Module):
 
         Args:
             x: inputs of the steps.
-            valid: where it is false, h is kept as it is.
+            valid: where it is false, h does not change.
             hidden: h before the first step.
         """
         # x W belongs into the loop, and gates are computed again for the gradient: to write and

@@ -23,7 +23,7 @@ class CGSolution(eqx.Module):
 
 
 class _Iterate(eqx.Module):
-    """What one step hands to the next: x_k, r_k = b - A x_k, p_k and r_k·r_k."""
+    """State of the iteration: x_k, r_k = b - A x_k, p_k and r_k·r_k."""
 
     solution: Float[Array, "parameter"]
     residual: Float[Array, "parameter"]

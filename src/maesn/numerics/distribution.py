@@ -1,4 +1,4 @@
-"""What every distribution of actions or latents can do."""
+"""The interface of distributions of actions and latents."""
 
 from abc import abstractmethod
 from typing import TypeVar
@@ -24,11 +24,11 @@ class AbstractDistribution(eqx.Module):
     @staticmethod
     @abstractmethod
     def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*sample"]:
-        """Draw all that is random in events of this shape, whatever the coordinates are."""
+        """Draw the noise of events of this shape. It does not depend on the coordinates."""
 
     @abstractmethod
     def sample_from_noise(self, noise: Float[Array, "*noise"]) -> Shaped[Array, "*sample"]:
-        """The event that belongs to a recorded noise."""
+        """The event for a given noise."""
 
     @abstractmethod
     def log_prob(self, value: Shaped[Array, "*event"]) -> Float[Array, "*batch"]:

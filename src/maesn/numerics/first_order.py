@@ -17,13 +17,13 @@ def first_order_step(
     gradient: Parameters,
     opt_state: optax.OptState,
 ) -> tuple[Parameters, optax.OptState]:
-    """Return moved parameters, and the optimiser's next state.
+    """Return the parameters and the optimiser's state after one step.
 
     Args:
-        optimizer: from Optax.
-        parameters: where to start.
-        gradient: of what is minimised.
-        opt_state: of the optimiser; `optimizer.init(parameters)` at first.
+        optimizer: an optimiser of Optax.
+        parameters: the parameters before the step.
+        gradient: gradient of the loss.
+        opt_state: state of the optimiser; `optimizer.init(parameters)` at first.
     """
     # Optax raises floats to integer powers, which strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"):

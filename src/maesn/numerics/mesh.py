@@ -1,12 +1,11 @@
-"""Several devices and processes that share the tasks of a meta-batch.
+"""Share the tasks of a meta-batch among the devices of one or several processes.
 
-Task slots are cut into blocks, one per device. Whatever has a row per task lives where its tasks
-are; parameters are the same on all devices. What depends on all tasks is a sum, a mean or a
-collection over the mesh, and these are the only communication. Inside of a function that
-`over_tasks` runs, `total`, `mean` and `gather` communicate; anywhere else, and without a mesh, they
-return what they are given.
+Task slots are cut into blocks, one per device. Arrays with a row per task are sharded by these
+blocks; parameters are replicated. `total`, `mean` and `gather` are the only communication. They
+communicate inside of a function that `over_tasks` runs; anywhere else, and without a mesh, they
+return their argument.
 
-A gradient must not be taken through them: differentiate a device's own part, then add up.
+Do not differentiate through them: differentiate a device's own part, then add up.
 """
 
 import contextlib
@@ -27,8 +26,8 @@ Tree = TypeVar("Tree")
 Function = Callable[[Any, Any], tuple[Any, Any]]
 
 AXIS = "task"
-_WHOLE = PartitionSpec()  # type: ignore[no-untyped-call]
-_CUT = PartitionSpec(AXIS)  # type: ignore[no-untyped-call]
+_REPLICATED = PartitionSpec()  # type: ignore[no-untyped-call]
+_SHARDED = PartitionSpec(AXIS)  # type: ignore[no-untyped-call]
 
 _mesh: ContextVar[Mesh | None] = ContextVar("mesh", default=None)
 
@@ -38,7 +37,7 @@ def sharing_tasks(devices: Sequence[jax.Device]) -> Iterator[None]:
     """Let these devices share the tasks of every meta-batch, until the block ends.
 
     Args:
-        devices: of all processes, the same number of each.
+        devices: the devices of all processes, equally many of each.
     """
     ordered = sorted(devices, key=lambda device: (device.process_index, device.id))
     token = _mesh.set(Mesh(np.array(ordered), (AXIS,)) if len(ordered) > 1 else None)
@@ -65,13 +64,13 @@ def check_split(meta_batch_size: int) -> None:
 
 
 def num_devices() -> int:
-    """Return how many devices share the tasks, those of all processes."""
+    """Return the number of devices that share the tasks, over all processes."""
     mesh = _mesh.get()
     return 1 if mesh is None else mesh.size
 
 
 def own_slots(rows: Tree) -> Tree:
-    """Return the rows of the task slots that this process plays, of the rows of all slots."""
+    """Select the rows of the task slots that this process plays from the rows of all slots."""
     mesh = _mesh.get()
     if mesh is None or not mesh.is_multi_process:
         return rows
@@ -86,25 +85,25 @@ def own_slots(rows: Tree) -> Tree:
 
 
 def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
-    """Call a compiled function of all tasks, on all devices that share them.
+    """Compile a function and call it on all devices that share the tasks.
 
     Args:
-        function: of `shared` and `rows`; returns such a pair again. What it returns as shared must
-            be the same on all devices. A method of a module, or a function of a module's file: it
-            is compiled once for each.
+        function: maps (shared, rows) to another such pair. Its first result must be the same on all
+            devices. Give a function of a file or a method of an `eqx.Module`: a lambda would be
+            compiled again at every call.
         shared: a pytree that all tasks share, with the same values in all processes.
         rows: a pytree with a row for each task slot of this process.
 
     Returns:
-        What the function returns, with the rows of the task slots of this process.
+        The pair that the function returns, with the rows of this process's task slots.
     """
     mesh = _mesh.get()
     if mesh is None:
         outcome: tuple[Any, Any] = _call(function, shared, rows)
         return outcome
-    placed = _placed(mesh, shared, _WHOLE), _placed(mesh, rows, _CUT)
-    common, own = _call_sharded(mesh, function, *placed)
-    return jax.tree.map(_own_copy, common), jax.tree.map(_own_rows, own)
+    placed = _placed(mesh, shared, _REPLICATED), _placed(mesh, rows, _SHARDED)
+    new_shared, new_rows = _call_sharded(mesh, function, *placed)
+    return jax.tree.map(_own_copy, new_shared), jax.tree.map(_own_rows, new_rows)
 
 
 @eqx.filter_jit
@@ -116,29 +115,28 @@ def _call(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
 def _call_sharded(mesh: Mesh, function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
     arrays, constants = eqx.partition((shared, rows), eqx.is_array)
 
-    def local(*varied: Any) -> tuple[Any, Any]:
-        return function(*eqx.combine(varied, constants))
+    def on_one_device(*own_arrays: Any) -> tuple[Any, Any]:
+        return function(*eqx.combine(own_arrays, constants))
 
-    # Not `check_vma=True`: loops that begin with a constant would all have to say that it varies.
-    run = jax.shard_map(
-        local, mesh=mesh, in_specs=(_WHOLE, _CUT), out_specs=(_WHOLE, _CUT), check_vma=False
-    )
+    # With `check_vma=True` each loop that starts from a constant would need a `jax.lax.pcast`.
+    specs = (_REPLICATED, _SHARDED)
+    run = jax.shard_map(on_one_device, mesh=mesh, in_specs=specs, out_specs=specs, check_vma=False)
     outcome: tuple[Any, Any] = run(*arrays)
     return outcome
 
 
 def _placed(mesh: Mesh, tree: Any, spec: PartitionSpec) -> Any:
-    """Return the arrays of this process as arrays of the mesh, whole or cut."""
+    """Return this process's arrays as arrays of the mesh, replicated or sharded."""
     sharding, devices = NamedSharding(mesh, spec), mesh.local_devices
 
     def place(x: Any) -> Any:
         if not eqx.is_array(x):
             return x
-        pieces, shape = [x] * len(devices), x.shape
-        if spec == _CUT:
-            size = x.shape[0] // len(devices)
-            pieces = [x[i * size : (i + 1) * size] for i in range(len(devices))]
-            shape = (size * mesh.size, *x.shape[1:])
+        if spec == _SHARDED:
+            pieces = jnp.split(x, len(devices))
+            shape = (len(pieces[0]) * mesh.size, *x.shape[1:])
+        else:
+            pieces, shape = [x] * len(devices), x.shape
         pieces = [jax.device_put(piece, one) for piece, one in zip(pieces, devices, strict=True)]
         return jax.make_array_from_single_device_arrays(shape, sharding, pieces)
 
@@ -152,18 +150,18 @@ def _own_rows(x: Array) -> Array:
 
 
 def _own_copy(x: Array) -> Array:
-    # By way of NumPy, here and above: an array that is bound to its device would have programs
-    # compiled again that have been compiled for one that is not.
+    # By way of NumPy, here and above: an array committed to a device would make JAX compile again
+    # the programs that it has compiled for uncommitted arrays.
     return jnp.asarray(np.asarray(x.addressable_data(0)))
 
 
 def _is_inside() -> bool:
-    """Whether a function is being compiled for the mesh."""
+    """Whether JAX is tracing a function for the mesh."""
     return AXIS in jax.sharding.get_abstract_mesh().manual_axes
 
 
 def num_shards() -> int:
-    """Return how many devices the function is for that is being compiled."""
+    """Return the number of devices that the function being traced runs on."""
     return jax.lax.axis_size(AXIS) if _is_inside() else 1
 
 
@@ -194,12 +192,12 @@ def gather(tree: Tree) -> Tree:
 def share(tree: Tree, rows: Int[Array, " row"]) -> Tree:
     """Return this device's share of some rows; without a mesh, all of them.
 
-    On a mesh every device takes an equal number of them. Where that does not divide evenly the
-    last parts are filled up with rows of zeros, in which no step is valid.
+    Every device takes equally many. If they do not divide evenly, the last shares are padded with
+    zeros, so that their `valid` is False.
 
     Args:
         tree: arrays with a row for each sample of all devices.
-        rows: which samples.
+        rows: indices of the rows to share.
     """
     if not _is_inside():
         return jax.tree.map(lambda x: x[rows], tree)
@@ -212,9 +210,9 @@ def share(tree: Tree, rows: Int[Array, " row"]) -> Tree:
 
 
 def part_of_mean(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
-    """Return this device's part of the mean of the valid elements of all devices.
+    """Return this device's summand of the mean of the valid elements of all devices.
 
-    The parts add up to the mean: it is the `total` of them. Without a mesh it is `masked_mean`.
+    The `total` of the summands is the mean. Without a mesh this is `masked_mean`.
     """
     if not _is_inside():
         return masked_mean(values, valid)

@@ -24,7 +24,7 @@ class MinibatchDescent(eqx.Module):
     """
 
     learning_rate: float = 1e-3
-    """Of Adam."""
+    """Learning rate of Adam."""
     epochs: int = 2
     """Passes over the data."""
     minibatches: int = 8
@@ -56,8 +56,8 @@ class MinibatchDescent(eqx.Module):
 
         Args:
             key: draws the minibatches.
-            parameters: where to start.
-            opt_state: of `init` or of an earlier run.
+            parameters: the parameters before the first step.
+            opt_state: the result of `init` or of an earlier run.
             loss: of parameters and a minibatch; returns extras beside it. Where devices share the
                 data (`maesn.numerics.mesh`), it is of this device's part of a minibatch, and the
                 parts of loss and extras add up.

@@ -1,7 +1,8 @@
 """Normalisation of observations by the mean and variance of all observations in training.
 
-The statistics belong to no gradient: they stay as they are while a learner steps, and afterwards
-take in what it has played. In a new task they are frozen, as adaptation is learned around them.
+The statistics are constant during a meta-iteration: no gradient runs through them. At its end they
+are updated with the observations of its episodes. In a new task they are frozen, because the policy
+has learned to adapt under fixed statistics.
 """
 
 import equinox as eqx
@@ -11,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.numerics import mesh
 
-# Added to the variance, as Gymnasium's `NormalizeObservation` does: components that never change
-# must not be divided by 0.
+# Added to the variance, as in Gymnasium's `NormalizeObservation`, so that a component that never
+# changes is not divided by 0.
 EPSILON = 1e-8
 
 
@@ -32,40 +33,46 @@ class ObservationStatistics(eqx.Module):
 
     @property
     def scale(self) -> Float[Array, " observation"]:
-        """What observations are divided by."""
+        """sqrt(variance + epsilon), the divisor."""
         return jnp.sqrt(self.variance + EPSILON)
 
     def with_batch(
-        self, observation: Float[Array, "*batch observation"], seen: Bool[Array, "*batch"]
+        self, observation: Float[Array, "*batch observation"], valid: Bool[Array, "*batch"]
     ) -> "ObservationStatistics":
-        """Take in more observations, in a way that does not lose digits.
+        """Return the statistics after a batch, by a numerically stable update.
 
-        With n, m, v of what came before, n', m', v' of the batch, N = n + n' and d = m' - m,
+        With count n, mean m and variance v before, n', m' and v' of the batch, N = n + n' and
+        d = m' - m,
 
             mean = m + d n' / N,  variance = (n v + n' v') / N + d^2 n n' / N^2
 
         (Chan, Golub and LeVeque 1979, "Updating formulae and a pairwise algorithm").
 
         Args:
-            observation: of any number of steps; of this device, where devices share the tasks.
-            seen: which of them count; the others may be anything.
+            observation: a batch of any shape; where devices share the tasks, this device's part.
+            valid: which observations count; the others may be anything.
         """
-        axes, some = tuple(range(seen.ndim)), seen[..., None]
-        new = mesh.total(seen.sum()).astype(float)
-        safe = jnp.maximum(new, 1.0)
-        mean = mesh.total(jnp.where(some, observation, 0.0).sum(axes)) / safe
-        centred = jnp.where(some, observation - jnp.broadcast_to(mean, observation.shape), 0.0)
-        variance = mesh.total((centred**2).sum(axes)) / safe
-        total = jnp.maximum(self.count + new, 1.0)
-        old_share, new_share = self.count / total, new / total
+        axes, mask = tuple(range(valid.ndim)), valid[..., None]
+        new_count = mesh.total(valid.sum()).astype(float)
+        divisor = jnp.maximum(new_count, 1.0)
+        mean = mesh.total(jnp.where(mask, observation, 0.0).sum(axes)) / divisor
+        centred = jnp.where(mask, observation - jnp.broadcast_to(mean, observation.shape), 0.0)
+        variance = mesh.total((centred**2).sum(axes)) / divisor
+        total = jnp.maximum(self.count + new_count, 1.0)
+        old_share, new_share = self.count / total, new_count / total
         gap = mean - self.mean
-        merged = old_share * self.variance + new_share * variance + old_share * new_share * gap**2
-        moved = ObservationStatistics(self.count + new, self.mean + new_share * gap, merged)
-        return jax.tree.map(lambda old, now: jnp.where(new > 0, now, old), self, moved)
+        merged = ObservationStatistics(
+            count=self.count + new_count,
+            mean=self.mean + new_share * gap,
+            variance=old_share * self.variance
+            + new_share * variance
+            + old_share * new_share * gap**2,
+        )
+        return jax.tree.map(lambda old, new: jnp.where(new_count > 0, new, old), self, merged)
 
 
 def no_observations(size: int) -> ObservationStatistics:
-    """Return the statistics before any observation: they change nothing.
+    """Return the statistics before any observation, under which `normalized` is the identity.
 
     Args:
         size: components of an observation.

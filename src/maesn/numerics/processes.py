@@ -1,4 +1,4 @@
-"""Processes and devices that train one run together: how they find each other, and who writes."""
+"""Start and coordinate the processes and devices that train one run together."""
 
 import contextlib
 from collections.abc import Iterator
@@ -12,11 +12,11 @@ from jax.experimental import multihost_utils
 from maesn.numerics.mesh import sharing_tasks
 from maesn.storage import RunError
 
-# A process that is silent for so long counts as dead, and ends the others, in seconds.
+# Seconds of silence after which a process counts as dead; the others then end as well.
 HEARTBEAT_TIMEOUT = 20
-# How long a process waits at its end for the others, in seconds.
+# Seconds that a process that has finished waits for the others.
 SHUTDOWN_TIMEOUT = 20
-# Of `coordinator`: the scheduler's environment says all.
+# The `coordinator` for which JAX reads everything from the scheduler's environment variables.
 AUTO = "auto"
 
 
@@ -28,11 +28,11 @@ class Sharing:
     """Devices of each process that share the tasks of a meta-batch. On a CPU they are threads."""
     coordinator: str | None = None
     """HOST:PORT at which process 0 listens, if several processes train one run; `auto` under Slurm
-    and Open MPI, which say all by themselves."""
+    and Open MPI, where JAX finds it and the next two by itself."""
     num_processes: int | None = None
     """Number of processes that train one run."""
     process: int | None = None
-    """Which of them this one is, from 0 on. Process 0 writes and prints."""
+    """Index of this process, from 0 on. Process 0 writes and prints."""
 
     def __post_init__(self) -> None:
         given = self.num_processes, self.process
@@ -56,15 +56,14 @@ class Sharing:
         """Let the devices share the tasks until the block ends.
 
         Raises:
-            RunError: JAX has begun with fewer devices, or the processes do not find each other.
+            RunError: JAX has started with fewer devices, or the processes do not find each other.
         """
         if self.devices > 1:
-            _ask_for_devices(self.devices)
+            _request_cpu_devices(self.devices)
         if self.coordinator is not None and not jax.distributed.is_initialized():
             self._connect(self.coordinator)
-        several = self.devices > 1 or self.coordinator is not None
-        devices = _first_of_each_process(self.devices) if several else []
-        with sharing_tasks(devices):
+        is_shared = self.devices > 1 or self.coordinator is not None
+        with sharing_tasks(_devices_of_each_process(self.devices) if is_shared else []):
             yield
 
     def _connect(self, coordinator: str) -> None:
@@ -87,13 +86,14 @@ class Sharing:
 ALONE = Sharing()
 
 
-def _ask_for_devices(number: int) -> None:
-    # Refused once JAX has begun; then those count that there are.
+def _request_cpu_devices(number: int) -> None:
+    # JAX refuses this once it has started. The devices that it has may still be enough.
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", number)  # type: ignore[no-untyped-call]
 
 
-def _first_of_each_process(number: int) -> list[jax.Device]:
+def _devices_of_each_process(number: int) -> list[jax.Device]:
+    """Return the first `number` devices of every process."""
     found = jax.local_device_count()
     if found < number:
         raise RunError(
@@ -105,23 +105,23 @@ def _first_of_each_process(number: int) -> list[jax.Device]:
 
 
 def is_lead() -> bool:
-    """Whether this process writes and prints: one does of those that share a run."""
+    """Whether this process writes and prints. One of those that share a run does."""
     return not jax.distributed.is_initialized() or jax.process_index() == 0
 
 
 def wait_for_all(step: str) -> None:
-    """Wait until all processes of the run have come to this step."""
+    """Wait until all processes of the run have reached this step."""
     if jax.distributed.is_initialized():
         multihost_utils.sync_global_devices(step)
 
 
 @contextlib.contextmanager
 def together() -> Iterator[None]:
-    """Do what all processes of the run do.
+    """Run a block in which the processes of the run wait for each other.
 
     Raises:
-        RunError: another process has gone away meanwhile. JAX soon says which one, and ends this
-            process too if it has not ended by then.
+        RunError: another process is gone. JAX soon names it, and then ends this process too if it
+            still runs.
     """
     try:
         yield
@@ -144,11 +144,7 @@ def total_of_processes(number: int) -> int:
 
 
 def check_agreement(number: int, what: str) -> None:
-    """Refuse to train on if the processes of a run differ in a number.
-
-    Raises:
-        RunError: they do.
-    """
+    """Raise a `RunError` if the processes of the run do not all have the same number."""
     if not jax.distributed.is_initialized():
         return
     found = multihost_utils.process_allgather(np.asarray(number)).tolist()

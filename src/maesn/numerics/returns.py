@@ -150,7 +150,7 @@ def standardize(
         valid: where it is false, `values` is ignored and the result is 0.
         epsilon: ε, in the unit of `values`. The default is the one of the reference
             implementation's advantages.
-        mean: of the valid elements; another one where `values` are a part of them.
+        mean: computes the mean of the valid elements; for example over all devices.
     """
     deviation = jnp.where(valid, values, 0.0) - mean(values, valid)
     # The mean is rounded, so equal values leave a common deviation of the same size as their

@@ -1,4 +1,4 @@
-"""The last rows of a stream, in arrays of fixed size."""
+"""A ring buffer: the last rows of a stream, in arrays of fixed size."""
 
 import equinox as eqx
 import jax
@@ -13,14 +13,14 @@ CONSTANT_STD = 1e-6
 class Ring(eqx.Module):
     """A stream's last `capacity` rows; older ones are overwritten.
 
-    All arrays, so that it can travel through compiled programs and into checkpoints, and its memory
+    It holds arrays alone, so it can be passed to compiled programs and saved, and its memory
     is bounded from the start.
     """
 
     rows: Float[Array, "*batch capacity feature"]
-    """Row number n of the stream stands at n modulo the capacity; zeros where none is yet."""
+    """Row n of the stream is stored at n modulo the capacity; zeros where there is none yet."""
     count: Int[Array, "*batch"]
-    """Number of rows that were ever put in."""
+    """Number of rows that were ever added."""
 
     @staticmethod
     def empty(capacity: int, features: int) -> "Ring":
@@ -34,19 +34,19 @@ class Ring(eqx.Module):
 
     @property
     def size(self) -> Int[Array, ""]:
-        """Number of rows that are held."""
+        """Number of rows in the ring."""
         return jnp.minimum(self.count, self.capacity)
 
     def extend(self, rows: Float[Array, "row feature"], valid: Bool[Array, " row"]) -> "Ring":
-        """Put in the valid rows, in their order.
+        """Append the valid rows, in their order.
 
         Args:
-            rows: what comes next in the stream.
-            valid: where it is false, the row is skipped, whatever it holds.
+            rows: the next rows of the stream.
+            valid: where it is false, the row is skipped.
         """
         number = jnp.cumsum(valid) - 1  # of each valid row among the valid ones
         total = valid.sum()
-        # Of more rows than fit, only the last are written: the order of writes to one place is
+        # Of more rows than fit, only the last are written: the order of writes to one index is
         # undefined.
         kept = valid & (number >= total - self.capacity)
         place = jnp.where(kept, (self.count + number) % self.capacity, self.capacity)

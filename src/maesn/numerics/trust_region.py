@@ -15,7 +15,7 @@ from maesn.numerics.mesh import total
 Parameters = TypeVar("Parameters")
 Vector = Float[Array, " parameter"]
 
-# Keeps the length of the step finite where the curvature vanishes; from the reference.
+# Keeps the step finite where the curvature vanishes; from the reference.
 CURVATURE_EPSILON = 1e-8
 
 
@@ -28,7 +28,7 @@ class Candidate(NamedTuple):
 
 
 class TrustRegionInfo(eqx.Module):
-    """What happened in one step."""
+    """Info of one step."""
 
     accepted: Bool[Array, ""]
     """False if no candidate improved the loss within the trust region: nothing has changed."""
@@ -38,16 +38,16 @@ class TrustRegionInfo(eqx.Module):
     kl: Float[Array, ""]
     gradient_norm: Float[Array, ""]
     residual_norm: Float[Array, ""]
-    """Norm of what the conjugate gradient method left of the gradient."""
+    """Norm of the residual that the conjugate gradient method stopped at."""
 
 
 class TrustRegion(eqx.Module):
-    """Natural gradient step of a bounded mean KL, with backtracking.
+    """Natural gradient step with a bound on the mean KL, and a backtracking line search.
 
-    Direction d solves (J'FJ + damping I) d = -g, where J is the Jacobian of the action
-    distributions with respect to the parameters and F their Fisher information. The longest
-    candidate is sqrt(2 max_kl / d'Hd) d; it is shortened until the loss is lower and the KL is
-    below max_kl.
+    The direction d solves H d = -g with H = J'FJ + damping I, where J is the Jacobian of the action
+    distributions with respect to the parameters and F their Fisher information. The first candidate
+    is the step sqrt(2 max_kl / d'Hd) d. It is shortened until the loss is lower than before and the
+    KL is below max_kl.
     """
 
     max_kl: float = 0.01
@@ -60,7 +60,7 @@ class TrustRegion(eqx.Module):
     backtrack_ratio: float = 0.8
     """Factor between the lengths of two candidates. Reference: 0.8."""
     max_backtracks: int = 15
-    """Number of candidates. Reference: 15."""
+    """Number of candidates, the first one included. Reference: 15."""
 
     def __check_init__(self) -> None:
         if not self.max_kl > 0:
@@ -86,48 +86,49 @@ class TrustRegion(eqx.Module):
         """Return improved parameters, or the same ones if no candidate is acceptable.
 
         Args:
-            parameters: where to start.
-            evaluate: loss and KL to the distributions at `parameters`; it is not differentiated.
-            loss_and_gradient: the same loss, and its gradient.
-            distribution: action distributions `[*batch, action]` that the curvature is taken of.
+            parameters: the parameters before the step.
+            evaluate: returns the loss, and the mean KL from the distributions at `parameters`. It
+                is not differentiated.
+            loss_and_gradient: returns the same loss, and its gradient.
+            distribution: returns the action distributions `[*batch, action]`, for the curvature.
             weight: weight of each of them in the mean KL; sums to 1. Where devices share the tasks
                 (`maesn.numerics.mesh`), `distribution` and `weight` are a device's own part, and
                 the losses are those of all tasks.
         """
         flat, unravel = ravel_pytree(parameters)
-        before, slopes = loss_and_gradient(parameters)
-        gradient = ravel_pytree(slopes)[0]
-        product = self._curvature(lambda x: distribution(unravel(x)), flat, weight)
+        loss_before, gradient_tree = loss_and_gradient(parameters)
+        gradient, _ = ravel_pytree(gradient_tree)
+        product = self._curvature_product(lambda x: distribution(unravel(x)), flat, weight)
         solution = conjugate_gradient(product, -gradient, self.cg_steps)
         direction = solution.solution
         curvature = multiply(direction, product(direction))
         longest = jnp.sqrt(2 * self.max_kl / (curvature + CURVATURE_EPSILON)) * direction
-        search = self._search(lambda x: evaluate(unravel(x)), flat, longest, before)
+        search = self._line_search(lambda x: evaluate(unravel(x)), flat, longest, loss_before)
+        backtracks = search.tried - 1
         info = TrustRegionInfo(
             accepted=search.accepted,
-            backtracks=search.candidate - 1,
-            loss_before=before,
-            loss_after=jnp.where(search.accepted, search.found.loss, before),
-            kl=jnp.where(search.accepted, search.found.kl, 0.0),
+            backtracks=backtracks,
+            loss_before=loss_before,
+            loss_after=jnp.where(search.accepted, search.last.loss, loss_before),
+            kl=jnp.where(search.accepted, search.last.kl, 0.0),
             gradient_norm=jnp.linalg.norm(gradient),
             residual_norm=solution.residual_norm,
         )
-        length = self._length(search.candidate - 1)
-        moved = jnp.where(search.accepted, flat + length * longest, flat)
-        return unravel(moved), info
+        moved = flat + self._length(backtracks) * longest
+        return unravel(jnp.where(search.accepted, moved, flat)), info
 
-    def _curvature(
+    def _curvature_product(
         self,
         distribution: Callable[[Vector], AbstractDistribution],
         flat: Vector,
         weight: Float[Array, "*batch"],
     ) -> Callable[[Vector], Vector]:
         """Return v -> (J'FJ + damping I) v: linearised once, positive semidefinite."""
-        at, jacobian = jax.linearize(distribution, flat)
+        present, jacobian = jax.linearize(distribution, flat)
         transposed = jax.linear_transpose(jacobian, flat)
 
         def product(vector: Vector) -> Vector:
-            image = at.fisher_product(jacobian(vector))
+            image = present.fisher_product(jacobian(vector))
             weighted = jax.tree.map(lambda x: weight[..., None] * x, image)
             (back,) = transposed(weighted)
             return total(back) + self.damping * vector
@@ -135,37 +136,38 @@ class TrustRegion(eqx.Module):
         return product
 
     def _length(self, backtracks: Int[Array, ""]) -> Float[Array, ""]:
+        """Return the length of a candidate as a share of the first one's."""
         return self.backtrack_ratio ** backtracks.astype(float)
 
-    def _search(
+    def _line_search(
         self,
         evaluate: Callable[[Vector], Candidate],
         flat: Vector,
         longest: Vector,
         loss_before: Float[Array, ""],
-    ) -> "_Search":
+    ) -> "_LineSearch":
         """Try ever shorter candidates until one is acceptable."""
 
-        def is_open(search: _Search) -> Bool[Array, ""]:
-            return ~search.accepted & (search.candidate < self.max_backtracks)
+        def goes_on(search: _LineSearch) -> Bool[Array, ""]:
+            return ~search.accepted & (search.tried < self.max_backtracks)
 
-        def try_next(search: _Search) -> _Search:
-            found = evaluate(flat + self._length(search.candidate) * longest)
-            # False for NaN, so a broken candidate is never accepted.
-            accepted = (found.loss < loss_before) & (found.kl < self.max_kl)
-            accepted &= jnp.isfinite(found.loss)
-            return _Search(search.candidate + 1, accepted, found)
+        def try_next(search: _LineSearch) -> _LineSearch:
+            candidate = evaluate(flat + self._length(search.tried) * longest)
+            # False for NaN and for a loss of -inf, so a broken candidate is never accepted.
+            accepted = (candidate.loss < loss_before) & (candidate.kl < self.max_kl)
+            accepted &= jnp.isfinite(candidate.loss)
+            return _LineSearch(search.tried + 1, accepted, candidate)
 
-        nothing = Candidate(loss_before, jnp.zeros_like(loss_before))
-        start = _Search(jnp.zeros((), int), jnp.zeros((), bool), nothing)
-        return jax.lax.while_loop(is_open, try_next, start)
+        unmoved = Candidate(loss_before, jnp.zeros_like(loss_before))
+        start = _LineSearch(jnp.zeros((), int), jnp.zeros((), bool), unmoved)
+        return jax.lax.while_loop(goes_on, try_next, start)
 
 
-class _Search(NamedTuple):
-    """State of the backtracking search."""
+class _LineSearch(NamedTuple):
+    """State of the backtracking line search."""
 
-    candidate: Int[Array, ""]
-    """Number of candidates that were tried."""
+    tried: Int[Array, ""]
+    """Number of candidates so far."""
     accepted: Bool[Array, ""]
-    found: Candidate
-    """The last of them."""
+    """Whether the last one is acceptable."""
+    last: Candidate

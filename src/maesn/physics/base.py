@@ -37,7 +37,7 @@ class PhysicsError(Exception):
     """Some simulations of a batch cannot go on.
 
     Attributes:
-        simulations: the indices of the simulations that failed, ascending. Whoever laid out the
+        simulations: the indices of the simulations that failed, ascending. The caller that made the
             batch knows which task and episode they are.
         reason: one sentence about the first of them.
     """
@@ -52,11 +52,11 @@ class PhysicsError(Exception):
 
 
 def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
-    """Return where a field of a model is, to be read or set: what holds it, and its name there.
+    """Return the object that holds a field of a model, and the field's name in it.
 
     Args:
         model: the model.
-        name: of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options.
+        name: name of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options.
 
     Raises:
         ValueError: there is no such field.
@@ -77,7 +77,7 @@ class AbstractSimulator(ABC):
     @property
     @abstractmethod
     def num_simulations(self) -> int:
-        """How many simulations move together."""
+        """Number of simulations."""
 
     @abstractmethod
     def reset(
@@ -87,7 +87,7 @@ class AbstractSimulator(ABC):
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """Put simulations into a state, with nothing left of what they did before.
+        """Put simulations into a state, as if they had just been made.
 
         Args:
             qpos: generalised positions.
@@ -113,14 +113,14 @@ class AbstractSimulator(ABC):
         """Advance every simulation by one control step.
 
         Args:
-            control: what the actuators are given, held constant over the step.
-            abandoned: simulations that nobody looks at until the next reset: they may blow up.
+            control: input of the actuators, constant during the step.
+            abandoned: simulations whose results are ignored until the next reset: they may blow up.
 
         Returns:
             The readings of the new state: none of them is a substep behind.
 
         Raises:
-            PhysicsError: a control is not finite, or a simulation that is looked at has blown up.
+            PhysicsError: a control is not finite, or a simulation that counts has blown up.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""A digest of a model, by which a changed one is noticed."""
+"""A digest of a MuJoCo model, to notice when the model has changed."""
 
 import hashlib
 import os
@@ -7,12 +7,12 @@ from xml.etree import ElementTree
 
 from maesn.physics.loading import find_model
 
-# Attributes of MJCF's `compiler` that say where files are looked for.
+# Attributes of MJCF's element `compiler` that name folders of files.
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 def model_digest(model: str | os.PathLike[str]) -> str:
-    """Return a hexadecimal hash of a model's XML and of all files that it names.
+    """Return a hexadecimal hash of a model's XML and of all files that it refers to.
 
     Comments, indentation and the order of attributes do not count.
 
@@ -24,18 +24,19 @@ def model_digest(model: str | os.PathLike[str]) -> str:
     """
     found = find_model(model)
     if isinstance(found, str):
-        return _joined([_canonical(found)])
-    # Every file that is met may name others: parts of the model, meshes, textures.
-    met, folders, contents = [found], {""}, []
-    for file in met:  # grows meanwhile
+        return _digest([_canonical(found)])
+    # A file may refer to others: parts of the model, meshes, textures. They join the list.
+    files, folders, contents = [found], {""}, []
+    for file in files:
         content = file.read_bytes()
         if file.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             content = _canonical(content.decode())
-            named = _named_files(content, folders)
-            paths = [found.parent / folder / name for name in named for folder in sorted(folders)]
-            met += [path for path in paths if path.is_file() and path not in met]
+            names, more_folders = _references(content)
+            folders |= more_folders
+            paths = [found.parent / folder / name for name in names for folder in sorted(folders)]
+            files += [path for path in paths if path.is_file() and path not in files]
         contents.append(content)
-    return _joined(contents)
+    return _digest(contents)
 
 
 def _canonical(xml: str) -> bytes:
@@ -45,19 +46,18 @@ def _canonical(xml: str) -> bytes:
         return xml.encode()
 
 
-def _named_files(xml: bytes, folders: set[str]) -> list[str]:
-    """Return the files that elements name, and add to the folders that they may be in."""
+def _references(xml: bytes) -> tuple[list[str], set[str]]:
+    """Return the files that an XML file refers to, and the folders that they may lie in."""
     try:
         elements = list(ElementTree.fromstring(xml).iter())
     except ElementTree.ParseError:
-        return []
-    for element in elements:
-        if element.tag == "compiler":
-            folders |= {element.get(name, "") for name in _FOLDERS}
-    return [name for name in (element.get("file") for element in elements) if name]
+        return [], set()
+    files = [name for name in (element.get("file") for element in elements) if name]
+    compilers = [element for element in elements if element.tag == "compiler"]
+    return files, {element.get(name, "") for element in compilers for name in _FOLDERS}
 
 
-def _joined(contents: Iterable[bytes]) -> str:
+def _digest(contents: Iterable[bytes]) -> str:
     sha = hashlib.sha256()
     for content in contents:
         sha.update(hashlib.sha256(content).digest())

@@ -1,4 +1,4 @@
-"""What a model and its data hold under a name, before anything has moved."""
+"""Fields of a model and of its data by name, before the first step."""
 
 from collections.abc import Sequence
 
@@ -9,11 +9,11 @@ from maesn.physics.base import find_field
 
 
 def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return what an engine would read of one simulation, for its shapes.
+    """Return the readings of one simulation at rest, for their shapes.
 
     Args:
         model: a compiled model.
-        names: of fields of `mujoco.MjData`.
+        names: names of fields of `mujoco.MjData`.
 
     Raises:
         ValueError: there is no such field.
@@ -26,11 +26,11 @@ def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, n
 
 
 def field_values(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return a model's own dynamics.
+    """Return values of a model's fields.
 
     Args:
         model: a compiled model.
-        names: of fields of `mujoco.MjModel`, or of its options as "opt.<field>".
+        names: names of fields of `mujoco.MjModel`, or "opt.<field>" for its options.
 
     Raises:
         ValueError: there is no such field.

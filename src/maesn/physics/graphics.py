@@ -1,8 +1,8 @@
-"""The library of the system that pictures are drawn with, without a screen.
+"""Open an OpenGL context in which MuJoCo draws without a screen.
 
-It is the one that `MUJOCO_GL` names (`egl`, `osmesa` or `glfw`); without that variable EGL if the
-system has it, else OSMesa. MuJoCo's own default is a window system, which the machines that train
-policies rarely have.
+The environment variable `MUJOCO_GL` chooses the library (`egl`, `osmesa` or `glfw`). Without it we
+take EGL if the system has it, else OSMesa. MuJoCo's own default needs a window system, which
+machines that train policies rarely have.
 """
 
 import ctypes.util
@@ -12,8 +12,9 @@ import warnings
 from types import ModuleType
 from typing import Any
 
-# Library -> module of MuJoCo that opens a context with it, name of the shared object.
-_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+# The shared object of each library that is looked for without `MUJOCO_GL`.
+_SHARED_OBJECTS = {"egl": "EGL", "osmesa": "OSMesa"}
+# The module of MuJoCo that opens a context with each library.
 _MODULES = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw"}
 
 
@@ -21,14 +22,14 @@ class RenderingError(RuntimeError):
     """Nothing can be drawn here; the message is one sentence that says what to install."""
 
 
-# What MuJoCo, PyOpenGL and GLFW raise where a shared object, a driver or a screen is missing.
+# Errors of MuJoCo, PyOpenGL and GLFW if a shared object, a driver or a screen is missing.
 _MISSING = (ImportError, AttributeError, OSError, RuntimeError)
 
 
 def _import_mujoco() -> ModuleType:
-    """Import MuJoCo, which fails as a whole if MUJOCO_GL names a library that is not installed.
+    """Import MuJoCo, even if MUJOCO_GL names a library that is not installed.
 
-    Training needs no pictures, so this must not stop it.
+    MuJoCo's import then fails, but training needs no pictures.
     """
     try:
         return importlib.import_module("mujoco")
@@ -46,12 +47,15 @@ _mujoco: Any = _import_mujoco()
 
 
 def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
-    """Return a drawing context of the system, made current, and MuJoCo's own for a model in it.
+    """Open an OpenGL context, make it current, and load a model into it.
 
     Args:
         model: a compiled model.
-        width: of the pictures, in pixels.
-        height: of the pictures, in pixels.
+        width: width of the pictures, in pixels.
+        height: height of the pictures, in pixels.
+
+    Returns:
+        The OpenGL context and MuJoCo's `MjrContext`.
 
     Raises:
         RenderingError: the system has no library to draw with.
@@ -59,12 +63,12 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
     library = _library()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of GLFW, in place of exceptions
+            warnings.simplefilter("ignore")  # GLFW warns instead of raising
             context = importlib.import_module(_MODULES[library]).GLContext(width, height)
             context.make_current()
         return context, _mujoco.MjrContext(model, _mujoco.mjtFontScale.mjFONTSCALE_100)
     except (*_MISSING, _mujoco.FatalError) as error:
-        raise _nothing_to_draw_with(f"`{library}` cannot be used ({error})") from error
+        raise _rendering_error(f"`{library}` cannot be used ({error})") from error
 
 
 def _library() -> str:
@@ -72,15 +76,15 @@ def _library() -> str:
     if asked in _MODULES:
         return asked
     if asked:
-        raise _nothing_to_draw_with(f"the variable MUJOCO_GL is `{asked}`")
-    for library, shared_object in _LIBRARIES.items():
+        raise _rendering_error(f"the variable MUJOCO_GL is `{asked}`")
+    for library, shared_object in _SHARED_OBJECTS.items():
         if ctypes.util.find_library(shared_object):
             return library
-    raise _nothing_to_draw_with("neither EGL nor OSMesa is installed")
+    raise _rendering_error("neither EGL nor OSMesa is installed")
 
 
-def _nothing_to_draw_with(why: str) -> RenderingError:
-    reason = " ".join(why.split())
+def _rendering_error(reason: str) -> RenderingError:
+    reason = " ".join(reason.split())
     return RenderingError(
         f"pictures need a library that draws without a screen, but {reason}: install EGL (package "
         "libegl1 on Debian and Ubuntu) or OSMesa (libosmesa6), and set MUJOCO_GL to the one that "

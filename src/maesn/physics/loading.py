@@ -1,4 +1,4 @@
-"""Reads the models of the library, and users' own, from their XML."""
+"""Load MuJoCo models: those of the library, and users' own."""
 
 import os
 import warnings
@@ -8,23 +8,23 @@ from pathlib import Path
 
 import mujoco
 
-# MuJoCo's latest warnings. By default it would print them and append them to a log file in the
-# working directory, which may be read-only. Whoever steps simulations reads the warning counters
-# instead. A built-in method, because MuJoCo calls this in the middle of C code and aborts the
-# process if it raises: built-in code runs no bytecode, so not even Ctrl-C can raise in it.
+# MuJoCo's latest warnings. By default MuJoCo prints them and appends them to a log file in the
+# working directory, which may be read-only. (Engines read the warning counters instead.) MuJoCo
+# calls the handler from C and aborts the process if it raises. So the handler is the built-in
+# `deque.append`: it runs no bytecode in which Ctrl-C could raise.
 _messages: deque[str] = deque(maxlen=16)
 
 
 def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
     """Compile a model.
 
-    Automatic resets are switched off, whatever the file says: MuJoCo would otherwise put a
-    simulation that blows up back to its initial state, without an error, and an episode would go
-    on from there. Warnings of the compiler become Python warnings.
+    Automatic resets are switched off, whatever the file says. Otherwise MuJoCo would reset a
+    simulation that blows up, without an error, and its episode would continue from the initial
+    state. Warnings of MuJoCo's compiler become Python warnings.
 
     Args:
-        model: name of a model of the library, such as "wheeled", path of an MJCF or URDF file, or
-            the XML itself.
+        model: the name of a model of the library, such as "wheeled", the path of an MJCF or URDF
+            file, or the XML itself.
 
     Returns:
         The compiled model.
@@ -49,13 +49,13 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
 
 
 def label(model: str | os.PathLike[str]) -> str:
-    """Return a model's name or path for a message; of XML itself, its first tag."""
+    """Return a model's name or path, or the first tag of an XML text, for a message."""
     name = os.fspath(model)
     return f"{name.strip().partition('>')[0]}>" if _is_xml(name) else name
 
 
 def find_model(model: str | os.PathLike[str]) -> str | Path:
-    """Return the XML of a model, or where a user's file of it is.
+    """Return the XML text of a model, or the path of a user's file.
 
     Args:
         model: as for `load_model`.
@@ -67,13 +67,13 @@ def find_model(model: str | os.PathLike[str]) -> str | Path:
     if _is_xml(name):
         return name
     files = (resources.files("maesn.physics") / "models").iterdir()
-    own = {file.name: file for file in files if file.name.endswith(".xml")}
+    shipped = {file.name: file for file in files if file.name.endswith(".xml")}
     for candidate in (name, f"{name}.xml"):
-        if candidate in own:
-            return own[candidate].read_text("utf-8")
+        if candidate in shipped:
+            return shipped[candidate].read_text("utf-8")
     if not Path(name).is_file():
         raise FileNotFoundError(
-            f"`model` must be one of {', '.join(sorted(own))} or the path of an XML file, got "
+            f"`model` must be one of {', '.join(sorted(shipped))} or the path of an XML file, got "
             f"{name!r}, which is neither: check the spelling, or the directory that a relative "
             "path starts in"
         )
@@ -92,6 +92,6 @@ def _compile(name: str) -> mujoco.MjModel:
 
 
 def _redirect_warnings() -> None:
-    """Collect MuJoCo's warnings, unless somebody else already does."""
+    """Collect MuJoCo's warnings, unless another handler is installed."""
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_messages.append)

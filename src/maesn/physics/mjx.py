@@ -41,12 +41,12 @@ READABLE = (
 
 
 class MjxLimits(NamedTuple):
-    """What may be left out for speed; see `benchmarks/mjx.py` for what each is worth."""
+    """Computations to leave out for speed; `benchmarks/mjx.py` measures each of them."""
 
     iterations: int | None = None
     """Steps of the constraint solver at most; None: as the model says."""
     line_search_iterations: int | None = None
-    """Of each of these steps at most; None: as the model says."""
+    """Steps of each line search of the solver at most; None: as the model says."""
     untouched: tuple[str, ...] = ()
     """Names of geoms that nothing touches: their contacts are not looked for."""
 
@@ -69,7 +69,7 @@ class MjxEngine:
         model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
         frame_skip: physics steps per control step.
-        limits: what may be left out for speed.
+        limits: computations to leave out for speed.
 
     Raises:
         EngineError: MJX is not installed.
@@ -96,10 +96,10 @@ class MjxEngine:
         self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
 
     def dynamics(self, model_fields: ModelFields) -> Dynamics:
-        """Return what the fields change in the model, with all that MuJoCo derives from them.
+        """Return the parts of the model that depend on the fields, derived ones included.
 
-        Not for compiled programs: MuJoCo itself (`mj_setConst`) computes on the host what follows,
-        once for each distinct row.
+        Do not call it in a compiled program: MuJoCo itself (`mj_setConst`) computes the derived
+        parts on the host, once for each distinct row.
 
         Args:
             model_fields: dynamics that differ between simulations, by the names of `mujoco.MjModel`
@@ -137,8 +137,8 @@ class MjxEngine:
         What blows up is neither reset nor reported: its numbers are simply no longer finite.
 
         Args:
-            state: to start from.
-            control: what the actuators are given, held constant over the step.
+            state: the state before the step.
+            control: input of the actuators, constant during the step.
 
         Returns:
             The new state and its readings: none of them is a substep behind.
@@ -178,7 +178,7 @@ class MjxEngine:
         return prepared
 
     def _reader(self, name: str, compiled: mujoco.MjModel) -> Callable[[Any], Array]:
-        """Return what reads a quantity in the layout of `mujoco.MjData`."""
+        """Return a function that reads a quantity in the layout of `mujoco.MjData`."""
         shape = np.shape(getattr(mujoco.MjData(compiled), name))
         public = {field.name for field in dataclasses.fields(self._blank)}
         find = attrgetter(name if name in public else f"_impl.{name}")

@@ -47,7 +47,7 @@ class ModelVariants:
         return jax.tree.unflatten(_structure(self._own), list(leaves.values()))
 
     def rows(self, fields: ModelFields) -> Dynamics:
-        """Return what each simulation's fields change; see `MjxEngine.dynamics`."""
+        """Return the parts that depend on each simulation's fields; see `MjxEngine.dynamics`."""
         if not fields:
             return {}
         for name, values in fields.items():

@@ -34,7 +34,7 @@ _SHADOWS = 1024  # side of the shadow map in pixels; larger ones are slow withou
 
 
 class View(NamedTuple):
-    """What the camera must see: a rectangle of the floor, in metres."""
+    """The rectangle of the floor that the camera must see, in metres."""
 
     lower: tuple[float, float]
     """Least x and y."""
@@ -43,7 +43,7 @@ class View(NamedTuple):
 
 
 def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos"]) -> View:
-    """Return the part of the floor that whatever moves in a model covers in some states.
+    """Return the part of the floor that the moving bodies of a model cover in some states.
 
     Args:
         model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
@@ -72,8 +72,8 @@ class Renderer:
     Args:
         model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         view: what the camera must see.
-        width: of the pictures, in pixels.
-        height: of the pictures, in pixels.
+        width: width of the pictures, in pixels.
+        height: height of the pictures, in pixels.
 
     Raises:
         RenderingError: the system has no library to draw with.
@@ -107,7 +107,7 @@ class Renderer:
         Args:
             qpos: generalised positions.
             goal: its position on the floor in metres.
-            radius: of the goal region in metres.
+            radius: radius of the goal region, in metres.
             judged: position of what has to reach the goal; a thin line joins the two.
             trail: positions on the floor, in metres, that are joined by a line; None for no line.
             ringed: whether a ring marks what has to reach the goal.
@@ -238,7 +238,7 @@ def _add_line(
 
 
 def _camera(view: View, field_of_view: float, aspect: float) -> Any:
-    """Return the nearest camera of a fixed direction that sees the view.
+    """Return the nearest camera with a fixed direction that sees the whole view.
 
     A point at p from the middle of the view is seen if |p . right| <= depth tan(f / 2) aspect and
     |p . up| <= depth tan(f / 2), where f is the vertical field of view and depth = distance +

@@ -1,4 +1,4 @@
-"""What every policy sees and returns."""
+"""The interface of policies and of their inputs."""
 
 from abc import abstractmethod
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from maesn.numerics import AbstractDistribution
 
 
 class PolicyInput(NamedTuple):
-    """What a policy may base its action on, at one step or at many.
+    """Inputs of a policy, at one step or at many.
 
     Feed-forward policies read the observation alone. A recurrent policy needs the rest to learn
     from its own experience (RL2). At the start of an episode, action and reward are the last ones
@@ -49,7 +49,7 @@ class AbstractPolicy(eqx.Module):
 
     @property
     def observed_reward(self) -> ObservedReward:
-        """Which reward the policy receives as the previous one."""
+        """The kind of reward that the policy receives as the previous one."""
         return "own"
 
     def unroll(
@@ -64,14 +64,14 @@ class AbstractPolicy(eqx.Module):
         The same as calling the policy step by step. Recurrent policies override it.
 
         Args:
-            inputs: of every step, with leading axes `episode time`. Must be finite where invalid,
-                too.
-            valid: where it is false, the recurrent state stays as it is.
-            z: what the policy is fed throughout each episode.
-            recurrent_state: before the first step of each episode.
+            inputs: inputs of every step, with leading axes `episode time`. They must be finite,
+                invalid steps included.
+            valid: where it is false, the recurrent state does not change.
+            z: z of each episode, constant during it.
+            recurrent_state: state before the first step of each episode.
         """
-        # All steps along one axis: XLA would copy activations before it sums a weight's gradient
-        # over two, and take half as long again for that product.
+        # All steps along one axis. With two, XLA would copy activations before it sums a weight's
+        # gradient over them, and take half as long again for that product.
         steps = jax.tree.map(lambda x: x.reshape(valid.size, *x.shape[2:]), inputs)
         fed = jnp.repeat(z, valid.shape[1], axis=0)
         flat = jax.vmap(lambda step, z: self(step, z, None)[0])(steps, fed)
@@ -94,7 +94,7 @@ class AbstractPolicySettings(eqx.Module):
         choices do not have. The collector refuses a policy that does not fit its environment.
 
         Args:
-            kind: of the actions that are needed.
+            kind: kind of actions that the environment needs.
         """
         return self
 

@@ -24,7 +24,7 @@ class AbstractHead(eqx.Module):
     @property
     @abstractmethod
     def action_kind(self) -> ActionKind:
-        """What the actions are."""
+        """The kind of actions."""
 
 
 class GaussianHead(AbstractHead):

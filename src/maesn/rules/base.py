@@ -1,8 +1,7 @@
-"""What happens in a new task: the interface of rules and of what is added to them.
+"""How a trained method learns in a new task: the interfaces of rules and wrappers.
 
-A rule turns what meta-training has made into a fast learner. Wrappers add to any rule. Both are
-frozen settings, and both are open: a class of your own takes part like those of the library, given
-as an object or as `module:name`.
+A rule turns the result of meta-training into a fast learner. A wrapper adds to any rule. Both are
+frozen settings. You can write your own, and give it as an object or as `module:name`.
 """
 
 from abc import abstractmethod
@@ -17,15 +16,15 @@ from maesn.runtime.return_model import ReturnPrior
 
 
 class Trained(NamedTuple):
-    """What meta-training has made."""
+    """The result of meta-training."""
 
     learner: AbstractMetaLearner[Any, Any]
     """The method and its settings."""
     state: Any
-    """What it has learned."""
+    """The learner's final state."""
     return_prior: Callable[[str, bool], ReturnPrior] | None = None
-    """Returns the prior of a search: that of a file, or the run's own for an empty name; and
-    whether it may have been made for another reward. None where there is no run."""
+    """Loads the prior of a search. Its arguments are the file's path, empty for the run's own
+    prior, and whether a prior that was made for another reward will do. None without a run."""
 
     def fast_learner(self) -> AbstractFastLearner[Any]:
         """Return the learner of new tasks that the method itself prescribes."""
@@ -33,67 +32,77 @@ class Trained(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """Numbers of episodes of each task."""
+    """Numbers of episodes per task."""
 
     episodes: int
-    """That are learned from, in all."""
+    """Episodes to learn from, in all."""
     per_update: int
-    """That an update learns from."""
+    """Episodes that one update learns from."""
     deploy: int
-    """That judge the deployed agent at a time."""
+    """Fresh episodes that judge the deployed agent each time."""
 
 
 GRADIENT_BUDGET = Budget(500, 50, 0)  # the paper's: ten updates of fifty episodes
 
 
 class AbstractRule(eqx.Module):
-    """What happens in a new task."""
+    """How a trained method learns in a new task."""
 
     budget: ClassVar[Budget] = GRADIENT_BUDGET
-    """What is usual where an evaluation leaves numbers of episodes out."""
+    """Default numbers of episodes of an evaluation."""
     needs_return_prior: ClassVar[bool] = False
-    """Whether the rule asks for `Trained.return_prior`, so that a study makes it before."""
+    """Whether the rule calls `Trained.return_prior`. A study then makes the prior beforehand."""
 
     @abstractmethod
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return what learns in new tasks.
+        """Return the learner for new tasks.
 
         Args:
-            trained: what meta-training has made.
-            env: of the new tasks, for its sizes.
+            trained: the result of meta-training.
+            env: the environment of the new tasks, for its sizes.
 
         Raises:
-            ValueError: the rule needs something that was not trained.
+            ValueError: the trained method lacks something that the rule needs.
         """
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Refuse numbers of episodes with which the rule can do nothing, by a ValueError."""
+        """Raise a `ValueError` if the rule can do nothing with these numbers of episodes.
+
+        Args:
+            episodes: episodes per task, in all.
+            episodes_per_update: episodes per task and update.
+        """
 
     @property
     def label(self) -> str:
-        """What figures add to the method's name; empty for the method as it is."""
+        """Suffix of the method's name in figures; empty for the method's own rule."""
         return type(self).__name__
 
 
 class AbstractWrapper(eqx.Module):
-    """What is added to a rule."""
+    """An addition to a rule."""
 
     @abstractmethod
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         """Return the learner with the addition.
 
         Args:
-            learner: of the rule, perhaps with other additions.
-            env: of the new tasks, for its sizes.
+            learner: the rule's learner, perhaps with other additions.
+            env: the environment of the new tasks, for its sizes.
 
         Raises:
-            ValueError: the learner cannot be given it.
+            ValueError: the addition does not fit the learner.
         """
 
     @property
     def label(self) -> str:
-        """What figures add to the method's name."""
+        """Suffix of the method's name in figures."""
         return type(self).__name__
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Refuse numbers of episodes with which the addition would never show, by a ValueError."""
+        """Raise a `ValueError` if the addition could not show with these numbers of episodes.
+
+        Args:
+            episodes: episodes per task, in all.
+            episodes_per_update: episodes per task and update.
+        """

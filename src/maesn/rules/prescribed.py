@@ -1,4 +1,4 @@
-"""Rules that a method prescribes: follow the gradient, go on remembering, or learn nothing."""
+"""The rules of the methods themselves: policy gradient, memory, or no learning at all."""
 
 from dataclasses import replace
 from typing import Any
@@ -29,8 +29,8 @@ class GradientRule(AbstractRule):
     step_scale: float = 1.0
     """Multiplies the sizes of all steps."""
     full_steps: int | None = None
-    """Updates with the whole step size, before the sizes begin to shrink (by `schedule.factor`,
-    usually 1/2); None: as the run's settings say."""
+    """Updates with the whole step size, before the sizes shrink (by `schedule.factor`, usually
+    1/2); None: as in the run's settings."""
     start_std: float = 1.0
     """Standard deviation of the latent that a new task starts from; 1 is the paper's prior."""
 
@@ -48,9 +48,9 @@ class GradientRule(AbstractRule):
         return "; ".join(text for text, is_so in parts.items() if is_so)
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        return inside(trained.fast_learner(), self._paced)
+        return inside(trained.fast_learner(), self._with_schedule)
 
-    def _paced(self, learner: AbstractFastLearner[Any]) -> GradientFastLearner:
+    def _with_schedule(self, learner: AbstractFastLearner[Any]) -> GradientFastLearner:
         if not isinstance(learner, GradientFastLearner):
             raise ValueError(
                 f"the rule `gradient` needs a method that follows a gradient in new tasks, but "
@@ -67,14 +67,16 @@ class GradientRule(AbstractRule):
                 "`latent_space`: leave it out."
             )
         schedule = learner.schedule
-        number = schedule.full_steps if self.full_steps is None else self.full_steps
-        scale = schedule.scale * self.step_scale
-        paced = replace(schedule, scale=scale, full_steps=number)
-        return replace(learner, schedule=paced, start_std=self.start_std)
+        schedule = replace(
+            schedule,
+            scale=schedule.scale * self.step_scale,
+            full_steps=schedule.full_steps if self.full_steps is None else self.full_steps,
+        )
+        return replace(learner, schedule=schedule, start_std=self.start_std)
 
 
 class MemoryRule(AbstractRule):
-    """Go on remembering: what RL2 does in a new task."""
+    """Learn by the recurrent state alone, as RL2 does."""
 
     @property
     def label(self) -> str:
@@ -91,7 +93,7 @@ class MemoryRule(AbstractRule):
 
 
 class NoAdaptation(AbstractRule):
-    """Learn nothing: the agents play on as they started."""
+    """Learn nothing: the agents stay as they started."""
 
     @property
     def label(self) -> str:
@@ -102,7 +104,7 @@ class NoAdaptation(AbstractRule):
 
 
 class FixedAgents(AbstractFastLearner[Any]):
-    """The agents of a learner before its first update, for ever."""
+    """The agents of a learner before its first update, without any updates."""
 
     learner: AbstractFastLearner[Any]
 

@@ -13,9 +13,9 @@ _USUAL = SearchSettings()
 
 
 class SearchRule(AbstractRule):
-    """Search for the best latent, with what training tasks return for latents as the prior.
+    """Search for the best latent, with the returns of the training tasks as the prior.
 
-    One latent per episode; deployed is the one with the highest posterior mean
+    Plays one latent per episode, and deploys the one with the highest posterior mean
     (`docs/explanation/methods/latent_search.md`).
     """
 
@@ -23,29 +23,30 @@ class SearchRule(AbstractRule):
     needs_return_prior: ClassVar[bool] = True
 
     acquisition: AcquisitionName = _USUAL.acquisition
-    """Which latent is played next: `ucb`, the upper confidence bound, or `thompson`, the best of a
-    training task that is drawn by how probable it is that the new task is like it."""
+    """How the next latent is chosen: `ucb` by the upper confidence bound; `thompson` draws a
+    training task by its posterior probability and takes that task's best latent."""
     exploration: float = _USUAL.exploration
     """Weight of the posterior's standard deviation in the upper confidence bound."""
     draws: int = _USUAL.draws
     """Latents that are drawn around the best one, once it has been played; 0: the archive alone."""
     draw_std: float = _USUAL.draw_std
-    """Their standard deviation around it."""
+    """Standard deviation of these draws."""
     residual: float = _USUAL.residual
-    """Variance of what no training task shows, as a share of the variance over training tasks."""
+    """Variance of a new task's returns that no training task explains, as a share of the variance
+    over training tasks."""
     length_scale: float = _USUAL.length_scale
     """Distance in z over which returns vary."""
     prior: str = ""
     """File of the prior, as `maesn prior` writes it; empty: the run's own, made where missing."""
     any_reward: bool = False
-    """Whether a prior is used that was made for another reward or radius."""
+    """Whether a prior that was made for another reward or radius will do."""
 
     def __check_init__(self) -> None:
-        _ = self.settings  # which refuses what cannot be
+        _ = self.settings  # checks the values
 
     @property
     def settings(self) -> SearchSettings:
-        """How a search chooses."""
+        """The settings of the search itself."""
         names = [field.name for field in dataclasses.fields(SearchSettings)]
         return SearchSettings(**{name: getattr(self, name) for name in names})
 

@@ -1,4 +1,4 @@
-"""Rules that search for a good latent by returns alone: what latent search is compared with."""
+"""Rules that search for a good latent by returns alone, for comparison with `SearchRule`."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -18,9 +18,9 @@ _BUDGET = Budget(100, 1, 5)
 
 
 class BestOfRule(AbstractRule):
-    """Play latents drawn from the prior; deploy the best one by return so far.
+    """Play latents drawn from the prior; deploy the one with the highest return so far.
 
-    Every latent is played once, so that the best of many may owe its rank to chance.
+    Every latent is played once, so the best of many may owe its rank to chance.
     """
 
     budget: ClassVar[Budget] = _BUDGET
@@ -36,13 +36,13 @@ class BestOfRule(AbstractRule):
         return "best of draws"
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        return _playing(trained, lambda zero: BestOf(zero, self.spread))
+        return _strategy_learner(trained, lambda zero: BestOf(zero, self.spread))
 
 
 class CrossEntropyRule(AbstractRule):
-    """Draw latents in rounds, each around the best of the round before.
+    """The cross-entropy method: draw latents in rounds, each around the best of the round before.
 
-    The cross-entropy method. Deployed is the mean of the draws.
+    Deploys the mean of the draws.
     """
 
     budget: ClassVar[Budget] = _BUDGET
@@ -50,9 +50,9 @@ class CrossEntropyRule(AbstractRule):
     spread: float = 3.0
     """Standard deviation of the first draws: that of the archive of `search`."""
     round_size: int = 20
-    """Draws of a round."""
+    """Draws per round."""
     elite: float = 0.2
-    """Share of a round that the next one is drawn around, at least two draws."""
+    """Share of a round that the next one is fitted to, at least two draws."""
 
     def __check_init__(self) -> None:
         check_positive(self, "spread")
@@ -69,13 +69,13 @@ class CrossEntropyRule(AbstractRule):
             std = np.full_like(zero, self.spread)
             return CrossEntropy(zero, std, self.round_size, self.elite)
 
-        return _playing(trained, start)
+        return _strategy_learner(trained, start)
 
 
 class CmaEsRule(AbstractRule):
     """CMA-ES over latents, by the library `cmaes`, an extra: `pip install maesn[cmaes]`.
 
-    Covariance matrix adaptation evolution strategy. Deployed is the mean of the draws.
+    Covariance matrix adaptation evolution strategy. Deploys the mean of the draws.
     """
 
     budget: ClassVar[Budget] = _BUDGET
@@ -83,8 +83,7 @@ class CmaEsRule(AbstractRule):
     spread: float = 3.0
     """Standard deviation of the first draws: that of the archive of `search`."""
     population: int | None = None
-    """Draws of a generation; None: what the library takes for the size of z, 6 for two
-    components."""
+    """Draws per generation; None: the library's default for the size of z, 6 for two components."""
 
     def __check_init__(self) -> None:
         check_positive(self, "spread")
@@ -103,16 +102,16 @@ class CmaEsRule(AbstractRule):
             ) from error
 
         def start(zero: FloatArray) -> AbstractStrategy:
-            # The seed decides nothing: every draw has a seed of its own.
+            # This seed has no effect: `CmaEs` seeds every draw.
             return CmaEs(library.CMA(zero, self.spread, seed=0, population_size=self.population))
 
-        return _playing(trained, start)
+        return _strategy_learner(trained, start)
 
 
-def _playing(
+def _strategy_learner(
     trained: Trained, start: Callable[[FloatArray], AbstractStrategy]
 ) -> AbstractFastLearner[Any]:
-    """Return the learner whose strategy `start` makes of the latent 0."""
+    """Return the learner whose strategy is `start(latent of zeros)`."""
     learner = latent_learner(trained.fast_learner())
     zero = np.zeros(learner.context_table.size)
     return StrategyFastLearner(learner.policy, learner.statistics, start(zero))

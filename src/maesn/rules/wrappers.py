@@ -1,4 +1,4 @@
-"""What can be added to a rule: fine-tuning of the policy's weights, or a bonus on the rewards."""
+"""Wrappers of rules: fine-tuning of the policy's weights, and a bonus on the rewards."""
 
 from abc import abstractmethod
 from typing import Any
@@ -21,9 +21,9 @@ from maesn.settings import check_number
 
 
 class AbstractThen(AbstractWrapper):
-    """After some episodes the contexts stay, and the policy's weights follow their gradient.
+    """After some episodes, fix the contexts and improve the policy's weights by policy gradient.
 
-    This is what the paper's claim about asymptotic performance compares: MAESN, then TRPO.
+    The paper's claim about asymptotic performance is about MAESN followed by TRPO.
     """
 
     after: eqx.AbstractVar[int]
@@ -32,7 +32,7 @@ class AbstractThen(AbstractWrapper):
     @property
     @abstractmethod
     def improvement(self) -> PolicyImprovement:
-        """How the weights follow their experience."""
+        """The policy gradient method."""
 
     def __check_init__(self) -> None:
         check_number("after", self.after, 0)
@@ -74,7 +74,7 @@ class ThenReinforce(AbstractThen):
     """Fine-tuning by REINFORCE."""
 
     step_size: float = GradientStep().step_size
-    """Of every update."""
+    """Step size of every update."""
     after: int = 500
 
     @property
@@ -87,10 +87,10 @@ class ThenReinforce(AbstractThen):
 
 
 class VimeBonus(AbstractWrapper):
-    """A bonus for what is found out of the dynamics, by VIME."""
+    """A curiosity bonus, as in VIME."""
 
     curiosity: CuriosityBonus = CuriosityBonus()
-    """How large it is, and how it is computed."""
+    """Settings of the bonus."""
 
     @property
     def label(self) -> str:

@@ -60,8 +60,8 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file so that at any moment, power cuts included, it is the old one or the new one.
 
     Args:
-        path: of the file; one that exists is replaced.
-        content: of the file.
+        path: path of the file; an existing one is replaced.
+        content: content of the file.
 
     Raises:
         OSError: the file cannot be written; one that existed is as it was.
@@ -109,7 +109,7 @@ def read_arrays(
     """Return the arrays of an `.npz` file by name. Nothing in it is executed.
 
     Args:
-        path: of the file.
+        path: path of the file.
         names: arrays that are needed; others are left unread. None for all.
         largest: bytes that all arrays of the file may have in memory.
 
@@ -178,7 +178,7 @@ def write_archive(
     """Write the file of a policy or of an explorer; see `write_whole`.
 
     Args:
-        path: of the file; one that exists is replaced.
+        path: path of the file; an existing one is replaced.
         arrays: arrays of numbers by name.
         metadata: what JSON can hold.
 
@@ -217,8 +217,8 @@ def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
     """Return one entry of the metadata.
 
     Args:
-        metadata: of a file, or a mapping inside it.
-        name: of the entry.
+        metadata: metadata of a file, or a mapping inside it.
+        name: name of the entry.
         kind: type that it must have.
 
     Raises:

@@ -16,7 +16,7 @@ def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> Float
     A copy, because robots reuse their buffers: `data.qpos` of a simulator is overwritten in place.
 
     Args:
-        name: of the argument, for the message.
+        name: name of the argument, for the message.
         values: what the caller gave.
         size: the number of components that it must have.
         reason: why it must have that size, for the message.
@@ -52,7 +52,7 @@ def take(
 
     Args:
         arrays: the arrays of the file by name.
-        name: of the array.
+        name: name of the array.
         shape: sizes that it must have; -1 for any.
         allow_infinite: whether infinities are meant, as in limits that do not exist.
 

@@ -71,7 +71,7 @@ def features(observation: FloatArray) -> FloatArray:
     """Return [o, o^2, t, t^2, t^3, 1] with o clipped and t in hundreds of steps.
 
     Args:
-        observation: of one episode, `[time, observation]`.
+        observation: observations of one episode, `[time, observation]`.
     """
     clipped = np.clip(observation, -FEATURE_CLIP, FEATURE_CLIP)
     time = np.arange(observation.shape[0]) / FEATURE_TIME_SCALE

@@ -81,7 +81,7 @@ class RunningEpisode:
         )
 
     def arrays(self, observation_size: int, action_size: int) -> Arrays:
-        """Return the arrays that a file keeps of this episode."""
+        """Return the arrays to save in a file."""
         shape = (self.num_steps, action_size)
         return {
             "running.latent": self.latent,
@@ -100,7 +100,7 @@ class RunningEpisode:
         latent_size: int,
         purpose: Purpose,
     ) -> "RunningEpisode":
-        """Return the running episode of a file; raises ValueError if its arrays do not fit."""
+        """Rebuild a saved running episode; raises ValueError if its arrays do not fit."""
         observations = take(arrays, "running.observations", -1, observation_size)
         shape = (observations.shape[0], action_size)
         return RunningEpisode(
@@ -113,7 +113,7 @@ class RunningEpisode:
 
 
 def episodes_to_arrays(episodes: Sequence[Episode]) -> Arrays:
-    """Return the arrays that a file keeps of a batch: episodes of any lengths, joined in time."""
+    """Return the arrays to save of a batch: episodes of any lengths, concatenated in time."""
     if not episodes:
         return {}
     return {
@@ -132,7 +132,7 @@ def episodes_from_arrays(
     action_size: int,
     latent_size: int,
 ) -> tuple[Episode, ...]:
-    """Return the batch of a file; raises ValueError if its arrays do not fit."""
+    """Rebuild a saved batch; raises ValueError if its arrays do not fit."""
     if "episodes.length" not in arrays:
         return ()
     stated = take(arrays, "episodes.length", -1)

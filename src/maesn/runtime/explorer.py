@@ -33,9 +33,9 @@ class Explorer:
 
     Args:
         exported: what meta-training handed over.
-        state: where to go on; by default at the start of a new task.
-        safeguards: limits on what is executed and learned.
-        seed: of all random draws; None for fresh randomness of the operating system.
+        state: the state to continue from; by default the start of a new task.
+        safeguards: limits on the executed controls and on the latent.
+        seed: seed of all random draws; None for fresh randomness of the operating system.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Explorer:
         Args:
             path: written by `maesn export` (a new task begins) or by `save` (goes on exactly
                 where it stopped).
-            seed: of all random draws from here on. None goes on with the saved random state, or,
+            seed: seed of all later random draws. None goes on with the saved random state, or,
                 in a new task, takes fresh randomness of the operating system.
             safeguards: None takes the saved ones; in a new task there are none.
 
@@ -139,7 +139,7 @@ class Explorer:
             explore: False holds z at the latent's mean, for a robot at work or to judge what it
                 has learned. `adapt` ignores such an episode. Actions are still drawn;
                 `act(observation, explore=False)` takes their mean.
-            z: of the caller's choice, `[latent]`; None for a draw.
+            z: the caller's choice of z, `[latent]`; None for a draw.
 
         Returns:
             z, `[latent]`.

@@ -1,4 +1,4 @@
-"""What meta-training hands to a robot, and nothing that changes there."""
+"""The result of meta-training that a robot loads. It does not change there."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ class ExportedPolicy:
     """A meta-learned policy with all that is needed to explore and learn with it.
 
     Attributes:
-        policy: weights; they stay as they are on the robot.
-        actuators: how actions become controls.
+        policy: the policy, whose weights do not change on the robot.
+        actuators: the map from actions to controls.
         start: the latent that a new task starts from: the prior N(0, I), or an adapted one.
-        start_update: number of updates behind `start`; 0 for the prior.
-        rule: how episodes move the latent.
-        description: what the policy is for: family, horizon, control period and the like. Nothing
-            depends on it.
-        search: how episodes choose the next latent instead, by a search; None for `rule`.
+        start_update: number of updates that led to `start`; 0 for the prior.
+        rule: the policy-gradient update of the latent.
+        description: family, horizon, control period and the like, for people. Nothing depends on
+            it.
+        search: the search that chooses latents instead of `rule`, if any.
     """
 
     policy: GaussianPolicy
@@ -56,7 +56,7 @@ class ExportedPolicy:
         return self.policy.action_size
 
     def arrays(self) -> Arrays:
-        """Return the arrays that a file keeps."""
+        """Return the arrays to save in a file."""
         return {
             **self.policy.arrays(),
             "actuators.offset": self.actuators.offset,
@@ -71,7 +71,7 @@ class ExportedPolicy:
         }
 
     def metadata(self) -> dict[str, Any]:
-        """Return the numbers and words that a file keeps."""
+        """Return the other values to save in a file."""
         return {
             "description": dict(self.description),
             "num_layers": len(self.policy.weights),
@@ -90,7 +90,7 @@ class ExportedPolicy:
     def from_archive(
         arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any]
     ) -> "ExportedPolicy":
-        """Return the policy of a file; raises ValueError if the file does not fit together."""
+        """Rebuild a saved policy; raises ValueError if a part is missing or does not fit."""
         start_mean = take(arrays, "start.mean", -1)
         size = start_mean.shape[0]
         sizes = {name: entry(metadata, name, int) for name in ("observation_size", "num_layers")}

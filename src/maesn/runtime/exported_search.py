@@ -1,4 +1,4 @@
-"""What a robot needs to search, as arrays and numbers of a file."""
+"""The search of an exported policy, which files hold as arrays and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -34,13 +34,13 @@ class ExportedSearch:
         return self.settings.model(self.prior)
 
     def arrays(self) -> Arrays:
-        """Return the arrays that a file keeps."""
+        """Return the arrays to save in a file."""
         prior = self.prior
         arrays = {"latents": prior.latents, "excess": prior.excess, "noise": prior.noise}
         return {f"prior.{name}": x.astype(np.float32) for name, x in arrays.items()}
 
     def metadata(self) -> dict[str, Any]:
-        """Return the numbers and words that a file keeps."""
+        """Return the other values to save in a file."""
         prior = self.prior
         return {
             "episodes": prior.episodes,
@@ -54,7 +54,7 @@ class ExportedSearch:
     def from_archive(
         arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], latent_size: int
     ) -> "ExportedSearch":
-        """Return the search of a file; raises ValueError if the file does not fit together."""
+        """Rebuild a saved search; raises ValueError if a part is missing or does not fit."""
         latents = take(arrays, "prior.latents", -1, latent_size)
         prior = ReturnPrior(
             latents,

@@ -17,28 +17,28 @@ MINIMUM_EPISODES = 2
 
 
 class AdaptationInfo(NamedTuple):
-    """What a call of `Explorer.adapt` did."""
+    """The outcome of a call of `Explorer.adapt`."""
 
     mean_return: float
     """Mean undiscounted return of the batch."""
     num_episodes: int
     """Number of episodes in the batch, without those played with `explore=False`."""
     rolled_back: bool
-    """Whether the update before was taken back, instead of a new one being made."""
+    """Whether the last update was taken back instead of making a new one."""
     shortened: bool
-    """Whether `max_latent_norm` held the latent back."""
+    """Whether `max_latent_norm` shortened the update."""
 
 
 def learned(
     state: ExplorerState, rule: LearningRule, safeguards: Safeguards, horizon: int = 1
 ) -> tuple[ExplorerState, AdaptationInfo]:
-    """Return the state after an update, without the episodes that led to it.
+    """Return the state after an update from its episodes, which it no longer holds.
 
     Args:
-        state: with the episodes to learn from, and none running.
-        rule: how they move the latent.
-        safeguards: bound on the latent, and when to take the last update back.
-        horizon: steps of an episode of full length, for a search.
+        state: the state, with the episodes to learn from, and none running.
+        rule: the policy-gradient update of the latent.
+        safeguards: limits of the latent's norm and of the drop in return.
+        horizon: steps of a full episode, for a search.
 
     Raises:
         RuntimeError: too few episodes, or the update is not finite.
@@ -53,21 +53,22 @@ def learned(
         )
     mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
     if state.search is not None:
-        searched = _searched(state, state.search, horizon)
-        return searched, AdaptationInfo(mean_return, num_episodes, False, False)
+        info = AdaptationInfo(mean_return, num_episodes, rolled_back=False, shortened=False)
+        return _after_search(state, state.search, horizon), info
     if state.undo is not None and safeguards.is_drop(mean_return, state.undo.mean_return):
-        restored = ExplorerState(state.undo.latent, state.update + 1)
-        return restored, AdaptationInfo(mean_return, num_episodes, True, False)
-    moved = _moved(state, rule)
+        info = AdaptationInfo(mean_return, num_episodes, rolled_back=True, shortened=False)
+        return ExplorerState(state.undo.latent, state.update + 1), info
+    stepped = _policy_gradient_step(state, rule)
     bound = safeguards.max_latent_norm
-    latent = moved if bound is None else moved.within(bound)
+    latent = stepped if bound is None else stepped.within(bound)
+    shortened = latent is not stepped
+    info = AdaptationInfo(mean_return, num_episodes, rolled_back=False, shortened=shortened)
     undo = Undo(state.latent, mean_return)
-    info = AdaptationInfo(mean_return, num_episodes, False, latent is not moved)
     return ExplorerState(latent, state.update + 1, undo=undo), info
 
 
-def _searched(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
-    """Return the state of a search after its episodes; its latent is what it would deploy."""
+def _after_search(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
+    """Return the state after an update of the search; its latent is the one to deploy."""
     readings = [
         Reading(
             search.index(episode.latent),
@@ -76,13 +77,13 @@ def _searched(state: ExplorerState, search: LatentSearch, horizon: int) -> Explo
         )
         for episode in state.episodes
     ]
-    found = search.after(readings)
-    latent = replace(state.latent, mean=found.latent(found.best))
-    return ExplorerState(latent, state.update + 1, search=found)
+    search = search.after(readings)
+    latent = replace(state.latent, mean=search.latent(search.best))
+    return ExplorerState(latent, state.update + 1, search=search)
 
 
-def _moved(state: ExplorerState, rule: LearningRule) -> Latent:
-    """Return the latent one policy-gradient step further."""
+def _policy_gradient_step(state: ExplorerState, rule: LearningRule) -> Latent:
+    """Return the latent after one policy-gradient step."""
     advantage = episode_advantages(
         [episode.observations for episode in state.episodes],
         [episode.rewards for episode in state.episodes],

@@ -35,8 +35,8 @@ class Limiter:
         """Return what to execute for an action, `[action]`.
 
         Args:
-            action: of the policy.
-            before: what was executed one step before; None at the first step of an episode.
+            action: the policy's action.
+            before: the control of the step before; None at the first step of an episode.
         """
         start = self._rest if before is None else before
         control = self.actuators.control(action)

@@ -16,11 +16,11 @@ Weights: TypeAlias = NDArray[np.float32]
 class GaussianPolicy:
     """pi(a | o, z) = N(mlp([o, z]), diag(std^2)), with rectified linear hidden layers.
 
-    Source: appendix "Experimental Details". The weights are of single precision, as trained.
+    Source: appendix "Experimental Details". The weights have single precision, as in training.
 
     Attributes:
-        weights: of the layers, `[inputs, outputs]` each; the first layer's inputs are [o, z].
-        biases: of the layers, `[outputs]` each.
+        weights: one matrix `[inputs, outputs]` per layer; the first layer's inputs are [o, z].
+        biases: one vector `[outputs]` per layer.
         std: standard deviation of the actions, `[action]`.
     """
 
@@ -39,7 +39,7 @@ class GaussianPolicy:
         return int(self.weights[0].shape[0])
 
     def given(self, latent: FloatArray) -> "ConditionedPolicy":
-        """Return the policy of an episode in which z is `latent`.
+        """Return the policy conditioned on z = `latent`, for one episode.
 
         z is constant during an episode, so its part of the first layer is computed once:
         [o, z] W + b = o W_o + (z W_z + b).
@@ -53,23 +53,23 @@ class GaussianPolicy:
         )
 
     def arrays(self) -> Arrays:
-        """Return the arrays that a file keeps of this policy."""
-        kept: Arrays = {"policy.std": self.std}
+        """Return the arrays to save in a file."""
+        arrays: Arrays = {"policy.std": self.std}
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            kept[f"policy.weight.{index}"] = weight
-            kept[f"policy.bias.{index}"] = bias
-        return kept
+            arrays[f"policy.weight.{index}"] = weight
+            arrays[f"policy.bias.{index}"] = bias
+        return arrays
 
     @staticmethod
     def from_arrays(
         arrays: Mapping[str, NDArray[np.generic]], input_size: int, num_layers: int
     ) -> "GaussianPolicy":
-        """Return the policy of a file.
+        """Rebuild a saved policy.
 
         Args:
             arrays: the arrays of the file.
             input_size: components of an observation and a latent together.
-            num_layers: hidden layers and the output layer.
+            num_layers: number of hidden layers plus 1, for the output layer.
 
         Raises:
             ValueError: an array is missing or does not fit the others.

@@ -1,11 +1,13 @@
-"""What a new task may return for a latent, as training tasks have shown it.
+"""A model of the return of each latent in a new task, learned from the training tasks.
 
-A new task is like one of the training tasks, up to a residual. With latent z an episode returns
+A new task is like one of the T training tasks, up to a residual. The return of an episode with
+latent z is
 
-    y = f(z) + l c + noise,     f ~ sum_i GP(x_i, R) / T,     c ~ N(offset_mean, offset_std^2),
+    y = f(z) + l c + noise,     f ~ (1/T) sum_i GP(x_i, R),     c ~ N(offset_mean, offset_std^2).
 
-where x_i is the excess return of training task i, c is what an episode of full length returns that
-never comes near the goal, and l is how long the episode lasted, as a share of the horizon.
+f is a uniform mixture of Gaussian processes, one per training task: x_i is the excess return in
+training task i, and R the covariance of the residual. c is the return of a full-length episode that
+never comes near the goal, and l the length of the episode as a share of the horizon.
 `docs/explanation/methods/latent_search.md` has the equations.
 """
 
@@ -15,26 +17,26 @@ import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 
-# A return this many standard deviations away from what every task leads to expect is an outlier: it
-# is taken for a reading with so much noise that it is just this far away.
+# A return is an outlier if it is further from every task's prediction than this, in standard
+# deviations. Its noise is then raised until it is exactly this far from the nearest prediction.
 OUTLIER = 4.0
-# Of the noise of the archive's returns, as a share of their variance: duplicates must not make the
-# kernel matrix singular.
+# Lower bound on the noise of the archive's returns, as a share of their variance: two equal latents
+# must not make the kernel matrix singular.
 _LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True)
 class ReturnPrior:
-    """What training tasks return for an archive of latents.
+    """Returns of an archive of latents in the training tasks.
 
     Attributes:
         latents: the archive z_1 ... z_N, `[latent, z]`.
-        excess: X_ij, mean return of latent j in training task i, less what the same episodes would
-            have returned had they never come near the goal, `[task, latent]`.
+        excess: X_ij, the mean return of latent j in training task i minus l c, the return of
+            episodes of the same length that never come near the goal, `[task, latent]`.
         noise: variance of the return of one episode, `[latent]`.
-        episodes: number of episodes behind each X_ij.
-        offset_mean: mean over training tasks of c.
-        offset_std: its standard deviation.
+        episodes: number of episodes that each X_ij is the mean of.
+        offset_mean: mean of c over the training tasks.
+        offset_std: standard deviation of c over the training tasks.
 
     Raises:
         ValueError: a field has another shape, is not finite, or is out of its range.
@@ -70,16 +72,17 @@ class ReturnPrior:
 class ReturnModel:
     """The mixture of Gaussian processes of a prior, at any latents.
 
-    The excess of a training task is a smooth function of the latent of which the archive shows
-    noisy values. With the stationary kernel k, their mean x, variance s^2 and noise d_j,
+    The excess return in a training task is a smooth function x_i(z), and the archive holds noisy
+    values X_i of it. Gaussian process regression with kernel k, mean x, variance s^2 and noise
+    variance d_j gives
 
         x_i(z) = x + s^2 k(z, Z) [s^2 k(Z, Z) + diag(d)]^-1 (X_i - x).
 
     Args:
-        prior: of the policy.
-        residual: variance of R, what no training task shows, as a share of the mean variance over
-            training tasks.
-        length_scale: distance in z over which both vary.
+        prior: the returns of the archive.
+        residual: variance of R, as a share of the variance of x_i(z) over the training tasks,
+            averaged over the archive.
+        length_scale: length scale of k and of R, a distance in z.
     """
 
     def __init__(self, prior: ReturnPrior, residual: float, length_scale: float) -> None:
@@ -108,13 +111,13 @@ class ReturnModel:
         return self._average + (self._kernel(latents, self.archive) @ self._weights).T
 
     def noise(self, latents: FloatArray) -> FloatArray:
-        """Return the variance of one episode's return, that of near latents, `[point]`."""
+        """Return the variance of one episode's return, averaged over near latents, `[point]`."""
         kernel = self._kernel(latents, self.archive) + np.finfo(np.float64).tiny
-        near: FloatArray = kernel @ self.prior.noise / kernel.sum(axis=1)
-        return near
+        average: FloatArray = kernel @ self.prior.noise / kernel.sum(axis=1)
+        return average
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return R(z, z'), `[first, second]`."""
+        """Return R(z, z'), the covariance of the residual, `[first, second]`."""
         return self._residual * self._kernel(first, second)
 
     def _kernel(self, first: FloatArray, second: FloatArray) -> FloatArray:
@@ -127,7 +130,7 @@ class Reading:
 
     Attributes:
         point: index of the latent that was played.
-        episode_return: y.
+        episode_return: y, the return of the episode.
         length: l, steps of the episode as a share of the horizon.
     """
 
@@ -138,22 +141,23 @@ class Reading:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known of f at some latents after some readings.
+    """The posterior of f at some latents, given some readings.
 
-    All components of the mixture have one covariance. Of it, rows of the inverse Cholesky factor
-    times the covariances are kept, one for each reading, so that a reading costs no more than a
-    row.
+    The components of the mixture, one per training task, share one covariance. Let L be the
+    Cholesky factor of the covariance of the readings. The posterior keeps L^-1 cov(readings, f) and
+    L^-1 cov(readings, c). A further reading adds one row to each and changes no other.
 
     Attributes:
         points: the latents, `[point, z]`.
         task_mean: mean of f if the new task is like training task i, `[task, point]`.
-        task_offset: mean of c likewise, `[task]`.
-        variance: of f in each of these cases, `[point]`.
-        rows: `[reading, point]`.
-        offset_rows: the same of c, `[reading]`.
-        readings: those that it is conditioned on.
-        scales: standard deviation that was expected of each reading, `[reading]`.
-        innovations: each reading less what was expected, in these standard deviations,
+        task_offset: mean of c if the new task is like training task i, `[task]`.
+        variance: variance of f in each component, `[point]`.
+        rows: L^-1 cov(readings, f), `[reading, point]`.
+        offset_rows: L^-1 cov(readings, c), `[reading]`.
+        readings: the readings so far.
+        scales: diagonal of L, the predicted standard deviation of each reading given those before
+            it, `[reading]`.
+        innovations: each reading minus its prediction in each component, divided by its scale,
             `[reading, task]`.
     """
 
@@ -169,7 +173,7 @@ class Posterior:
 
     @staticmethod
     def of_prior(model: ReturnModel, points: FloatArray) -> "Posterior":
-        """Return what is known at some latents before any reading."""
+        """Return the distribution at some latents before any reading."""
         return Posterior(
             points,
             model.task_means(points),
@@ -184,7 +188,7 @@ class Posterior:
 
     @property
     def task_weights(self) -> FloatArray:
-        """How probable it is that the new task is like each training task, `[task]`."""
+        """Posterior probability that the new task is like each training task, `[task]`."""
         log_weights = -0.5 * (self.innovations**2).sum(axis=0)
         weights = np.exp(log_weights - log_weights.max())
         return np.asarray(weights / weights.sum())
@@ -202,16 +206,17 @@ class Posterior:
 
     def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
-        j, share = reading.point, reading.length
+        j, length = reading.point, reading.length
         point = self.points[j : j + 1]
-        seen = self.rows[:, j] + share * self.offset_rows
-        covariance = model.covariance(point, self.points)[0] - seen @ self.rows
-        offset = share * model.prior.offset_std**2 - float(seen @ self.offset_rows)
-        spread = float(covariance[j]) + share * offset + float(model.noise(point)[0])
-        surprise = reading.episode_return - (self.task_mean[:, j] + share * self.task_offset)
-        least = np.finfo(np.float64).tiny
-        scale = max(float(np.sqrt(max(spread, least))), float(np.abs(surprise).min()) / OUTLIER)
-        innovation, row, offset_row = surprise / scale, covariance / scale, offset / scale
+        # Covariances of this reading with f, with c and with itself, given the readings before.
+        reading_row = self.rows[:, j] + length * self.offset_rows
+        covariance = model.covariance(point, self.points)[0] - reading_row @ self.rows
+        offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
+        variance = float(covariance[j]) + length * offset + float(model.noise(point)[0])
+        error = reading.episode_return - (self.task_mean[:, j] + length * self.task_offset)
+        std = float(np.sqrt(max(variance, np.finfo(np.float64).tiny)))
+        scale = max(std, float(np.abs(error).min()) / OUTLIER)
+        innovation, row, offset_row = error / scale, covariance / scale, offset / scale
         return replace(
             self,
             task_mean=self.task_mean + np.outer(innovation, row),
@@ -228,10 +233,10 @@ class Posterior:
         """Return the posterior at its latents and at some more."""
         rows = np.zeros((len(self.readings), len(more)))
         for index, reading in enumerate(self.readings):
-            point = self.points[reading.point : reading.point + 1]
-            seen = self.rows[:index, reading.point] + reading.length * self.offset_rows[:index]
-            covariance = model.covariance(point, more)[0] - seen @ rows[:index]
-            rows[index] = covariance / self.scales[index]
+            j, length = reading.point, reading.length
+            reading_row = self.rows[:index, j] + length * self.offset_rows[:index]
+            covariance = model.covariance(self.points[j : j + 1], more)[0]
+            rows[index] = (covariance - reading_row @ rows[:index]) / self.scales[index]
         before = Posterior.of_prior(model, more)
         task_mean = before.task_mean + self.innovations.T @ rows
         variance = before.variance - (rows**2).sum(axis=0)

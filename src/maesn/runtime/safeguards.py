@@ -1,4 +1,4 @@
-"""What keeps a robot safe while it explores: limits that the policy does not know."""
+"""Limits that keep a robot safe while it explores. The policy does not know them."""
 
 import math
 from collections.abc import Sequence
@@ -17,31 +17,30 @@ _LIMITS = ("lower", "upper", "max_change", "rest")
 
 @dataclass(frozen=True)
 class Safeguards:
-    """Limits on what is executed and on how far the latent moves. All are off by default.
+    """Limits on the executed controls and on the latent. All are off by default.
 
     Controls are in the actuators' unit (newton metres on `wheeled`). They are first clipped, then
-    their change is limited. What was executed is recorded beside the policy's action. Learning is
-    unaffected by the difference: the latent's gradient needs z and the return alone.
+    their change is limited. The executed control is recorded beside the policy's action. The
+    difference does not affect learning: the latent's gradient needs only z and the return.
     """
 
     lower: Limit | None = None
-    """Smallest control to execute, on top of the limits that the policy was trained with."""
+    """Smallest control to execute, in addition to the limits that the policy was trained with."""
     upper: Limit | None = None
     """Largest control to execute."""
     max_change: Limit | None = None
     """Largest change of a control from one step to the next (the rate limit)."""
     rest: Limit = 0.0
-    """What the actuators get before the first step of an episode: `max_change` starts there."""
+    """The control before the first step of an episode, from which `max_change` counts."""
     max_latent_norm: float | None = None
-    """Largest Euclidean norm of the latent's mean. An update that would leave the ball ends on
-    its surface; the standard deviation is left alone."""
+    """Largest Euclidean norm of the latent's mean. An update that would leave this ball ends on
+    its surface. The standard deviation is not limited."""
     max_return_drop: float | None = None
-    """How far the mean undiscounted return of a batch may fall below that of the batch before the
-    last update. If it falls further, `adapt` takes the last update back instead of making a new
-    one: the latent returns to what it was before that update, the batch is dropped, and `update`
-    still counts on, so that the step sizes keep shrinking. The batch after it is played with the
-    restored latent and always leads to an update. None never takes an update back. The mean of E
-    episodes has a standard error of its own; a drop of two of them is a sensible choice."""
+    """Largest drop of a batch's mean undiscounted return below that of the batch before the last
+    update. After a larger drop `adapt` takes the last update back instead of making a new one: it
+    restores the latent and drops the batch. `update` still counts up, so that the step sizes keep
+    shrinking. The next batch is played with the restored latent and always leads to an update. None
+    never takes an update back. Two standard errors of a batch's mean are a sensible choice."""
 
     def __post_init__(self) -> None:
         for name in ("max_latent_norm", "max_return_drop"):
@@ -49,19 +48,19 @@ class Safeguards:
             if bound is not None and not bound >= 0:
                 raise ValueError(f"`{name}` must be at least 0 or None, got {bound}.")
         for name in _LIMITS:
-            object.__setattr__(self, name, _plain(name, getattr(self, name)))
+            object.__setattr__(self, name, _as_numbers(name, getattr(self, name)))
         if not np.isfinite(np.asarray(self.rest, np.float64)).all():
             raise ValueError(f"`rest` must be finite, got {self.rest}.")
         if self.max_change is not None and not (np.asarray(self.max_change) > 0).all():
             raise ValueError(f"`max_change` must be positive, got {self.max_change}.")
 
     def limit(self, name: str, size: int, default: float = 0.0) -> FloatArray:
-        """Return the limit `name` with a number for every one of `size` actuators.
+        """Return the limit `name` with one number for each actuator.
 
         Args:
-            name: of the field.
+            name: name of the field.
             size: number of actuators.
-            default: stands for None.
+            default: the limit where the field is None.
 
         Raises:
             ValueError: it is neither one number nor `size` numbers.
@@ -75,7 +74,7 @@ class Safeguards:
         return np.broadcast_to(array, (size,)).copy()
 
     def metadata(self) -> dict[str, Any]:
-        """Return the fields as JSON knows them; `Safeguards(**metadata)` is the way back."""
+        """Return the fields as JSON values; `Safeguards(**metadata)` restores them."""
         return asdict(self)
 
     def is_drop(self, mean_return: float, previous_return: float) -> bool:
@@ -84,7 +83,7 @@ class Safeguards:
         return mean_return < previous_return - allowed
 
 
-def _plain(name: str, limit: Limit | None) -> float | tuple[float, ...] | None:
+def _as_numbers(name: str, limit: Limit | None) -> float | tuple[float, ...] | None:
     """Return a limit as Python numbers, which can be compared and written to JSON."""
     if limit is None:
         return None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.return_model import Posterior, Reading, ReturnModel, ReturnPrior
 
-# Of the best point, before latents around it are drawn: by then the archive has shown its best.
+# Plays of the best point before latents are drawn around it. By then the archive is explored.
 PLAYS = 2
 
 AcquisitionName: TypeAlias = Literal["ucb", "thompson"]
@@ -18,18 +18,18 @@ AcquisitionName: TypeAlias = Literal["ucb", "thompson"]
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How a search chooses.
+    """Settings of a search.
 
     Attributes:
-        acquisition: `ucb`, the upper confidence bound: the largest mean + exploration * std. Or
-            `thompson`: the best latent of a training task that is drawn by how probable it is that
-            the new task is like it.
+        acquisition: `ucb` maximises the upper confidence bound, mean + exploration * std.
+            `thompson` draws a training task by its posterior probability and takes that task's best
+            latent.
         exploration: weight of the standard deviation in the upper confidence bound.
         draws: latents that are drawn around the best one in every round, once it has been played;
             0 stays with the archive.
-        draw_std: their standard deviation around it, in units of z.
-        residual: variance of what no training task shows, as a share of the mean variance over
-            training tasks.
+        draw_std: standard deviation of these draws, in units of z.
+        residual: variance of a new task's returns that no training task explains, as a share of
+            the mean variance over training tasks.
         length_scale: distance in z over which returns vary.
 
     Raises:
@@ -55,12 +55,12 @@ class SearchSettings:
                 raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
 
     def model(self, prior: ReturnPrior) -> ReturnModel:
-        """Return the model of returns that a prior makes."""
+        """Return the model of returns with a prior."""
         return ReturnModel(prior, self.residual, self.length_scale)
 
 
 class Beliefs(NamedTuple):
-    """What a search believes of the part of the return that depends on the latent."""
+    """Posterior of the part of the return that depends on the latent."""
 
     latents: FloatArray
     """`[point, latent]`."""
@@ -75,9 +75,9 @@ class LatentSearch:
     """A search in one task.
 
     Attributes:
-        model: of the returns; shared by all tasks.
-        settings: how it chooses.
-        posterior: of the returns, at the archive and at the latents that were added to it.
+        model: the model of the returns; shared by all tasks.
+        settings: settings of the search.
+        posterior: posterior of the returns at the archive's latents and the added ones.
         added_after: number of readings before each point that the archive does not have.
         max_norm: Euclidean norm of z beyond which no point is chosen.
     """
@@ -100,7 +100,7 @@ class LatentSearch:
 
     @property
     def beliefs(self) -> Beliefs:
-        """What is believed of all points."""
+        """Beliefs about all points."""
         return Beliefs(self.points.copy(), self.posterior.mean, self.posterior.std)
 
     @property
@@ -116,7 +116,7 @@ class LatentSearch:
         """Choose the point to play next.
 
         Args:
-            generator: of the draws around the best point, and of Thompson sampling.
+            generator: draws the points around the best one, and the task of Thompson sampling.
 
         Returns:
             The search, which may have one more point, and the index of the chosen point.
@@ -157,7 +157,7 @@ class LatentSearch:
         return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
 
     def scores(self, task: int) -> FloatArray:
-        """Return what the acquisition rule gives each point, `[point]`.
+        """Return the value of the acquisition function at each point, `[point]`.
 
         Args:
             task: the training task that was drawn.
@@ -167,7 +167,7 @@ class LatentSearch:
         return self.posterior.mean + self.settings.exploration * self.posterior.std
 
     def arrays(self) -> Arrays:
-        """Return the arrays that a file keeps of what this search has done."""
+        """Return the arrays to save in a file: all that this search has done."""
         readings = self.posterior.readings
         archive = len(self.model.archive)
         return {
@@ -179,7 +179,7 @@ class LatentSearch:
         }
 
     def repeated(self, arrays: Mapping[str, NDArray[np.generic]]) -> "LatentSearch":
-        """Return this search after all that a file keeps, done again in the same order.
+        """Replay a saved search: add its points and readings again, in the same order.
 
         Raises:
             ValueError: the arrays do not fit this search.

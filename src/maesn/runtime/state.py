@@ -23,10 +23,10 @@ from maesn.runtime.search import LatentSearch
 
 @dataclass(frozen=True)
 class Undo:
-    """What is needed to take the last update back.
+    """The state before the last update, to take that update back.
 
     Attributes:
-        latent: before that update.
+        latent: the latent before the update.
         mean_return: mean undiscounted return of the batch that was played with it.
     """
 
@@ -36,15 +36,15 @@ class Undo:
 
 @dataclass(frozen=True)
 class ExplorerState:
-    """Where an explorer stands.
+    """State of an explorer.
 
     Attributes:
-        latent: that the next z is drawn from.
-        update: number of updates behind the latent. They decide the size of the next step.
-        episodes: finished since the last update, those to learn from.
+        latent: the latent that the next z is drawn from.
+        update: number of updates so far, which decides the size of the next step.
+        episodes: episodes to learn from, finished since the last update.
         running: the episode that is being played, if any.
-        undo: how to take the last update back; None if there is none to take back.
-        search: what a search knows; None where the latent follows its gradient.
+        undo: state to restore when the last update is taken back; None if there is none.
+        search: state of the search; None where the latent follows its gradient.
     """
 
     latent: Latent
@@ -73,9 +73,9 @@ class ExplorerState:
 
         Args:
             explore: False holds z at the latent's mean, or at the best point of a search.
-            z: to play, `[latent]`; None for a draw, or for the choice of a search.
+            z: the z to play, `[latent]`; None for a draw, or for the choice of a search.
             max_norm: Euclidean norm of z beyond which a search chooses no point.
-            generator: of the draws.
+            generator: draws z.
         """
         if self.search is not None:
             search = replace(self.search, max_norm=max_norm)
@@ -95,7 +95,7 @@ class ExplorerState:
         return replace(self, running=RunningEpisode(z))
 
     def arrays(self, exported: ExportedPolicy) -> Arrays:
-        """Return the arrays that a file keeps of this state."""
+        """Return the arrays to save in a file."""
         kept: Arrays = {
             "latent.mean": self.latent.mean,
             "latent.log_std": self.latent.log_std,
@@ -110,7 +110,7 @@ class ExplorerState:
         return kept if self.search is None else kept | self.search.arrays()
 
     def metadata(self) -> dict[str, Any]:
-        """Return the numbers that a file keeps beside the arrays."""
+        """Return the other values to save in a file."""
         purpose = "explore" if self.running is None else self.running.purpose
         return {"update": self.update, "purpose": purpose}
 
@@ -120,7 +120,7 @@ class ExplorerState:
         metadata: Mapping[str, Any],
         exported: ExportedPolicy,
     ) -> "ExplorerState":
-        """Return the state of a file; raises ValueError if the file does not fit together."""
+        """Rebuild a saved state; raises ValueError if a part is missing or does not fit."""
         size = exported.latent_size
         sizes = (exported.observation_size, exported.action_size, size)
         running, undo = None, None

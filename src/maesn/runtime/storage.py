@@ -22,7 +22,7 @@ class Snapshot(NamedTuple):
     """None in a file that was exported and not yet used."""
     safeguards: Safeguards
     random_state: Mapping[str, Any] | None
-    """Of NumPy's generator; None where `state` is."""
+    """State of NumPy's generator; None where `state` is None."""
 
 
 def write_snapshot(path: str | os.PathLike[str], snapshot: Snapshot) -> None:

@@ -1,4 +1,4 @@
-"""The archive of latents that a search chooses from."""
+"""The archive: the latents that a search chooses from."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from maesn.learners import AbstractFastLearner, GradientFastLearner
 
 
 def latent_learner(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
-    """Return a learner if it has a latent to search for.
+    """Return the learner, checked to have a latent.
 
     Raises:
         ValueError: it has none.
@@ -35,19 +35,19 @@ def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarra
 
 
 def adapted_latents(learner: GradientFastLearner, collect: Collect, key: Key) -> np.ndarray:
-    """Return the means that one update reaches from each training task's own latent, `[task, z]`.
+    """Return the mean of each training task's latent after one more update, `[task, z]`.
 
     Args:
-        learner: of the run.
+        learner: the run's learner.
         collect: plays the training tasks, with their dense reward.
-        key: of the episodes.
+        key: random key of the episodes.
     """
-    count = collect.num_tasks
-    keys = jax.random.split(key, count)
+    keys = jax.random.split(key, collect.num_tasks)
+    # Start from the trained latents instead of the prior.
     state = eqx.tree_at(
         lambda state: state.agents.context, learner.init(keys), learner.context_table
     )
-    episodes = collect(keys, learner.agents(state), jnp.arange(count))
+    episodes = collect(keys, learner.agents(state), jnp.arange(collect.num_tasks))
     adapted = learner.update(state, episodes).agents.context
     assert isinstance(adapted, Latent)
     return np.asarray(adapted.mean, np.float64)

@@ -1,4 +1,4 @@
-"""Episodes judged under tasks that they were not played for."""
+"""Returns of episodes in other tasks than those that they were played in."""
 
 from functools import partial
 from typing import Any
@@ -13,12 +13,16 @@ from maesn.envs import AnyEnv, TaskSet
 
 
 def situations(env: AnyEnv, tasks: TaskSet) -> list[np.ndarray]:
-    """Return the tasks in groups that share their episodes: indices `[task]` of each group."""
+    """Group the tasks that can share episodes, because only their rewards differ.
+
+    Returns:
+        The indices of the tasks in each group.
+    """
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(jax.vmap(env.situation)(tasks.tasks))]
     groups: dict[bytes, list[int]] = {}
     for index in range(len(tasks)):
-        name = b"|".join(leaf[index].tobytes() for leaf in leaves)
-        groups.setdefault(name, []).append(index)
+        content = b"|".join(leaf[index].tobytes() for leaf in leaves)
+        groups.setdefault(content, []).append(index)
     return [np.asarray(group) for group in groups.values()]
 
 
@@ -30,14 +34,14 @@ def returns_under(
     valid: Bool[Array, "simulation time"],
     tasks: Any,
 ) -> Float[Array, "task simulation"]:
-    """Return what episodes return in other tasks of the same situation.
+    """Compute the returns that episodes would have in other tasks of the same situation.
 
     Args:
-        env: with the reward to judge by.
-        readings: `[time_plus_1, simulation, ...]` each.
-        action: of the policy.
-        valid: while the episode lasts.
-        tasks: stacked.
+        env: the environment, with the reward to use.
+        readings: readings of the episodes, `[time_plus_1, simulation, ...]` each.
+        action: the policy's actions.
+        valid: true where a step was played.
+        tasks: the tasks, stacked.
 
     Returns:
         Undiscounted returns.
@@ -51,5 +55,5 @@ def returns_under(
 
         return jnp.where(valid, jax.vmap(jax.vmap(step))(before, action, after), 0.0).sum(-1)
 
-    judged: Array = jax.lax.map(in_task, tasks)
-    return judged
+    returns: Array = jax.lax.map(in_task, tasks)
+    return returns

@@ -1,4 +1,4 @@
-"""The fast learner that searches: one latent per episode, chosen by what is known so far."""
+"""The fast learner that searches the latent space, by a model of the returns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,15 +21,16 @@ from maesn.search.strategy_learner import task_generators
 
 @dataclass(frozen=True)
 class SearchState:
-    """Of all tasks: the searches, what each plays next, and its random numbers."""
+    """State of a `SearchFastLearner`, one element per task."""
 
     searches: tuple[LatentSearch, ...]
     chosen: tuple[int, ...]
+    """The points to play next, indices into `LatentSearch.points`."""
     generators: tuple[np.random.Generator, ...]
 
 
 class SearchFastLearner(AbstractFastLearner[SearchState]):
-    """Plays the latent that the acquisition chooses; deploys that of the highest posterior mean."""
+    """Plays the latent that the acquisition function chooses; deploys the best posterior mean."""
 
     policy: AbstractPolicy
     statistics: ObservationStatistics | None
@@ -40,39 +41,43 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
         refuse_saved(self, saved)
         generators = task_generators(keys)
         start = LatentSearch.start(self.model, self.settings)
-        return self._next([start] * len(generators), generators)
+        return _propose([start] * len(generators), generators)
 
     def agents(self, state: SearchState, purpose: Purpose = "explore") -> Agents:
-        deployed = tuple(search.best for search in state.searches)
-        context = self._latents(state, state.chosen if purpose == "explore" else deployed)
+        explores = purpose == "explore"
+        context = _latents(state, state.chosen) if explores else self.adapted(state)
         return Agents(
             self.policy, context.at_mean(), shares_policy=True, statistics=self.statistics
         )
 
     def adapted(self, state: SearchState) -> Latent:
-        """Return the latents that would be deployed."""
-        return self._latents(state, tuple(search.best for search in state.searches))
+        """Return the latents to deploy."""
+        return _latents(state, tuple(search.best for search in state.searches))
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
         searches = []
-        for search, point, *played in zip(
+        for search, point, *per_episode in zip(
             state.searches, state.chosen, returns, lengths, strict=True
         ):
-            readings = [Reading(point, *one) for one in zip(*played, strict=True)]
+            readings = [Reading(point, *one) for one in zip(*per_episode, strict=True)]
             searches.append(search.after(readings))
-        return self._next(searches, state.generators)
+        return _propose(searches, state.generators)
 
-    def _latents(self, state: SearchState, points: Sequence[int]) -> Latent:
-        pairs = zip(state.searches, points, strict=True)
-        mean = jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32)
-        return Latent(mean, jnp.zeros_like(mean))
 
-    def _next(
-        self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
-    ) -> SearchState:
-        pairs = zip(searches, generators, strict=True)
-        proposed = [search.proposed(generator) for search, generator in pairs]
-        found, chosen = zip(*proposed, strict=True)
-        return SearchState(found, chosen, tuple(generators))
+def _latents(state: SearchState, points: Sequence[int]) -> Latent:
+    pairs = zip(state.searches, points, strict=True)
+    mean = jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32)
+    return Latent(mean, jnp.zeros_like(mean))
+
+
+def _propose(
+    searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
+) -> SearchState:
+    """Return the state in which each search has chosen the point to play next."""
+    pairs = zip(searches, generators, strict=True)
+    proposed = [search.proposed(generator) for search, generator in pairs]
+    # A search may have added the point that it proposes.
+    searches_after, chosen = zip(*proposed, strict=True)
+    return SearchState(searches_after, chosen, tuple(generators))

@@ -1,4 +1,4 @@
-"""What training tasks return for an archive of latents: played once, after training."""
+"""The prior over returns: an archive of latents, played in the training tasks after training."""
 
 import dataclasses
 from collections.abc import Callable
@@ -18,7 +18,8 @@ from maesn.search.judging import returns_under, situations
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
-# Of the noise of a latent, as a share of the average: a few episodes may agree by chance.
+# Lower bound on a latent's noise variance, as a share of the mean over latents: the returns of a
+# few episodes may agree by chance.
 LEAST_NOISE = 0.05
 
 Progress = Callable[[int, int], None]
@@ -27,23 +28,24 @@ Progress = Callable[[int, int], None]
 
 @dataclasses.dataclass(frozen=True)
 class PriorSettings:
-    """How the prior over returns is made."""
+    """Settings of the archive and of the episodes that the prior over returns is made of."""
 
     draws: int = 400
-    """Latents of the archive that are drawn from the widened prior."""
+    """Latents of the archive that are drawn from the widened prior N(0, spread^2 I)."""
     spread: float = 3.0
-    """Its standard deviation."""
+    """Standard deviation of the widened prior."""
     adapted: bool = True
-    """Whether the archive also has the latents that one dense update reaches in training tasks."""
+    """Whether the archive also holds each training task's latent, after one more update with the
+    dense reward."""
     episodes: int = 4
     """Episodes of each latent, in each situation."""
     seed: int = 0
-    """Of the draws and the episodes."""
+    """Seed of the draws and the episodes."""
     simulations: int = 1000
     """Episodes that are played at once; bounds the memory."""
 
     def steps(self, env: AnyEnv, tasks: TaskSet) -> int:
-        """Return the environment steps that it takes to play the archive."""
+        """Return the number of environment steps to play the archive."""
         latents = self.draws + self.adapted * len(tasks)
         return len(situations(env, tasks)) * latents * self.episodes * env.horizon
 
@@ -61,16 +63,16 @@ def make_prior(
     """Play an archive in the training tasks.
 
     Args:
-        learner: of the run, for its policy.
+        learner: the run's learner, for its policy.
         world: the training tasks, with the reward of the new tasks.
         latents: the archive, `[latent, z]`.
-        settings: how.
+        settings: numbers of episodes, and the seed.
         progress: called after each batch.
     """
     returns, length = play_archive(learner, world, latents, settings, progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
-        # Where the environment does not say: most latents of an archive never find the goal.
+        # The environment does not say. Most latents of an archive never find the goal.
         offset = np.median(returns, axis=(1, 2))
     excess = returns - length * offset[:, None, None]
     noise = excess.var(axis=2, ddof=1).mean(axis=0)
@@ -91,11 +93,11 @@ def play_archive(
     settings: PriorSettings,
     progress: Progress = lambda played, of: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in all tasks of a world; arguments are those of `make_prior`.
+    """Play latents in all tasks of a world. The arguments are those of `make_prior`.
 
     Returns:
-        Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of one
-        situation share their episodes.
+        Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of the
+        same situation share their episodes.
     """
     groups = situations(world.env, world.tasks)
     collector = Collector(world, settings.episodes)
@@ -108,16 +110,16 @@ def play_archive(
             chunk = latents[first : first + size]
             rows = np.ix_(group, np.arange(first, first + len(chunk)))
             chunk_key = jax.random.fold_in(key, played)
-            returns[rows], length[rows] = _judged(learner, collector, chunk, group, chunk_key)
+            returns[rows], length[rows] = _play_group(learner, collector, chunk, group, chunk_key)
             played += len(chunk)
             progress(played, len(groups) * len(latents))
     return returns, length
 
 
-def _judged(
+def _play_group(
     learner: GradientFastLearner, collector: Collector, latents: np.ndarray, group: Any, key: Key
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in one situation, and judge the episodes in all tasks of it."""
+    """Play latents in the first task of a group, and compute their returns in all of its tasks."""
     world, count = collector.world, len(latents)
     mean = jnp.asarray(latents, jnp.float32)
     context = Latent(mean, jnp.zeros_like(mean)).at_mean()

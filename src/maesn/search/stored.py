@@ -31,7 +31,7 @@ _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as i
 
 
 def prior_file(run: Run, world: AbstractWorld) -> Path:
-    """Return where the prior of a run for a world's reward is kept."""
+    """Return the path of a run's prior for a world's reward."""
     env = world.env
     return run.directory / PRIORS / f"{env.reward_kind}-{env.sparse_radius:g}.safetensors"
 
@@ -44,17 +44,17 @@ def run_prior(
     sparse_radius: float | None = None,
     progress: Progress = lambda played, of: None,
 ) -> tuple[Path, ReturnPrior]:
-    """Make the prior over returns of a run's latest checkpoint, and keep it.
+    """Make the prior over returns of a run's latest checkpoint, and save it.
 
     Args:
-        run: of a method with a latent.
-        settings: how.
-        reward: of the new tasks.
-        sparse_radius: of the new tasks, in metres; None for the run's own.
+        run: a run of a method with a latent.
+        settings: how to make the prior.
+        reward: reward of the new tasks.
+        sparse_radius: sparse radius of the new tasks, in metres; None for the run's own.
         progress: called as `make_prior` says.
 
     Returns:
-        The file, and what is in it.
+        The file and the prior in it.
 
     Raises:
         RunError: the run has no latent, or something cannot be written.
@@ -69,7 +69,7 @@ def run_prior(
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)
             latents.append(adapted_latents(learner, collect, jax.random.key(settings.seed)))
-    # In the precision that they are kept in, so that what is made is what will be read.
+    # In the precision of the file, so that making and reading a prior give the same numbers.
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
         prior = make_prior(learner, world, archive, settings, progress)
@@ -84,14 +84,14 @@ def run_prior(
 def find_prior(
     run: Run, state: Any, world: AbstractWorld, name: str, any_reward: bool
 ) -> ReturnPrior:
-    """Return the prior of a run for a world, which is made if it is missing.
+    """Return the prior of a run for a world. Make it if it is missing.
 
     Args:
-        run: of the policy.
-        state: its latest.
-        world: of the new tasks; its reward counts, not its tasks.
+        run: the run that the prior belongs to.
+        state: the run's latest state.
+        world: the world of the new tasks; only its reward matters.
         name: path of a prior; empty for the run's own.
-        any_reward: whether one that was made for another reward will do.
+        any_reward: whether a prior that was made for another reward will do.
 
     Raises:
         RunError: it belongs to another checkpoint, other training tasks or another reward.
@@ -125,7 +125,7 @@ def played_live() -> Iterator[Progress]:
 
 
 def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
-    """Return what a prior belongs to."""
+    """Return digests of the checkpoint, the training tasks and the reward of a prior."""
     return {
         "checkpoint": digest_of_arrays(state),
         "training task set": run.config.task_digest,
@@ -134,7 +134,7 @@ def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
 
 
 def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
-    """Read a prior, and what it belongs to; raises `RunError` if it is damaged."""
+    """Read a prior and its metadata, see `bound_to`; raises `RunError` if it is damaged."""
     values, metadata = read_checkpoint(path)
     try:
         held: dict[str, Any] = {name: values[name].astype(np.float64) for name in _ARRAYS}

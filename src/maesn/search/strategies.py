@@ -1,6 +1,6 @@
-"""Searches for a good latent by returns alone: what is known of training tasks is not used.
+"""Strategies that search for a good latent by returns alone, without the training tasks' returns.
 
-Each strategy is of one task, and immutable: `after` returns another one.
+A strategy is for one task. It is immutable: `after` returns a new one.
 """
 
 import copy
@@ -12,8 +12,8 @@ import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 
-# Added to the standard deviation of the cross-entropy method's draws in every round: without it the
-# draws shrink to a point before they have come to a good one.
+# Added to the standard deviation of the cross-entropy method's draws in every round. Without it the
+# draws collapse to a point too early.
 LEAST_STD = 0.05
 
 
@@ -26,7 +26,7 @@ class AbstractStrategy(ABC):
 
     @abstractmethod
     def after(self, z: FloatArray, mean_return: float) -> "AbstractStrategy":
-        """Return the strategy after one more latent has been played."""
+        """Return the strategy after one more latent was played."""
 
     @property
     @abstractmethod
@@ -39,9 +39,9 @@ class BestOf(AbstractStrategy):
     """Draws from N(0, spread^2 I); the best draw so far is deployed, and 0 before the first.
 
     Attributes:
-        best: the draw of the highest return, `[z]`.
+        best: the draw with the highest return, `[z]`.
         spread: standard deviation of the draws.
-        best_return: its return.
+        best_return: the return of `best`.
     """
 
     best: FloatArray
@@ -68,11 +68,11 @@ class CrossEntropy(AbstractStrategy):
     mean is deployed.
 
     Attributes:
-        mean: of the draws of this round, `[z]`.
-        std: their standard deviation, `[z]`.
-        round_size: draws of a round.
+        mean: mean of the draws of this round, `[z]`.
+        std: standard deviation of the draws of this round, `[z]`.
+        round_size: draws per round.
         elite: share of a round that the next one is fitted to, at least two draws.
-        played: latents of this round so far, and their returns.
+        played: latents of this round so far, with their returns.
     """
 
     mean: FloatArray
@@ -106,24 +106,24 @@ class CmaEs(AbstractStrategy):
 
     Attributes:
         optimizer: `cmaes.CMA`, which minimises; it is copied before anything in it changes.
-        played: latents of this generation so far, and their returns, negated.
+        played: latents of this generation so far, with their negated returns.
     """
 
     optimizer: Any
     played: tuple[tuple[FloatArray, float], ...] = ()
 
     def proposed(self, generator: np.random.Generator) -> FloatArray:
-        drawing = copy.deepcopy(self.optimizer)  # a copy has random numbers of its own
-        drawing.reseed_rng(int(generator.integers(2**32)))
-        return np.asarray(drawing.ask(), np.float64)
+        optimizer = copy.deepcopy(self.optimizer)
+        optimizer.reseed_rng(int(generator.integers(2**32)))
+        return np.asarray(optimizer.ask(), np.float64)
 
     def after(self, z: FloatArray, mean_return: float) -> "CmaEs":
         played = (*self.played, (z, -mean_return))
         if len(played) < self.optimizer.population_size:
             return CmaEs(self.optimizer, played)
-        told = copy.deepcopy(self.optimizer)
-        told.tell(list(played))
-        return CmaEs(told)
+        optimizer = copy.deepcopy(self.optimizer)
+        optimizer.tell(list(played))
+        return CmaEs(optimizer)
 
     @property
     def deployed(self) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The fast learner that plays one latent per update, as a strategy chooses it."""
+"""The fast learner in which a search strategy chooses one latent per update."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,15 +21,16 @@ from maesn.search.strategies import AbstractStrategy
 
 @dataclass(frozen=True)
 class StrategyState:
-    """Of all tasks: the strategies, the latent that each plays next, and its random numbers."""
+    """State of a `StrategyFastLearner`, one element per task."""
 
     strategies: tuple[AbstractStrategy, ...]
     chosen: tuple[FloatArray, ...]
+    """The latents to play next, `[z]` each."""
     generators: tuple[np.random.Generator, ...]
 
 
 class StrategyFastLearner(AbstractFastLearner[StrategyState]):
-    """Plays the latent that a strategy proposes, in all episodes of an update."""
+    """Plays the latent that a strategy proposes in all episodes until the next update."""
 
     policy: AbstractPolicy
     statistics: ObservationStatistics | None
@@ -38,7 +39,7 @@ class StrategyFastLearner(AbstractFastLearner[StrategyState]):
     def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> StrategyState:
         refuse_saved(self, saved)
         generators = task_generators(keys)
-        return _next([self.start] * len(generators), generators)
+        return _propose([self.start] * len(generators), generators)
 
     def agents(self, state: StrategyState, purpose: Purpose = "explore") -> Agents:
         context = _latents(state.chosen) if purpose == "explore" else self.adapted(state)
@@ -47,30 +48,35 @@ class StrategyFastLearner(AbstractFastLearner[StrategyState]):
         )
 
     def adapted(self, state: StrategyState) -> Latent:
-        """Return the latents that would be deployed."""
+        """Return the latents to deploy."""
         return _latents([strategy.deployed for strategy in state.strategies])
 
     def update(self, state: StrategyState, episodes: Episodes) -> StrategyState:
-        returns = np.asarray(episodes.undiscounted_return, np.float64).mean(axis=1)
-        played = zip(state.strategies, state.chosen, returns.tolist(), strict=True)
-        moved = [strategy.after(z, mean_return) for strategy, z, mean_return in played]
-        return _next(moved, state.generators)
+        mean_returns = np.asarray(episodes.undiscounted_return, np.float64).mean(axis=1).tolist()
+        strategies = [
+            strategy.after(z, mean_return)
+            for strategy, z, mean_return in zip(
+                state.strategies, state.chosen, mean_returns, strict=True
+            )
+        ]
+        return _propose(strategies, state.generators)
 
 
 def task_generators(keys: TaskKeys) -> tuple[np.random.Generator, ...]:
-    """Return NumPy's random numbers of each task, which depend on the task's key alone."""
+    """Return a NumPy generator for each task, seeded with the task's key alone."""
     words = np.asarray(jax.vmap(jax.random.key_data)(keys))
     return tuple(np.random.default_rng(row.tolist()) for row in words)
 
 
-def _latents(chosen: Sequence[FloatArray]) -> Latent:
-    mean = jnp.asarray(np.stack(chosen), jnp.float32)
+def _latents(means: Sequence[FloatArray]) -> Latent:
+    mean = jnp.asarray(np.stack(means), jnp.float32)
     return Latent(mean, jnp.zeros_like(mean))
 
 
-def _next(
+def _propose(
     strategies: Sequence[AbstractStrategy], generators: tuple[np.random.Generator, ...]
 ) -> StrategyState:
+    """Return the state in which each strategy has drawn the latent to play next."""
     pairs = zip(strategies, generators, strict=True)
     chosen = tuple(strategy.proposed(generator) for strategy, generator in pairs)
     return StrategyState(tuple(strategies), chosen, generators)

@@ -23,7 +23,7 @@ from maesn.numerics import AbstractDistribution
 
 
 class Actors(eqx.Module):
-    """Who acts in a batch of episodes, and all that stays constant during it."""
+    """The agents of a batch of episodes, and all else that is constant during it."""
 
     agents: Agents
     tasks: Any
@@ -32,13 +32,13 @@ class Actors(eqx.Module):
     description: Float[Array, "task episode description"]
     z: Float[Array, "task episode z"]
     action_noise: Float[Array, "time task episode action"]
-    """Behind the random actions, drawn for all steps at once."""
+    """Noise of the actions, drawn for all steps at once."""
     trial_state: TrialState
-    """Where the trials go on, `[task, episode, ...]`."""
+    """State from which the trials continue, `[task, episode, ...]`."""
 
 
 class Decision(NamedTuple):
-    """What the policies decide at one step of every episode."""
+    """The policies' output at one step of every episode."""
 
     control: Float[Array | np.ndarray, "simulation control"]
     action: Float[Array, "task episode action"]
@@ -49,7 +49,7 @@ class Decision(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What the policies receive at step t of every episode; NumPy arrays from host worlds."""
+    """The policies' input at step t of every episode; NumPy arrays from host worlds."""
 
     step: Int[Array | np.ndarray, ""]
     readings: Readings | HostReadings
@@ -58,15 +58,15 @@ class Moment(NamedTuple):
     previous_action: Float[Array | np.ndarray, "task episode action"]
     recurrent_state: RecurrentState
     ended: Bool[Array | np.ndarray, "task episode"]
-    """Of the decision before; False at the start."""
+    """`Decision.ended` of the step before; False at the start."""
 
 
 @runtime_checkable
 class Act(Protocol):
-    """Decides one step of a batch of episodes by their policies."""
+    """Calls the policies for one step of a batch of episodes."""
 
     def __call__(self, actors: Actors, moment: Moment) -> Decision:
-        """Return what each episode does next."""
+        """Return the decision of every episode."""
 
 
 class Trajectory(NamedTuple):
@@ -78,7 +78,7 @@ class Trajectory(NamedTuple):
     behaviour: AbstractDistribution
     """`[time, task, episode, action]`."""
     recurrent_state: RecurrentState
-    """After the last step, `[task, episode, ...]`."""
+    """State after the last step, `[task, episode, ...]`."""
 
 
 class EpisodeError(RuntimeError):
@@ -92,7 +92,7 @@ class EpisodeError(RuntimeError):
         self._origin = (env, task, episode, step, reason)
 
     def after(self, updates: int) -> "EpisodeError":
-        """Return the same error, of an agent that has been updated so many times in its task."""
+        """Return the same error, which also says how often the agent had been updated."""
         return EpisodeError(*self._origin, updates)
 
 
@@ -121,7 +121,7 @@ class AbstractWorld(ABC):
 
     @property
     def max_simulations(self) -> int | None:
-        """How many simulations should be played at once at most; None for any number."""
+        """Largest number of simulations to play at once; None for any number."""
         return None
 
     @abstractmethod
@@ -131,28 +131,28 @@ class AbstractWorld(ABC):
         Args:
             act: pure function that decides each step. Passing the same object again avoids a
                 second compilation.
-            actors: who acts.
-            start: how the episodes begin: what `env.start` returns, stacked over `simulation`.
+            actors: the agents of all episodes.
+            start: the starts that `env.start` returns, stacked over `simulation`.
 
         Raises:
-            SimulationFailure: the physics of a simulation blew up while its episode lived, or a
-                foreign environment did what it must not.
+            SimulationFailure: the physics of a simulation blew up during its episode, or a foreign
+                environment broke its contract.
         """
 
     pictures: Sequence[Sequence[UInt8[np.ndarray, "height width 3"]]] = ()
-    """Of the last episodes that were played, `[time][simulation]`, if `film` has returned True."""
+    """Pictures of the last episodes, `[time][simulation]`, if `film` has returned True."""
 
     def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
-        """Keep `pictures` that the environments draw of themselves, from now on.
+        """From now on, keep the environments' own drawings of themselves in `pictures`.
 
         Args:
-            shown: simulations that are filmed: the first ones of each batch.
-            stride: steps from one picture to the next. The last state has one in any case.
+            shown: number of simulations to film, the first ones of each batch.
+            stride: steps from one picture to the next. The last state always has one.
             size: width and height of the pictures, in pixels.
 
         Returns:
-            Whether the environments draw themselves. Only foreign ones can; states of all others
-            are drawn by `maesn.worlds.Scene`.
+            Whether the environments draw themselves. Only foreign ones can; `maesn.worlds.Scene`
+            draws the states of all others.
 
         Raises:
             SimulationFailure: an environment cannot be used.

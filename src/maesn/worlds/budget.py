@@ -1,4 +1,4 @@
-"""What episodes cost in memory and in time, estimated before the first one is played."""
+"""Estimates of the memory and time of episodes, before the first one is played."""
 
 import contextlib
 import logging

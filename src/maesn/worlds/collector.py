@@ -1,4 +1,4 @@
-"""Play episodes in any world: makes the function `collect` that learners are given."""
+"""Play episodes in any world: the function `collect` that learners are given."""
 
 import sys
 from collections.abc import Callable
@@ -38,8 +38,8 @@ from maesn.worlds.budget import check_memory
 from maesn.worlds.contract import check_policy
 from maesn.worlds.outcome import ends, judge, observe, terminates
 
-# What a policy returns for each kind of actions. By its type the noise of the actions is drawn,
-# before the policy is called.
+# The distribution that a policy returns for each kind of actions. It must be known before the
+# policy is called, because the noise of all actions is drawn first.
 _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
     "continuous": DiagonalGaussian,
     "discrete": Categorical,
@@ -47,16 +47,16 @@ _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
 
 
 def _programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
-    """Return the compiled programs of collectors that play so many episodes in equal worlds."""
+    """Return the jitted functions of a collector, the same ones for equal arguments."""
     try:
         hash(env)
-    except TypeError:  # a user's own, of arrays perhaps
-        return _compiled.__wrapped__(env, episodes_per_task)
-    return _compiled(env, episodes_per_task)
+    except TypeError:  # a user's environment, which may hold arrays
+        return _cached_programs.__wrapped__(env, episodes_per_task)
+    return _cached_programs(env, episodes_per_task)
 
 
 @lru_cache(maxsize=64)
-def _compiled(env: AnyEnv, episodes_per_task: int) -> "_Programs":
+def _cached_programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
     batch = _Batch(env, episodes_per_task)
     return _Programs(jax.jit(batch.begin), jax.jit(batch.decide), jax.jit(batch.assemble))
 
@@ -65,10 +65,10 @@ class Collector:
     """`maesn.experience.episodes.Collect` on a world.
 
     Args:
-        world: to play in.
+        world: the world to play in.
         episodes_per_task: number of episodes of each task that one call plays.
-        watch: is shown what each call has played, its states as `play` returns them, and its
-            `stage`.
+        watch: called after each call with the episodes and readings, as `play` returns them, and
+            with `stage`.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Collector:
         self.world = world
         self.episodes_per_task = episodes_per_task
         self._watch = watch
-        self._begin, self._act, self._finish = _programs(world.env, episodes_per_task)
+        self._programs = _programs(world.env, episodes_per_task)
 
     @property
     def num_tasks(self) -> int:
@@ -89,7 +89,7 @@ class Collector:
 
     @property
     def most_tasks(self) -> int:
-        """Number of tasks that one call can play at most."""
+        """Largest number of tasks that one call can play."""
         most = self.world.max_simulations
         return sys.maxsize if most is None else max(most // self.episodes_per_task, 1)
 
@@ -99,7 +99,7 @@ class Collector:
         """See `Collect`.
 
         Raises:
-            EpisodeError: physics or reward of an episode became non-finite.
+            EpisodeError: a state, an action or a reward is not finite.
             RunError: the machine cannot hold that many episodes at once, or the policy's actions
                 are of another kind than the environment's.
         """
@@ -111,54 +111,54 @@ class Collector:
     def play(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"]
     ) -> tuple[Episodes, Readings | HostReadings]:
-        """Play episodes as a call does, and keep the states.
+        """Play episodes as a call does, and return the states as well.
 
         Returns:
-            The episodes, and what was read in every state, `[time_plus_1, simulation, ...]`.
+            The episodes, and the readings of all states, `[time_plus_1, simulation, ...]`.
         """
         check_policy(agents.policy, self.world.env)
         check_memory(self.world.env, len(task_index) * self.episodes_per_task)
         tasks = self.world.tasks[np.asarray(task_index)]
-        # Without the state of the trials, so that their first episode and the others share one
-        # compiled program.
-        actors, start = self._begin(keys, replace(agents, trial_state=None), tasks)
+        # The trial state is added afterwards, so that the first and the later episodes of trials
+        # share one compiled program.
+        actors, start = self._programs.begin(keys, replace(agents, trial_state=None), tasks)
         if agents.trial_state is not None:
             actors = replace(actors, trial_state=agents.trial_state)
         try:
-            trajectory = self.world.play(self._act, actors, start)
+            trajectory = self.world.play(self._programs.decide, actors, start)
         except SimulationFailure as failure:
             task_slot, episode = divmod(failure.simulation, self.episodes_per_task)
             task = int(task_index[task_slot])
             raise EpisodeError(
                 self.world.env.name, task, episode, failure.step, failure.reason
             ) from failure
-        episodes, finite = self._finish(actors, trajectory)
-        self._refuse(finite, np.asarray(task_index))
+        episodes, finite = self._programs.assemble(actors, trajectory)
+        self._check_finite(finite, np.asarray(task_index))
         return episodes, trajectory.readings
 
-    def _refuse(self, finite: "_Finite", task_index: np.ndarray) -> None:
-        """Raise an error if something is not finite, about the earliest step."""
-        found = [
+    def _check_finite(self, finite: "_Finite", task_index: np.ndarray) -> None:
+        """Raise an error about the earliest step that is not finite, if there is one."""
+        failures = [
             (step, task_slot, episode, name)
             for name, mask in finite._asdict().items()
             for task_slot, episode, step in np.argwhere(~np.asarray(mask)).tolist()
         ]
-        if found:
-            step, task_slot, episode, name = min(found, key=lambda one: one[0])
+        if failures:
+            step, task_slot, episode, name = min(failures, key=lambda failure: failure[0])
             task, reason = int(task_index[task_slot]), f"the {name} is not finite"
             raise EpisodeError(self.world.env.name, task, episode, step, reason)
 
 
 class _Programs(NamedTuple):
-    """What a collector calls around and in the steps of its world."""
+    """The methods of a `_Batch`, jitted: before, in, and after the steps of a world."""
 
     begin: Callable[..., Any]
-    act: Callable[..., Any]
-    finish: Callable[..., Any]
+    decide: Callable[..., Any]
+    assemble: Callable[..., Any]
 
 
 class _Batch(NamedTuple):
-    """The episodes of one call. The environment is a constant of the programs."""
+    """The pure functions that play a batch of episodes, with the environment as a constant."""
 
     env: AnyEnv
     episodes_per_task: int
@@ -174,7 +174,7 @@ class _Batch(NamedTuple):
             )
             context = agent.context
             noise = jax.random.normal(context_key, (context.noise_size,))
-            # Only where z is made of it: no other learner finds its task in the episodes.
+            # For an oracle alone: the episodes of other learners must not contain their task.
             description = env.describe(task) if context.description_size else jnp.zeros(0)
             action_noise = distribution.noise(action_key, (env.horizon, env.action_size))
             recurrent_state = agent.policy.initial_recurrent_state()
@@ -195,7 +195,7 @@ class _Batch(NamedTuple):
         return actors, jax.tree.map(_join_batch_axes, start)
 
     def decide(self, actors: Actors, moment: Moment) -> Decision:
-        """Ask the policies for the step of every episode."""
+        """Return the policies' actions at one step of every episode."""
         env = self.env
         shape = actors.z.shape[:2]
         readings, previous = jax.tree.map(
@@ -218,7 +218,7 @@ class _Batch(NamedTuple):
             )
             distribution, after = agent.policy(agent.perceive(policy_input), z, state)
             action = distribution.sample_from_noise(noise)
-            # Observations after the end may be NaN: they must not enter the recurrent state.
+            # Observations after the end may be NaN, so they must not enter the recurrent state.
             ended = ended | ends(env, now)
             state = jax.tree.map(lambda old, new: jnp.where(ended, old, new), state, after)
             return env.control(action), action, distribution, state, ended
@@ -232,7 +232,7 @@ class _Batch(NamedTuple):
         return Decision(_join_batch_axes(control), *others)
 
     def assemble(self, actors: Actors, trajectory: Trajectory) -> "tuple[Episodes, _Finite]":
-        """Turn readings and actions into episodes; also say what is finite in which steps."""
+        """Turn readings and actions into episodes, and mark the steps that are finite."""
         shape = actors.z.shape[:2]
         readings = jax.tree.map(
             lambda x: jnp.moveaxis(x.reshape(x.shape[0], *shape, *x.shape[2:]), 0, 2),
@@ -241,11 +241,10 @@ class _Batch(NamedTuple):
         action, behaviour = jax.tree.map(
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
-        received = actors.agents.policy.observed_reward
-        judged = jax.vmap(jax.vmap(partial(judge, self.env, received), in_axes=(0, 0, None)))(
-            readings, action, actors.tasks
-        )
-        observation, reward, observed, solved, ended = judged
+        judge_one = partial(judge, self.env, actors.agents.policy.observed_reward)
+        observation, reward, observed_reward, solved, ended = jax.vmap(
+            jax.vmap(judge_one, in_axes=(0, 0, None))
+        )(readings, action, actors.tasks)
         terminated = jax.vmap(jax.vmap(partial(terminates, self.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
         after = jax.vmap(jax.vmap(TrialState.after))
@@ -263,10 +262,10 @@ class _Batch(NamedTuple):
             z=actors.z,
             behaviour=behaviour,
             trial_end=after(
-                actors.trial_state, trajectory.recurrent_state, action, observed, valid
+                actors.trial_state, trajectory.recurrent_state, action, observed_reward, valid
             ),
             trial_start=actors.trial_state,
-            observed_reward=observed,
+            observed_reward=observed_reward,
         )
         finite = _Finite(
             jnp.isfinite(observation[..., :-1, :]).all(-1) | ~valid,
@@ -277,7 +276,10 @@ class _Batch(NamedTuple):
 
 
 class _Finite(NamedTuple):
-    """Which steps are finite, or invalid. Each field depends on those before it."""
+    """Masks of the steps that are finite or invalid.
+
+    Where several fields fail at one step, the first of them is the cause of the others.
+    """
 
     observation: Bool[Array, "task episode time"]
     action: Bool[Array, "task episode time"]

@@ -1,4 +1,4 @@
-"""Whether an environment fits what it declares, and a policy the environment, before playing."""
+"""Check that an environment fits its declared sizes, and a policy the environment."""
 
 import math
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     finds beyond that is a warning.
 
     Args:
-        env: of any family.
+        env: an environment of any family.
         task: one of its tasks.
 
     Raises:

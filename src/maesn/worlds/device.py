@@ -15,7 +15,7 @@ from maesn.worlds.base import AbstractWorld, Act, Actors, Decision, Moment, Traj
 
 @runtime_checkable
 class Advance(Protocol):
-    """Moves all simulations by one control step. Equal ones share a compiled program."""
+    """Moves all simulations by one control step. Equal objects share a compiled program."""
 
     def __call__(
         self,
@@ -23,11 +23,11 @@ class Advance(Protocol):
         control: Float[Array, "simulation control"],
         ended: Bool[Array, " simulation"],
     ) -> tuple[Any, Readings]:
-        """Return the states one control step later, and what is read in them."""
+        """Return the states one control step later, and their readings."""
 
 
 class DeviceWorld(AbstractWorld):
-    """Plays an `AbstractPureEnv` on whatever device JAX uses, which has threads of its own."""
+    """Plays an `AbstractPureEnv` on JAX's device, which manages its own threads."""
 
     def __init__(self, env: AbstractPureEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
         self._env = env
@@ -42,17 +42,17 @@ class DeviceWorld(AbstractWorld):
         return self._tasks
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
-        """See `AbstractWorld.play`. Nothing in here can fail: JAX raises no numerical errors."""
+        """See `AbstractWorld.play`. It cannot fail: JAX raises no numerical errors."""
         first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
         advance = _PureAdvance(self._env)
         return scan_episodes(self._env, advance, act, actors, first, first)[0]
 
     def close(self) -> None:
-        """Do nothing: whatever plays here is JAX's own."""
+        """Do nothing: there are no threads or processes but JAX's own."""
 
 
 class _PureAdvance(NamedTuple):
-    """`Advance` of an environment whose readings are all that its states consist of."""
+    """`Advance` of an environment whose readings are its whole state."""
 
     env: AbstractPureEnv[Any]
 
@@ -78,15 +78,15 @@ def scan_episodes(
     """Play one episode of `env.horizon` steps in every simulation, in one compiled program.
 
     Args:
-        env: what is played.
+        env: the environment.
         advance: moves the simulations.
         act: decides each step.
-        actors: who acts.
-        state: of all simulations at the start, as `advance` takes it.
+        actors: the agents of all episodes.
+        state: initial state of all simulations, as `advance` takes it.
         first: readings of that state.
 
     Returns:
-        What was read and done, and which episodes had ended at each decision.
+        The trajectory, and which episodes had ended at each decision.
     """
     batch = actors.z.shape[:2]
     no_action, no_end = jnp.zeros((*batch, env.action_size)), jnp.zeros(batch, bool)

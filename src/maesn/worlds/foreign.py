@@ -136,7 +136,7 @@ def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
     """Begin and step an environment once; what Gymnasium finds beyond that is a warning.
 
     Args:
-        env: of a family.
+        env: a family's environment.
         task: one of its tasks.
 
     Raises:

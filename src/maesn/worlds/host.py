@@ -26,11 +26,11 @@ def play_on_host(
     """Play one episode of `env.horizon` steps in every simulation, around one compiled decision.
 
     Args:
-        env: what is played.
+        env: the environment.
         act: decides each step; compiled by the caller.
-        actors: who acts.
-        first: readings of the state that the simulations are in.
-        advance: moves all simulations by what was decided at a step, and returns their readings.
+        actors: the agents of all episodes.
+        first: readings of the initial states.
+        advance: applies the decision of a step to all simulations, and returns their readings.
     """
     record = _Record(first, env.horizon)
     batch = actors.z.shape[:2]
@@ -49,14 +49,14 @@ def play_on_host(
                 ended=ended,
             ),
         )
-        record.add(step, advance(_calmed(decision), step), decision)
+        record.add(step, advance(_without_ended(decision), step), decision)
         previous_action, ended = decision.action, decision.ended
         recurrent_state = decision.recurrent_state
     return record.trajectory(recurrent_state)
 
 
-def _calmed(decision: Decision) -> Decision:
-    """Give no control to episodes that have ended: what they ask for may be NaN."""
+def _without_ended(decision: Decision) -> Decision:
+    """Set the controls of episodes that have ended to 0: they may be NaN."""
     ended = np.asarray(decision.ended).reshape(-1, 1)
     if not ended.any():
         return decision

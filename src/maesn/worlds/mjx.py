@@ -16,17 +16,17 @@ from maesn.physics.mjx import NO_LIMITS, MjxEngine, MjxLimits, MjxState
 from maesn.worlds.base import AbstractWorld, Act, Actors, SimulationFailure, Trajectory
 from maesn.worlds.device import scan_episodes
 
-# By these it is seen whether a simulation has blown up.
+# The readings that show whether a simulation has blown up.
 _STATE = ("qpos", "qvel")
 
 
 class MjxWorld(AbstractWorld):
-    """Plays an `AbstractMujocoEnv` on whatever device JAX uses, which has threads of its own.
+    """Plays an `AbstractMujocoEnv` on JAX's device, which manages its own threads.
 
     Args:
-        env: what is played.
+        env: the environment.
         tasks: the tasks that can be played.
-        num_threads: of no meaning here.
+        num_threads: has no effect.
         limits: what the engine may leave out for speed.
 
     Raises:
@@ -65,7 +65,7 @@ class MjxWorld(AbstractWorld):
         return trajectory
 
     def close(self) -> None:
-        """Do nothing: whatever plays here is JAX's own."""
+        """Do nothing: there are no threads or processes but JAX's own."""
 
     def _reset(self, start: Start) -> tuple[MjxState, Readings]:
         fields = {name: np.asarray(values) for name, values in start.model_fields.items()}

@@ -1,4 +1,4 @@
-"""What an environment says of the states of an episode: observations, rewards, ends."""
+"""Evaluate an environment's functions on recorded states: observations, rewards, ends."""
 
 from functools import partial
 from typing import Any
@@ -12,17 +12,17 @@ from maesn.envs.base import AnyEnv, Reward
 
 
 def observe(env: AnyEnv, readings: Readings, task: Any) -> Float[Array, " observation"]:
-    """Return what a policy observes in a state, with the instruction where there is one."""
+    """Return a policy's observation of a state, followed by the instruction if there is one."""
     return jnp.concatenate([env.observe(readings), env.instruction(task)])
 
 
 def ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether an episode ends in this state, by the task's rules or by its world's own clock."""
+    """Whether an episode ends in this state, by the task's rules or by a time limit of its own."""
     return env.terminated(readings) | env.truncated(readings)
 
 
 def terminates(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether the first end of an episode of states `[time_plus_1]` is by the task's rules."""
+    """Whether an episode ends first by the task's rules; its states are `[time_plus_1, ...]`."""
     first = jnp.argmax(jax.vmap(partial(ends, env))(readings))
     return env.terminated(jax.tree.map(lambda x: x[first], readings))
 
@@ -37,9 +37,10 @@ def judge(
     """Evaluate the environment along one episode.
 
     Returns:
-        Observations `[time_plus_1, observation]`, rewards, and rewards as the policy receives
-        them `[time]`, whether each state lies in the goal region and whether the episode has
-        ended at or before it `[time_plus_1]`.
+        A tuple of the observations `[time_plus_1, observation]`; the rewards `[time]`; the rewards
+        as the policy receives them `[time]`; whether each state lies in the goal region
+        `[time_plus_1]`; and whether the episode has ended at or before each state
+        `[time_plus_1]`.
     """
     before = jax.tree.map(lambda x: x[:-1], readings)
     after = jax.tree.map(lambda x: x[1:], readings)

@@ -29,8 +29,8 @@ class Scene:
     Args:
         env: whose states.
         view: what the camera must see.
-        width: of the pictures, in pixels.
-        height: of the pictures, in pixels.
+        width: width of the pictures, in pixels.
+        height: height of the pictures, in pixels.
 
     Raises:
         RenderingError: the system has no library to draw with, or the environment no planar
@@ -58,7 +58,7 @@ class Scene:
         """Return a picture of one state.
 
         Args:
-            readings: of that state.
+            readings: the readings of that state.
             task: whose goal is shown, and the way to it that is left.
             trail: positions, in metres, that are joined by a line; None for no line.
         """
@@ -103,7 +103,7 @@ def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View:
     Args:
         env: says where the goals are, and what lies beside them.
         tasks: which; a pytree of arrays with a leading `row` axis.
-        readings: of the states, `[state, ...]` each; the first is the start of an episode.
+        readings: readings `[state, ...]`; the first state is the start of an episode.
     """
     rows = jax.tree.map(jnp.asarray, tasks)
     goals, objects = (np.asarray(jax.vmap(f)(rows)) for f in (env.goal, env.landmarks))

@@ -46,7 +46,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     context_table: AbstractContext
     step_sizes: StepSizes
     statistics: ObservationStatistics | None = None
-    """Of the observations in training; they stay as they are."""
+    """Statistics of the observations in training. They do not change."""
     start_std: float = 1.0
     """Multiplies the standard deviation of the latents that new tasks start from."""
 

@@ -1,4 +1,4 @@
-"""What happened in one meta-iteration, for logs and people."""
+"""The info of one meta-iteration, for logs and people."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ class GroupShares(eqx.Module):
 
 
 class GradientInfo(eqx.Module):
-    """What happened in one meta-iteration: scalars only."""
+    """Info of one meta-iteration: scalars only."""
 
     return_before: Float[Array, ""]
     """Mean undiscounted return before the inner updates."""

@@ -1,4 +1,7 @@
-"""An inner update of meta-training: of the task slots of this process, on its devices."""
+"""The two halves of an inner update in meta-training, on all devices that share the tasks.
+
+Arguments and results have a row for each task slot of this process.
+"""
 
 from typing import Any
 
@@ -13,7 +16,7 @@ from maesn.numerics.mesh import over_tasks
 def estimate(estimator: AdvantageEstimator, episodes: Episodes) -> Advantages:
     """Return the advantages of every task, `[task, ...]`."""
     advantages: Advantages
-    _, advantages = over_tasks(_estimated, estimator, episodes)
+    _, advantages = over_tasks(_estimate, estimator, episodes)
     return advantages
 
 
@@ -26,18 +29,20 @@ def adapt(
     advantages: Advantages,
 ) -> Agents:
     """Return the agents after one update; see `Adaptation`."""
-    shared, own = agents.parts()
-    settings = adaptation, context
-    _, moved = over_tasks(_adapted, (settings, shared, sizes), (own, episodes, advantages))
-    return Agents.of_parts(shared, moved)
+    agents_shared, agents_rows = agents.parts()
+    shared = adaptation, context, sizes, agents_shared
+    _, adapted_rows = over_tasks(_adapt, shared, (agents_rows, episodes, advantages))
+    return Agents.of_parts(agents_shared, adapted_rows)
 
 
-def _estimated(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
+# `over_tasks` runs these. All that they return has a row per task, so their shared result is None.
+def _estimate(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
     return None, estimator.of_tasks(episodes)
 
 
-def _adapted(shared: Any, rows: Any) -> tuple[None, Any]:
-    (adaptation, context), common, sizes = shared
-    own, episodes, advantages = rows
-    agents = Agents.of_parts(common, own)
-    return None, adaptation(agents, sizes, context, episodes, advantages).parts()[1]
+def _adapt(shared: Any, rows: Any) -> tuple[None, Any]:
+    adaptation, context, sizes, agents_shared = shared
+    agents_rows, episodes, advantages = rows
+    agents = Agents.of_parts(agents_shared, agents_rows)
+    _, adapted_rows = adaptation(agents, sizes, context, episodes, advantages).parts()
+    return None, adapted_rows

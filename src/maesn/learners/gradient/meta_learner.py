@@ -45,20 +45,20 @@ class GradientState(eqx.Module):
     parameters: MetaParameters
     iteration: Int[Array, ""]
     statistics: ObservationStatistics | None = None
-    """Of all observations so far; None unless observations are normalised."""
+    """Statistics of all observations so far; None unless observations are normalised."""
 
 
 class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """REINFORCE inside, TRPO outside (algorithm 1 of the paper)."""
 
     context: AbstractContextSettings[Any]
-    """What the policy is conditioned on."""
+    """Settings of the context that the policy is conditioned on."""
     adaptation: Adaptation
-    """What an inner step changes."""
+    """The inner update."""
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network."""
     advantage: AdvantageEstimator = AdvantageEstimator()
-    """How rewards become advantages."""
+    """The estimator of advantages."""
     trust_region: TrustRegion = TrustRegion()
     """The outer step."""
     schedule: StepSchedule = StepSchedule()
@@ -235,9 +235,9 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         """Do the outer step. Beyond this point only the meta-parameters vary.
 
         Args:
-            state: before the step.
-            objective: of the episodes that were played from there.
-            updated: those who played after each inner update, `objective.updated(parameters)`.
+            state: the state before the step.
+            objective: the objective on the episodes of this meta-iteration.
+            updated: the agents after each inner update, `objective.updated(parameters)`.
             key: draws the steps that the curvature takes.
         """
         shared, rows = objective.parts()
@@ -248,7 +248,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return after, info
 
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
-        """Do what `_improve` does, of this device's tasks."""
+        """Do the outer step on this device's tasks."""
         state, key, common, common_agents = shared
         objective = MetaObjective.of_parts(common, rows[0])
         updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
@@ -267,7 +267,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return (after, describe_step(objective, parameters, improved, step)), None
 
     def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
-        """Draw which steps the curvature takes: after the update, and before it."""
+        """Draw the time steps of the curvature: of the outer loss, and of the inner updates."""
         if self.hessian_stride is None:
             both = Thinning.draw(key, self.curvature_stride, time)
             return both, both

@@ -26,10 +26,10 @@ Experience: TypeAlias = tuple[Episodes, Advantages]
 
 
 class MetaParameters(eqx.Module):
-    """All that the outer step changes."""
+    """The parameters that the outer step changes."""
 
     policy: AbstractPolicy
-    """theta, where every task starts from."""
+    """theta, from which every task starts."""
     context_table: AbstractContext
     """One context per training task, or one for all, as the context settings say."""
     step_sizes: StepSizes
@@ -52,25 +52,29 @@ class MetaObjective(eqx.Module):
     loss = mean_i [ L_outer,i(adapted agent i) + penalty(pre-update context i) ]
 
     (problem (3) of section "Meta-Learning Latent Variable Policies"). Episodes and advantages are
-    data: gradients run through the inner updates, but not through the sampling before them.
+    data: gradients run through the inner updates, but not through the sampling of episodes.
     """
 
     context: AbstractContextSettings[Any]
     adaptation: Adaptation
     index: Int[Array, " task"]
+    """The training task of each slot."""
     pre: tuple[Experience, ...]
+    """Episodes and advantages of each inner update."""
     post: Episodes
+    """Episodes of the adapted agents."""
     advantages: Advantages
+    """Advantages of `post`."""
     statistics: ObservationStatistics | None = None
 
     def parts(self) -> tuple[Any, Any]:
-        """Return what all tasks share, and what has a row for each; `of_parts` joins them."""
+        """Split into what all tasks share and what has a row per task; `of_parts` joins them."""
         shared = self.context, self.adaptation, self.statistics
         return shared, (self.index, self.pre, self.post, self.advantages)
 
     @staticmethod
     def of_parts(shared: Any, rows: Any) -> "MetaObjective":
-        """Return the objective of these parts."""
+        """Join the results of `parts`."""
         (context, adaptation, statistics), (index, pre, post, advantages) = shared, rows
         return MetaObjective(context, adaptation, index, pre, post, advantages, statistics)
 
@@ -79,31 +83,31 @@ class MetaObjective(eqx.Module):
         return start_agents(self.context, parameters, self.index, self.statistics)
 
     def updated(self, parameters: MetaParameters) -> tuple[Agents, ...]:
-        """Return the agents after every inner update."""
-        agents, sizes = [self.start(parameters)], parameters.step_sizes
-        for episodes, advantages in self.pre:
-            agents.append(self.adaptation(agents[-1], sizes, self.context, episodes, advantages))
-        return tuple(agents[1:])
+        """Return the agents after the first inner update, after the second, and so on."""
+        return self._stages(parameters)[1:]
 
     def adapted(self, parameters: MetaParameters) -> Agents:
         """Return the agents after all inner updates."""
-        return (self.start(parameters), *self.updated(parameters))[-1]
+        return self._stages(parameters)[-1]
 
     def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
         return self.adapted(parameters).map(post_distributions, episodes, how="vmap")
 
     def statistics_after(self) -> ObservationStatistics | None:
-        """Return the statistics, with all that was observed before an action taken in."""
+        """Return the statistics after the episodes of this meta-iteration.
+
+        Only observations that were followed by an action count.
+        """
         statistics = self.statistics
         if statistics is None:
             return None
-        for played in (*(episodes for episodes, _ in self.pre), self.post):
-            statistics = statistics.with_batch(played.observation[..., :-1, :], played.valid)
+        for episodes in (*(episodes for episodes, _ in self.pre), self.post):
+            statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
         return statistics
 
     def evaluate(self, parameters: MetaParameters) -> Candidate:
-        """Return the loss, and the mean KL from the distributions that were played."""
+        """Return the loss, and the mean KL from the distributions that `post` was drawn from."""
         return _mean_over_tasks(self._each(lambda task: task.evaluate_at_once(parameters)))
 
     def loss_and_gradient(
@@ -111,8 +115,8 @@ class MetaObjective(eqx.Module):
     ) -> tuple[Float[Array, ""], MetaParameters]:
         """Return the loss and its gradient.
 
-        Each task's gradient is taken by itself. Reverse mode through `evaluate` returns the same,
-        but stores the activations of all tasks.
+        Each task is differentiated separately. Reverse mode through `evaluate` would return the
+        same, but store the activations of all tasks.
         """
 
         def differentiate(task: MetaObjective) -> tuple[Float[Array, ""], MetaParameters]:
@@ -121,7 +125,7 @@ class MetaObjective(eqx.Module):
         return _mean_over_tasks(self._each(differentiate))
 
     def evaluate_at_once(self, parameters: MetaParameters) -> Candidate:
-        """Return what `evaluate` does, by one pass over all tasks."""
+        """Return the same as `evaluate`, with all tasks at once instead of one after another."""
         new = self.distributions(parameters, self.post)
         divergence = map_tasks(
             masked_mean, self.post.behaviour.kl(new), self.post.valid, how="vmap"
@@ -130,17 +134,25 @@ class MetaObjective(eqx.Module):
         return Candidate(loss=jnp.mean(losses), kl=jnp.mean(divergence))
 
     def task_losses(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return every task's part of the loss."""
+        """Return every task's loss; `evaluate` returns their mean."""
         new = self.distributions(parameters, self.post)
         return self._surrogates(new) + self.penalties(parameters)
 
     def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return every task's penalty of its pre-update context."""
+        """Return the penalty of every task's pre-update context."""
         context = self.context.start(parameters.context_table, self.index)
+        # The index tells `vmap` the number of tasks: `NoContext` has no array with a task axis.
         penalties: Array = map_tasks(
             lambda one, _: self.context.penalty(one), context, self.index, how="vmap"
         )
         return penalties
+
+    def _stages(self, parameters: MetaParameters) -> tuple[Agents, ...]:
+        """Return the agents before the inner updates, and after each of them."""
+        agents, sizes = [self.start(parameters)], parameters.step_sizes
+        for episodes, advantages in self.pre:
+            agents.append(self.adaptation(agents[-1], sizes, self.context, episodes, advantages))
+        return tuple(agents)
 
     def _surrogates(self, new: AbstractDistribution) -> Float[Array, " task"]:
         surrogates: Array = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
@@ -153,7 +165,7 @@ class MetaObjective(eqx.Module):
             index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
             return function(replace(self, index=index, pre=pre, post=post, advantages=advantages))
 
-        # One after the other: the activations of one task fit in a CPU's cache, of all do not.
+        # In turn, because the activations of one task fit in a CPU's cache; those of all do not.
         return map_tasks(one, self.index, self.pre, self.post, self.advantages, how="serial")
 
 

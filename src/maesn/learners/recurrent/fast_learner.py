@@ -21,7 +21,7 @@ class RecurrentFastState(eqx.Module):
     """State of a `RecurrentFastLearner`."""
 
     trial_state: TrialState | None
-    """Where the trials are, `[task, episode, ...]`; None at their start."""
+    """State of the trials, `[task, episode, ...]`; None at their start."""
 
 
 class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):

@@ -33,13 +33,13 @@ class RecurrentMetaState(eqx.Module):
 
     policy: AbstractPolicy
     opt_state: Any
-    """Of the policy's optimiser."""
+    """State of the policy's optimiser."""
     value: ValueState
     iteration: Int[Array, ""]
 
 
 class RecurrentInfo(eqx.Module):
-    """What happened in one meta-iteration: scalars only."""
+    """Info of one meta-iteration: scalars only."""
 
     return_before: Float[Array, ""]
     """Mean undiscounted return of the first episodes of the trials."""
@@ -56,7 +56,7 @@ class RecurrentInfo(eqx.Module):
     value_accepted: Bool[Array, ""]
     """False if the fitted value function was not finite: it stays as it was."""
     policy_step: Any
-    """Of the step of the policy."""
+    """Info of the policy's step."""
 
 
 class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo]):
@@ -182,7 +182,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         """Return the advantage of every step, over the whole trial and not standardised.
 
         Args:
-            trials: what was played.
+            trials: the trials to learn from.
             expected: V_t.
         """
         return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(

@@ -13,10 +13,10 @@ from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import MinibatchDescent, if_finite, mesh
 from maesn.policies import input_features, input_size
 
-# Ours: weight of the past in the running mean and standard deviation of returns, which then follow
-# the policy within some ten iterations.
+# Our own value: weight of the past in the running mean and standard deviation of returns. They
+# follow the policy within about ten iterations.
 STATISTICS_DECAY = 0.9
-SMALLEST_STD = 1e-4  # in the unit of returns; keeps equal returns from being blown up
+SMALLEST_STD = 1e-4  # in the unit of returns, so that equal returns are not divided by 0
 
 
 class ValueState(eqx.Module):
@@ -24,7 +24,7 @@ class ValueState(eqx.Module):
 
     network: RecurrentNetwork
     opt_state: Any
-    """Of Adam."""
+    """State of Adam."""
     moments: Float[Array, " 3"]
     """Running sums of 1, return, and squared return, from which mean and deviation follow."""
 
@@ -32,11 +32,11 @@ class ValueState(eqx.Module):
 class RecurrentValue(eqx.Module):
     """V_t = mean + std * network(x_0 ... x_t), fitted to λ-returns.
 
-    A network of its own, as the baseline of Duan et al. (2016, section 3): the step of the policy
-    may be a natural gradient. x_t is the policy's input, and the share of the trial that is over.
-    Returns are standardised by running statistics, which makes
-    learning rates independent of the unit of rewards (Yu et al. 2022, "The surprising effectiveness
-    of PPO in cooperative multi-agent games", section 5.1).
+    It shares no weights with the policy, whose step may be a natural gradient; so did the baseline
+    of Duan et al. (2016, section 3). x_t is the policy's input and the elapsed share of the trial.
+    Running statistics standardise the returns, which makes learning rates independent of the unit
+    of rewards (Yu et al. 2022, "The surprising effectiveness of PPO in cooperative multi-agent
+    games", section 5.1).
     """
 
     encoder_sizes: tuple[int, ...] = ()
@@ -44,9 +44,9 @@ class RecurrentValue(eqx.Module):
     hidden_size: int = 64
     """Components of the recurrent state."""
     readout_sizes: tuple[int, ...] = ()
-    """Widths of the hidden layers behind the recurrent layer."""
+    """Widths of the hidden layers after the recurrent layer."""
     descent: MinibatchDescent = MinibatchDescent()
-    """How it is fitted."""
+    """The optimiser of the fit."""
 
     def init(self, key: Key, observation_size: int, action_size: int) -> ValueState:
         """Return an untrained value function."""
@@ -70,7 +70,7 @@ class RecurrentValue(eqx.Module):
     ) -> tuple[ValueState, Bool[Array, ""]]:
         """Return the value function fitted to returns, and whether the fit was accepted.
 
-        If the result is not finite, the value function stays as it is.
+        If the result is not finite, the value function does not change.
         """
         moments = _moments_after(state.moments, trials, returns)
         mean, std = _mean_and_std(moments)
@@ -78,8 +78,8 @@ class RecurrentValue(eqx.Module):
         def loss(
             network: RecurrentNetwork, batch: tuple[Trials, Array]
         ) -> tuple[Float[Array, ""], None]:
-            played, wanted = batch
-            return mesh.part_of_mean((_outputs(network, played) - wanted) ** 2, played.valid), None
+            sample, target = batch
+            return mesh.part_of_mean((_outputs(network, sample) - target) ** 2, sample.valid), None
 
         network, opt_state, _ = self.descent.run(
             key, state.network, state.opt_state, loss, (trials, (returns - mean) / std)

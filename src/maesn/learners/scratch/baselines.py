@@ -25,7 +25,7 @@ from maesn.policies.heads import MINIMUM_STD
 
 
 class FixedPolicy(AbstractFastLearner[None]):
-    """Acts with one policy in all tasks, whatever happens."""
+    """Acts with one fixed policy in all tasks."""
 
     policy: AbstractPolicy
 

@@ -1,4 +1,4 @@
-"""Learning a task from scratch: REINFORCE and TRPO, and whatever goes on from a given policy.
+"""Policy gradient in one task: REINFORCE and TRPO, from scratch or from given weights.
 
 Nothing is meta-learned here. `PolicyGradient` is a fast learner like the ones that meta-learning
 produces, and the same evaluator draws its curve.
@@ -38,23 +38,20 @@ class PolicyGradientState(eqx.Module):
 
     agents: Agents
     opt_state: Any
-    """Of the steps, one per task."""
+    """States of the policy steps, one per task."""
     keys: TaskKeys
-    """Of all further draws of each task."""
+    """One key per task, for all later draws."""
     update: Int[Array, ""]
     """Number of updates so far."""
 
 
 def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
-    """Refuse recurrent policies: the steps of the weights here judge every time step by itself.
+    """Raise a `ValueError` about a recurrent policy: steps here treat every time step by itself.
 
     Args:
-        name: of the argument.
-        owner: what was given for it.
-        is_recurrent: whether its policy is.
-
-    Raises:
-        ValueError: it is.
+        name: name of the argument.
+        owner: value of the argument.
+        is_recurrent: whether its policy is recurrent.
     """
     if is_recurrent:
         raise ValueError(
@@ -64,34 +61,34 @@ def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
 
 
 class PolicyImprovement(eqx.Module):
-    """Policy gradient on the weights of agents that are given; their contexts stay."""
+    """Policy gradient on the weights of given agents. Their contexts do not change."""
 
     rule: AbstractPolicyStep = TRPO
     """The step of the weights."""
     advantage: AdvantageEstimator = AdvantageEstimator()
-    """How rewards become advantages."""
+    """The estimator of advantages."""
 
     def begin(self, keys: TaskKeys, agents: Agents) -> PolicyGradientState:
-        """Return the state that begins with these agents, each with a copy of its weights."""
+        """Return the initial state: these agents, each with its own copy of the weights."""
         policy, opt_state = agents.map(
             lambda agent, _: (agent.policy, self.rule.init(agent.policy)), keys, how="vmap"
         )
-        owners = replace(agents, policy=policy, shares_policy=False)
-        return PolicyGradientState(owners, opt_state, keys, jnp.zeros((), int))
+        agents = replace(agents, policy=policy, shares_policy=False)
+        return PolicyGradientState(agents, opt_state, keys, jnp.zeros((), int))
 
     @eqx.filter_jit
     def __call__(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
-        """Move every task's weights once, by what its agent has played."""
+        """Take one step in every task, on its agent's episodes."""
         advantages = self.advantage.of_tasks(episodes)
         keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
 
         def improve(
-            agent: Agent, key: Key, opt_state: Any, played: Episodes, judged: Advantages
+            agent: Agent, key: Key, opt_state: Any, own: Episodes, own_advantages: Advantages
         ) -> tuple[AbstractPolicy, Any]:
-            trials = trials_of(agent, played)
-            return self.rule(key, agent.policy, opt_state, trials, judged.step)[:2]
+            trials = trials_of(agent, own)
+            return self.rule(key, agent.policy, opt_state, trials, own_advantages.step)[:2]
 
-        # All at once, they would wait for the longest line search.
+        # In turn: all at once, every task would wait for the longest line search.
         policy, opt_state = state.agents.map(improve, keys, state.opt_state, episodes, advantages)
         moved = replace(state.agents, policy=policy)
         return PolicyGradientState(moved, opt_state, state.keys, state.update + 1)
@@ -107,7 +104,7 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network."""
     improvement: PolicyImprovement = PolicyImprovement()
-    """How the weights follow their experience."""
+    """The policy gradient method."""
 
     def __check_init__(self) -> None:
         refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
@@ -135,7 +132,7 @@ IMPROVEMENTS = {
     "trpo": PolicyImprovement(TRPO),
     "reinforce": PolicyImprovement(GradientStep()),
 }
-"""How a policy's weights can follow the gradient of one task, by name."""
+"""The policy gradient methods for one task, by name."""
 
 
 def reinforce(
@@ -150,7 +147,7 @@ def reinforce(
     Args:
         observation_size: components of an observation.
         action_size: components of an action, or number of choices.
-        step_size: of every update. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`.
+        step_size: size of every update. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`.
         settings: others of `PolicyGradient`.
     """
     improvement = PolicyImprovement(GradientStep(step_size))

@@ -1,1 +1,1 @@
-"""What is put around a learner: a curiosity bonus, and fine-tuning of the policy's weights."""
+"""Wrappers of learners: a curiosity bonus, and fine-tuning of the policy's weights."""

@@ -1,7 +1,4 @@
-"""A curiosity bonus around any fast learner.
-
-The learner is handed its episodes with the bonus added to their rewards, and learns from the sum.
-"""
+"""A curiosity bonus for any fast learner: it learns from the sum of reward and bonus."""
 
 import dataclasses
 from collections.abc import Callable
@@ -34,27 +31,27 @@ class BonusFastState(eqx.Module):
     curiosity: CuriosityState
     """One model per task."""
     keys: TaskKeys
-    """Of all further draws of each task."""
+    """One key per task, for all later draws."""
     update: Int[Array, ""]
     """Number of updates so far."""
 
 
 class BonusFastLearner(AbstractFastLearner[BonusFastState]):
-    """A fast learner with a bonus for what each task's model of the dynamics learns.
+    """A fast learner with a curiosity bonus, from one model of the dynamics per task.
 
     With TRPO from scratch this is VIME.
     """
 
     learner: AbstractFastLearner[Any]
-    """Learns from reward and bonus."""
+    """The learner that gets the bonus."""
     curiosity: CuriosityBonus
-    """What the bonus is."""
+    """Settings of the bonus."""
     observation_size: int
     """Components of an observation."""
     action_size: int
     """Components of an action, or number of choices."""
     trained: CuriosityState | None = None
-    """A model that all tasks' models begin with; None for untrained ones."""
+    """The initial model of every task; None for untrained models."""
 
     def __check_init__(self) -> None:
         can = self.learner.capabilities
@@ -72,7 +69,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         learner_keys, model_keys, keys = jnp.moveaxis(
             jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0
         )
-        models = map_tasks(self._fresh, model_keys, how="vmap")
+        models = map_tasks(self._initial_model, model_keys, how="vmap")
         learner = self.learner.init(learner_keys)
         return BonusFastState(learner, models, keys, jnp.zeros((), int))
 
@@ -85,13 +82,13 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
 
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
         """Learn from reward and bonus, then let the models learn from the transitions."""
-        keys = _split_each(state.keys, state.update)
-        judged, bonus = self._judge(keys[:, 0], state.curiosity, episodes)
+        keys = _update_keys(state.keys, state.update)
+        models, bonus = self._judge(keys[:, 0], state.curiosity, episodes)
         learned = self.learner.update(state.learner, with_bonus(episodes, bonus))
-        models = self._learn(keys[:, 1], judged)
+        models = self._learn(keys[:, 1], models)
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
-    def _fresh(self, key: Key) -> CuriosityState:
+    def _initial_model(self, key: Key) -> CuriosityState:
         if self.trained is not None:
             return self.curiosity.start(self.trained)
         return self.curiosity.init(key, self.observation_size, self.action_size)
@@ -100,7 +97,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     def _judge(
         self, keys: TaskKeys, models: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
-        # One task after the other: the gradients of single transitions are large.
+        # In turn, to bound the memory: every transition has a gradient of its own.
         return map_tasks(self.curiosity.judge, keys, models, episodes, how="serial")
 
     @eqx.filter_jit
@@ -112,11 +109,11 @@ def inside(
     learner: AbstractFastLearner[Any],
     change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]],
 ) -> AbstractFastLearner[Any]:
-    """Return a changed learner, which keeps its bonus if it has one.
+    """Apply a change to a learner: inside of its bonus, if it has one.
 
     Args:
-        learner: with or without a bonus.
-        change: makes another learner of the one that learns from the episodes.
+        learner: a learner with or without a bonus.
+        change: turns the learner without bonus into another one.
     """
     if isinstance(learner, BonusFastLearner):
         return dataclasses.replace(learner, learner=inside(learner.learner, change))
@@ -124,12 +121,13 @@ def inside(
 
 
 def with_bonus(episodes: Episodes, bonus: Float[Array, "task episode time"]) -> Episodes:
-    """Return the episodes with bonus; what the policy received as a reward stays without."""
-    received = episodes.reward if episodes.observed_reward is None else episodes.observed_reward
-    return dataclasses.replace(episodes, reward=episodes.reward + bonus, observed_reward=received)
+    """Add the bonus to the rewards to learn from, but not to those that the policy received."""
+    return dataclasses.replace(
+        episodes, reward=episodes.reward + bonus, observed_reward=episodes.received_reward
+    )
 
 
-def _split_each(keys: TaskKeys, update: Int[Array, ""]) -> Any:
+def _update_keys(keys: TaskKeys, update: Int[Array, ""]) -> Any:
     """Return two keys per task for one update, `[task, 2]`."""
     folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, update)
     return jax.vmap(jax.random.split)(folded)

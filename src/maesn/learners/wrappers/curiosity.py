@@ -1,8 +1,8 @@
 """Curiosity: a bonus for information about the dynamics of the world, as in VIME.
 
-A Bayesian neural network models p(s' | s, a). The bonus of a transition is the information that it
-brings about the network's weights, KL(posterior after it || posterior before it). Nothing here
-depends on a task or a learner: `maesn.learners.wrappers.bonus` adds the bonus for any of them.
+A Bayesian neural network models p(s' | s, a). The bonus of a transition is its information gain on
+the network's weights, KL(posterior after it || posterior before it). Nothing here depends on a task
+or a learner: `maesn.learners.wrappers.bonus` adds the bonus to the rewards of any learner.
 
 Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration" (2016),
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
@@ -24,32 +24,43 @@ from maesn.experience.transitions import Scale, Transitions, check_observed, tra
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step, mesh
 
-# Transitions whose gradients are held at once; bounds the memory.
+# Number of transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
 
 
 class CuriosityState(eqx.Module):
-    """One model and what it learns from: arrays only."""
+    """One model of the dynamics and its training data: arrays only."""
 
     network: BayesianNetwork
     opt_state: Any
-    """Of Adam."""
+    """State of Adam."""
     pool: Ring
-    """Transitions to learn from."""
+    """Transitions to learn from, a replay buffer."""
     medians: Ring
     """Median information gains of the last batches."""
     has_learned: Bool[Array, ""]
-    """Whether the network has learned from anything yet."""
+    """Whether the network has been trained at all."""
+
+    @property
+    def scale(self) -> Scale:
+        """Mean and standard deviation of the features in the pool."""
+        return Scale(*self.pool.moments())
+
+    @property
+    def typical_gain(self) -> Float[Array, ""]:
+        """Mean of `medians`; 0 if there are none."""
+        mean, _ = self.medians.moments()
+        return mean[0]
 
 
 class CuriosityBonus(eqx.Module):
     """How a bonus is computed: r'(s, a, s') = r + weight * gain(s, a, s') / typical gain.
 
-    The typical gain is the mean of the medians of the last batches. As long as the model has
-    learned nothing there is no bonus, as in the published code: the gains of a fresh model are so
-    much larger than later ones that their median would leave hardly any bonus to the next batches.
+    The typical gain is the mean of the median gains of the last batches. An untrained model gives
+    no bonus, as in the published code: its gains are so large that their median would leave hardly
+    any bonus to the next batches.
 
-    Methods are written for one model of the dynamics of one world; callers map them over tasks.
+    Methods are written for one model; callers map them over tasks.
     """
 
     weight: float = 1e-4
@@ -62,17 +73,18 @@ class CuriosityBonus(eqx.Module):
     """Standard deviation of the model's noise, in standard deviations of the changes. (Published
     code: 5, with the divergence from the prior weighted as if there were 50 transitions.)"""
     samples: int = 10
-    """Draws of the network behind each expectation. Published: 10."""
+    """Draws of the network's weights in each expectation. Published: 10."""
     learning_rate: float = 1e-3
-    """Of Adam. Published: 1e-3 by default, 1e-4 in the experiments with ten times the updates."""
+    """Learning rate of Adam. Published: 1e-3 by default, 1e-4 in the experiments with ten times the
+    updates."""
     updates: int = 500
     """Steps of Adam after each batch of episodes. Published: 500 by default, 5000 in the
     experiments, whose batches were five times as large."""
     batch_size: int = 10
     """Transitions per step of Adam. Published: 10."""
     pool_size: int = 20_000
-    """Transitions that are kept to learn from. Published: 1e5 by default, 1e6 in the experiments,
-    for one task."""
+    """Transitions that the pool holds. Published: 1e5 by default, 1e6 in the experiments, for one
+    task."""
     pool_additions: int = 500
     """Transitions of each batch that enter the pool, drawn at random. (Published code: all.)"""
     median_window: int = 10
@@ -104,9 +116,9 @@ class CuriosityBonus(eqx.Module):
         return self._begin(network, pool, jnp.zeros((), bool))
 
     def start(self, trained: CuriosityState) -> CuriosityState:
-        """Return a state that begins with the network and the pool of another one.
+        """Return a new state with the network and the pool of another one.
 
-        The network's inputs and outputs are in units of the pool's moments, so both go together.
+        The pool's moments standardise the network's inputs and outputs, so both go together.
         """
         return self._begin(trained.network, trained.pool, trained.has_learned)
 
@@ -124,42 +136,43 @@ class CuriosityBonus(eqx.Module):
     def judge(
         self, key: Key, state: CuriosityState, episodes: Episodes
     ) -> tuple[CuriosityState, Float[Array, "*batch time"]]:
-        """Return the bonus of every step, by what the model has learned before; 0 where invalid.
+        """Return the bonus of every step under the present model; 0 where invalid.
 
-        The new state holds some of the transitions and their median gain; it has not learned from
-        them yet. As long as the model has learned nothing, the bonus is 0 and no median is kept.
+        The new state holds some of the transitions and their median gain; `learn` trains on them
+        later. For an untrained model the bonus is 0, and no median is kept.
 
         Args:
             key: random key.
-            state: of the model.
-            episodes: of any number of tasks, if their dynamics are the same.
+            state: the model.
+            episodes: episodes of any number of tasks with the same dynamics.
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
         pool = state.pool.extend(*self._draw_additions(pool_key, mesh.gather(played)))
-        gain = self.information_gains(noise_key, state.network, Scale(*pool.moments()), played)
+        state = replace(state, pool=pool)
+        gain = self.information_gains(noise_key, state.network, state.scale, played)
         median = jnp.nanmedian(mesh.gather(jnp.where(played.valid, gain, jnp.nan)))
-        counts = state.has_learned & mesh.gather(played.valid).any()
-        medians = state.medians.extend(median[None, None], counts[None])
-        # 0 if there are none.
-        typical = medians.moments()[0][0]
+        has_median = state.has_learned & mesh.gather(played.valid).any()
+        medians = state.medians.extend(median[None, None], has_median[None])
+        state = replace(state, medians=medians)
+        typical = state.typical_gain
         bonus = jnp.where(typical > 0, self.weight * gain / typical, 0.0)
-        return replace(state, pool=pool, medians=medians), bonus.reshape(episodes.valid.shape)
+        return state, bonus.reshape(episodes.valid.shape)
 
     def information_gains(
         self, key: Key, network: BayesianNetwork, scale: Scale, played: Transitions
     ) -> Float[Array, " transition"]:
         """Return the information gain of each transition, in nats for a step of size 1.
 
-        All transitions are judged with the same draws of the network, so that their gains do not
-        differ by the draws. The size of the step cancels in the bonus.
+        All transitions use the same draws of the weights, so that gains differ by the transitions
+        alone. The step size cancels in the bonus.
         """
         noise = jax.random.normal(key, (self.samples, network.noise_size))
 
         def gain(transition: tuple[Array, Array]) -> Float[Array, ""]:
             row, valid = transition
-            finite = jnp.where(valid, row, scale.mean)
-            gradient = jax.grad(self.surprise)(network, scale(finite), noise)
+            finite_row = jnp.where(valid, row, scale.mean)
+            gradient = jax.grad(self.surprise)(network, scale(finite_row), noise)
             return jnp.where(valid, network.information_gain(gradient), 0.0)
 
         return jax.lax.map(gain, tuple(played), batch_size=CHUNK_SIZE)
@@ -175,7 +188,7 @@ class CuriosityBonus(eqx.Module):
         Args:
             network: the model.
             row: standardised features of the transition.
-            noise: of each draw of the network.
+            noise: standard normal noise of each draw of the weights.
         """
         inputs = network.input_size
         predicted = jax.vmap(network, in_axes=(None, 0))(row[:inputs], noise)
@@ -195,9 +208,9 @@ class CuriosityBonus(eqx.Module):
 
         Args:
             network: the model.
-            rows: standardised transitions x_n, a sample of all.
-            noise: of each draw of the network.
-            number: N, the number of transitions that the posterior is given.
+            rows: standardised transitions x_n, a minibatch.
+            noise: standard normal noise of each draw of the weights.
+            number: N, the number of transitions in the pool.
         """
         surprise = jax.vmap(self.surprise, in_axes=(None, 0, 0))(network, rows, noise).mean()
         posterior = network.posterior
@@ -207,7 +220,7 @@ class CuriosityBonus(eqx.Module):
 
     def learn(self, key: Key, state: CuriosityState) -> CuriosityState:
         """Return the state after `updates` steps of Adam on the transitions of the pool."""
-        adam, scale = optax.adam(self.learning_rate), Scale(*state.pool.moments())
+        adam, scale = optax.adam(self.learning_rate), state.scale
         number = jnp.maximum(state.pool.size, 1).astype(float)
 
         def step(now: tuple[BayesianNetwork, Any], step_key: Key) -> Any:

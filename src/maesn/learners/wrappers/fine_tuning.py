@@ -30,11 +30,11 @@ from maesn.learners.scratch.policy_gradient import (
 
 
 class FineTuningState(eqx.Module, Generic[FastState]):
-    """State of `FineTuning`: of the learner, and of what goes on from it."""
+    """State of `FineTuning`."""
 
     learner: FastState
     tuning: PolicyGradientState | None
-    """None until the learner has had its episodes."""
+    """State of the fine-tuning; None until the learner has had its episodes."""
     keys: TaskKeys
     episodes: Int[Array, ""]
     """Episodes of each task so far."""
@@ -48,12 +48,12 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     """
 
     learner: AbstractFastLearner[Any]
-    """Adapts first."""
+    """The learner that adapts first."""
     improvement: PolicyImprovement = PolicyImprovement()
-    """How the weights follow their experience afterwards."""
+    """The policy gradient method that fine-tunes the weights."""
     after: int = 500
     """Episodes of each task that the learner has before. The update that reaches them is its last
-    one. With 50 episodes per update this is ten updates, after which the latents stand still: the
+    one. With 50 episodes per update this is ten updates, after which the latents hardly move: the
     reference's steps are halved from the third update on."""
 
     def __check_init__(self) -> None:
@@ -79,7 +79,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         return agents.at_mean() if purpose == "deploy" else agents
 
     def update(self, state: FineTuningState[Any], episodes: Episodes) -> FineTuningState[Any]:
-        """Let the learner learn, or go on from where it stands."""
+        """Update the learner, or the weights once the learner has had its episodes."""
         count = state.episodes + episodes.valid.shape[1]
         if state.tuning is not None:
             tuned = self.improvement(state.tuning, episodes)
@@ -91,7 +91,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         return self.learner.capabilities._replace(learns_from_reward=True, resumes=False)
 
     def _next(self, learned: Any, keys: TaskKeys, count: Int[Array, ""]) -> FineTuningState[Any]:
-        """Return the state after an update of the learner's; if it was the last, tuning begins."""
+        """Return the state after an update of the learner. After its last one, tuning begins."""
         tuning = None
         if int(count) >= self.after:
             tuning = self.improvement.begin(keys, self.learner.agents(learned))

@@ -1,4 +1,4 @@
-"""A curiosity bonus around any meta-learner."""
+"""A curiosity bonus for any meta-learner: it learns from the sum of reward and bonus."""
 
 import dataclasses
 from typing import Any, Generic
@@ -23,7 +23,7 @@ class BonusMetaState(eqx.Module):
 
     learner: Any
     curiosity: CuriosityState
-    """One model for all tasks, whose dynamics are the same."""
+    """One model for all tasks: their dynamics are the same."""
 
 
 class BonusInfo(eqx.Module):
@@ -32,28 +32,28 @@ class BonusInfo(eqx.Module):
     bonus: Float[Array, ""]
     """Mean bonus of an episode in the last collection."""
     typical_gain: Float[Array, ""]
-    """Mean of the last median information gains, in nats for a step of size 1."""
+    """`CuriosityState.typical_gain`, in nats for a step of size 1."""
 
 
 class BonusMetaInfo(eqx.Module, Generic[Info]):
-    """What happened in one meta-iteration with a bonus."""
+    """Info of one meta-iteration with a bonus."""
 
     learner: Info
-    """Of the learner's step, but with returns without bonus."""
+    """The learner's own info, with the returns without bonus."""
     curiosity: BonusInfo
 
 
 class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
-    """A meta-learner with a bonus for what one model of the dynamics learns.
+    """A meta-learner with a curiosity bonus, from one model of the dynamics for all tasks.
 
-    The bonus of a meta-iteration is that of the model at its beginning; at its end the model
-    learns. What it has learned of the dynamics passes on to new tasks.
+    The model is trained at the end of each meta-iteration, so the bonus does not change during it.
+    New tasks start from the trained model.
     """
 
     learner: AbstractMetaLearner[Any, Any]
-    """Learns from reward and bonus."""
+    """The meta-learner that gets the bonus."""
     curiosity: CuriosityBonus = CuriosityBonus()
-    """What the bonus is."""
+    """Settings of the bonus."""
 
     def __check_init__(self) -> None:
         if type(self) in self.learner.slots():
@@ -86,7 +86,7 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         self.learner.check_batch(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
-        """Return those of the learner; with a bonus it is another method."""
+        """Return the learner's slots after this class: with a bonus it is another method."""
         return (type(self), *self.learner.slots())
 
     def metrics(self, info: BonusMetaInfo[Any]) -> dict[str, Any]:
@@ -96,9 +96,9 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         return named | {"curiosity": info.curiosity}
 
     def fast_learner(self, state: BonusMetaState) -> AbstractFastLearner[Any]:
-        """Return the learner of new tasks; its models begin as the model of the training tasks.
+        """Return the learner of new tasks, whose models start from the trained one.
 
-        A learner whose updates do not depend on rewards has no use for a bonus, and comes as it is.
+        A learner whose updates do not depend on rewards is returned without a bonus.
         """
         learner, network = self.learner.fast_learner(state.learner), state.curiosity.network
         if not learner.capabilities.learns_from_reward:
@@ -117,21 +117,24 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         """Do one meta-iteration.
 
         Returns:
-            The new state, and what happened. The returns are those of the first and the last stage
-            of the meta-iteration, without bonus.
+            The new state and the info. Its returns are those of the first and the last stage of
+            the meta-iteration, without bonus.
         """
         learner_key, judge_key, learn_key = jax.random.split(key, 3)
-        judging = _CollectWithBonus(self.curiosity, judge_key, state.curiosity, collect)
-        learned, info = self.learner.step(learner_key, state.learner, judging)
-        before, after = judging.first_and_last_return()
+        collector = _CollectWithBonus(self.curiosity, judge_key, state.curiosity, collect)
+        learned, info = self.learner.step(learner_key, state.learner, collector)
+        before, after = collector.first_and_last_return()
         info = dataclasses.replace(info, return_before=before, return_after=after)
-        said = BonusInfo(judging.bonus, judging.state.medians.moments()[0][0])
-        model = _learn(self.curiosity, learn_key, judging.state)
-        return BonusMetaState(learned, model), BonusMetaInfo(info, said)
+        bonus_info = BonusInfo(collector.bonus, collector.state.typical_gain)
+        model = _learn(self.curiosity, learn_key, collector.state)
+        return BonusMetaState(learned, model), BonusMetaInfo(info, bonus_info)
 
 
 class _CollectWithBonus:
-    """`Collect` that adds the bonus to the rewards."""
+    """`Collect` that adds the bonus to the rewards, for the collections of one meta-iteration.
+
+    `state` changes with each collection; `bonus` is the mean bonus of an episode in the last one.
+    """
 
     def __init__(
         self, curiosity: CuriosityBonus, key: Key, state: CuriosityState, collect: Collect
@@ -142,7 +145,7 @@ class _CollectWithBonus:
         self._key = key
         self._collect = collect
         self._returns: list[tuple[int, Float[Array, ""]]] = []
-        """Stage and mean return, without bonus, of every batch."""
+        """Stage and mean return of each collection, without bonus."""
 
     @property
     def num_tasks(self) -> int:
@@ -153,7 +156,7 @@ class _CollectWithBonus:
         return self._collect.episodes_per_task
 
     def first_and_last_return(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return the mean returns of the first and of the last stage, over their batches."""
+        """Return the mean returns of the first and the last stage, over their collections."""
         stages = [stage for stage, _ in self._returns]
         first, last = (
             jnp.stack([mean for stage, mean in self._returns if stage == chosen]).mean()
@@ -167,8 +170,8 @@ class _CollectWithBonus:
         episodes = self._collect(keys, agents, task_index, stage)
         key = jax.random.fold_in(self._key, len(self._returns))
         self.state, bonus = over_tasks(_judge, (self._curiosity, key, self.state), episodes)
-        sums = episodes.undiscounted_return, bonus.sum(-1)
-        (mean_return, self.bonus), _ = over_tasks(_means, None, sums)
+        per_episode = episodes.undiscounted_return, bonus.sum(-1)
+        (mean_return, self.bonus), _ = over_tasks(_means, None, per_episode)
         self._returns.append((stage, mean_return))
         return with_bonus(episodes, bonus)
 
