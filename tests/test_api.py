@@ -105,8 +105,10 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     table = trained / "adaptation" / "test-sparse.csv"
     before = table.read_bytes()
     Run.open(trained).checkpoints()[-1].touch()
-    api.report([trained], tmp_path)
+    again = api.report([trained], tmp_path / "pages" / "mine.html").files
     assert table.read_bytes() == before
+    assert {path.parent for path in again} == {tmp_path / "pages"}
+    assert tmp_path / "pages" / "mine.html" in again
 
 
 def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:

@@ -58,6 +58,7 @@ from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.numerics import MinibatchDescent as MinibatchDescent
 from maesn.numerics.processes import Sharing as Sharing
 from maesn.numerics.trust_region import TrustRegion as TrustRegion
+from maesn.policies import AnnealedGaussianMLP as AnnealedGaussianMLP
 from maesn.policies import CategoricalMLP as CategoricalMLP
 from maesn.policies import GaussianMLP as GaussianMLP
 from maesn.policies import Recurrent as Recurrent

@@ -254,7 +254,7 @@ def report(
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory.
+            study go into its directory. A name that ends in `.html` is that of the page.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:
@@ -262,13 +262,17 @@ def report(
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
-    if not isinstance(of[0], Run) and studies_in(Path(of[0])):
-        if len(of) > 1 or out is not None:
-            raise RunError("a study is reported by itself, into its directory: maesn report DIR")
+    page = Path(out) if out is not None and Path(out).suffix == ".html" else None
+    if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
+        if len(of) > 1 or (out is not None and (page is None or len(studies) > 1)):
+            raise RunError(
+                "a study is reported by itself, into its directory: maesn report DIR. Of one study, "
+                "the page can go elsewhere: --out NAME.html"
+            )
         files: list[Path] = []
         found = report_studies(Path(of[0]), files.append)
-        for path in studies_in(Path(of[0])):
-            files += _page(path, study_page, path)
+        for path in studies:
+            files += _page(page or path / PAGE, study_page, path)
         return Reported(files, found)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
@@ -278,24 +282,24 @@ def report(
             record_exploration(run)
             record_explorer(run)
     directories = [run.directory for run in opened]
-    folder = Path(out or directories[0] / "figures")
+    folder = page.parent if page else Path(out or directories[0] / "figures")
     files = draw_runs(directories, folder, print)
     if len(opened) == 1 and out is None:
         pictures = [file for file in files if file.suffix == ".png"]
         log_figures(directories[0], pictures, opened[0].latest().environment_steps)
-    return Reported(files + _page(folder, run_page, directories), [])
+    return Reported(files + _page(page or folder / PAGE, run_page, directories), [])
 
 
 def _page(
-    folder: Path, document: Callable[[Any], Any], of: Any, say: Callable[[object], None] = print
+    path: Path, document: Callable[[Any], Any], of: Any, say: Callable[[object], None] = print
 ) -> list[Path]:
     """Write the page of runs or a study; return its path, or say why there is none."""
     try:
-        write_page(folder / PAGE, document(of))
+        write_page(path, document(of))
     except PlotlyMissing as error:
         say(error)
         return []
-    return [folder / PAGE]
+    return [path]
 
 
 def _adapted_start(

@@ -18,7 +18,13 @@ from maesn.runs.run import Run
 from maesn.runs.sources import policy_names
 from maesn.storage import RunError
 
-_EXTRAS = {"gym": "gymnasium", "gpu": "mujoco-mjx", "ray": "ray", "cmaes": "cmaes"}
+_EXTRAS = {
+    "gym": "gymnasium",
+    "gpu": "mujoco-mjx",
+    "ray": "ray",
+    "cmaes": "cmaes",
+    "page": "plotly",
+}
 
 
 @command
