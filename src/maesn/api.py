@@ -266,8 +266,8 @@ def report(
     if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
         if len(of) > 1 or (out is not None and (page is None or len(studies) > 1)):
             raise RunError(
-                "a study is reported by itself, into its directory: maesn report DIR. Of one study, "
-                "the page can go elsewhere: --out NAME.html"
+                "a study is reported by itself, into its directory: maesn report DIR. The page of "
+                "one study can go elsewhere: --out NAME.html"
             )
         files: list[Path] = []
         found = report_studies(Path(of[0]), files.append)
