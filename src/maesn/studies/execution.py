@@ -57,7 +57,9 @@ class Execution:
                     self._attempts[job.name] += 1
                     self._running[executor.submit(job, self.directory)] = job
                 for future in wait(self._running, return_when=FIRST_COMPLETED).done:
-                    job, failure = self._running.pop(future), _failure(future)
+                    job, error = self._running.pop(future), future.exception()
+                    lost = Failure(f"{type(error).__name__}: {error}")  # with its process
+                    failure = lost if error else future.result()
                     if failure is None:
                         done += 1
                         (self.directory / job.name / FAILED).unlink(missing_ok=True)
@@ -133,11 +135,3 @@ class Execution:
         )
         minutes = missing / speed / workers / 60
         return f"About {minutes:,.0f} minutes left with {workers} at a time."
-
-
-def _failure(future: Future[Failure | None]) -> Failure | None:
-    """Return how a job has failed; None if it is done."""
-    error = future.exception()
-    if error is None:
-        return future.result()
-    return Failure(f"{type(error).__name__}: {error}")

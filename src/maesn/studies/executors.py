@@ -135,7 +135,7 @@ class Ray(AbstractExecutor):
     Its machines must see the study's directory at the same path.
     """
 
-    def __init__(self, workers: int, threads: int, jobs: Path) -> None:
+    def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
         try:
             self._ray: Any = __import__("ray")
         except ImportError as error:
@@ -146,7 +146,7 @@ class Ray(AbstractExecutor):
         path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         variables = path | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
-            num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
+            num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
         )
         cpus = int(self._ray.cluster_resources().get("CPU", 1))
         self.slots = min(workers, cpus // threads) or 1

@@ -225,7 +225,8 @@ def _settings(
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     """Return learner and settings of a run that is to be trained; `RunError` with the wrong key."""
     spec = study.runs[name]
-    preset, usual = spec.preset or name, dict[str, Any]()
+    preset = spec.preset or name
+    usual: dict[str, Any] = {}
     if ":" in preset:
         learner = imported(preset, "preset")()
     elif spec.source == "reference":

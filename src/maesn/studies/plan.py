@@ -167,6 +167,7 @@ class _Planner:
         tasks, budget, env = self.tasks(asked.tasks), asked.budget, member.env(asked)
         needs = self.needs(name, member, asked, env)
         if isinstance(member, Untrained) and member.method:
+            # From scratch, the seed is that of fresh policies and of the episodes.
             asked = dataclasses.replace(asked, seed=member.seed)
         columns = len(asked.deploy_after) or budget.episodes // budget.per_update + 1
         of_task = (budget.episodes + budget.per_update + budget.deploy * columns) * env.horizon
