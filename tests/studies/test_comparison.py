@@ -7,16 +7,16 @@ import pytest
 from small_runs import create, finish, tiny_maesn
 
 from maesn import cli
+from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import oracle
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.rules import GradientRule, ThenTrpo
-from maesn.runs.config import RunSettings
 from maesn.storage import read_json
 from maesn.studies.comparison import compare
 from maesn.studies.executors import Here
-from maesn.studies.jobs import Untrained
+from maesn.studies.members import scratch_learner
 from maesn.studies.spec import ScratchSpec
 
 FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
@@ -98,9 +98,10 @@ def test_runs_take_part_a_second_time_with_what_is_added(
 
 
 def test_settings_of_methods_from_scratch_reach_them() -> None:
+    env = resolve_family("point").make_env(variant="reference", reward_kind="sparse")
+
     def learner(method: str, **settings: float) -> object:
-        who = Untrained(RunSettings(family="point"), ScratchSpec(method, **settings))
-        return who.learner(who.env("sparse", None))
+        return scratch_learner(ScratchSpec(method, **settings), env)
 
     assert learner("reinforce", step_size=0.3).improvement.rule.step_size == 0.3
     assert learner("trpo", max_kl=0.07).improvement.rule.trust_region.max_kl == 0.07

@@ -80,7 +80,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
     ]
     text = 'family = "wheeled"\n[runs.maesn]\n' + "\n".join(lines)
     (again,) = members_of_run(read_study(written(tmp_path, text)), "maesn", "wheeled")
-    assert again.who == member.who  # the same digest
+    assert again.job == member.job  # the same digest
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_shipped_studies_can_be_planned(name: str) -> None:
     assert isinstance(study, StudySpec)
     plan = make_plan(study)
     assert plan.jobs
-    assert {one.world.family for one in plan.comparisons} == set(study.families)
+    assert {one["family"] for one in plan.comparisons} == set(study.families)
     done: set[str] = set()
     for job in plan.jobs.values():
         assert set(job.needs) <= done  # each behind those that it needs

@@ -4,6 +4,9 @@ import csv
 import dataclasses
 import os
 import signal
+import threading
+import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -12,7 +15,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.storage import LOCK, RunError
-from maesn.studies.executors import AbstractExecutor, Ended, Here, LocalPool, Ray
+from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
 from maesn.studies.jobs import AbstractJob
 from maesn.studies.spec import EvaluationSpec, FigureSpec, RunSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Study
@@ -53,20 +56,17 @@ class Watched(AbstractExecutor):
     slots = 1
 
     def __post_init__(self) -> None:
-        self.here, self.started, self.ended = Here(), [], []
+        self.started: list[str] = []
 
-    def start(self, job: AbstractJob, jobs: Path) -> None:
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
         self.started.append(job.name)
         kind = job.name.partition("-")[0]
-        if self.failing.get(kind, 0) > 0:
-            self.failing[kind] -= 1
-            self.ended.append(Ended(job.name, "an accident", self.final))
-        else:
-            self.here.start(job, jobs)
-
-    def wait(self, seconds: float) -> list[Ended]:
-        ended, self.ended = [*self.ended, *self.here.wait(seconds)], []
-        return ended
+        if self.failing.get(kind, 0) == 0:
+            return Here().submit(job, jobs)
+        self.failing[kind] -= 1
+        failed: Future[Failure | None] = Future()
+        failed.set_result(Failure("an accident", self.final))
+        return failed
 
     def close(self) -> None:
         pass
@@ -79,6 +79,12 @@ def files(directory: Path) -> dict[str, bytes]:
         for path in sorted(directory.rglob("*"))
         if path.is_file()
     }
+
+
+def status(study: Study, out: Path) -> dict[str, str]:
+    """Return how each job is."""
+    execution = study.execution(out)
+    return {name: execution.status(job)[0] for name, job in execution.jobs.items()}
 
 
 def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
@@ -124,9 +130,8 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     (name,) = done.failed
     assert name.startswith("train")
     assert sum("mine" in name for name in executor.started) == 1
-    states = study.execution(tmp_path).status()
-    found = {state for name, (state, _) in states.items() if "mine" in name and "adapt" in name}
-    assert found == {"waiting"}
+    states = status(study, tmp_path)
+    assert {states[name] for name in states if "mine" in name and "adapt" in name} == {"waiting"}
     assert done.csv.exists()  # of the others
     assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
 
@@ -139,8 +144,7 @@ def test_one_job_of_an_array(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="no job `nothing`: `--dry-run` lists them"):
         study.run(tmp_path, executor=Here(), only="nothing")
     Study(SMALL).run(tmp_path, executor=Here(), only=train)
-    states = study.execution(tmp_path).status()
-    assert [state for state, _ in states.values()] == ["done", *["waiting"] * len(others)]
+    assert list(status(study, tmp_path).values()) == ["done", *["waiting"] * len(others)]
 
 
 def test_names_of_jobs_say_what_decides_their_numbers() -> None:
@@ -161,22 +165,23 @@ class Killing(AbstractExecutor):
     """Kills the process that trains, once, when it has done an iteration."""
 
     executor: LocalPool | Ray
-    jobs: Path
     killed: int = 0
 
     @property
     def slots(self) -> int:  # type: ignore[override]
         return self.executor.slots
 
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        self.executor.start(job, jobs)
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+        if not self.killed and job.name.startswith("train"):
+            threading.Thread(target=self.kill, args=(jobs / job.name / "run",)).start()
+        return self.executor.submit(job, jobs)
 
-    def wait(self, seconds: float) -> list[Ended]:
-        logs = [path for path in self.jobs.glob("train-*/run/metrics.jsonl") if path.stat().st_size]
-        if logs and not self.killed:
-            self.killed = int((logs[0].parent / LOCK).read_text().split()[1])
-            os.kill(self.killed, signal.SIGKILL)
-        return self.executor.wait(0.02)
+    def kill(self, run: Path) -> None:
+        log = run / "metrics.jsonl"
+        while not (log.exists() and log.stat().st_size):
+            time.sleep(0.02)
+        self.killed = int((run / LOCK).read_text().split()[1])
+        os.kill(self.killed, signal.SIGKILL)
 
     def close(self) -> None:
         self.executor.close()
@@ -194,7 +199,7 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     jobs = tmp_path / "killed" / "jobs"
     jobs.mkdir(parents=True)
     pool = LocalPool(2, 1) if name == "local" else Ray(2, 1, jobs)
-    executor = Killing(pool, jobs)
+    executor = Killing(pool)
     done = study.run(tmp_path / "killed", executor=executor)
     assert executor.killed
     assert done.failed == {}

@@ -1,23 +1,23 @@
 """Commands that compare: studies, and runs that exist."""
 
+from functools import wraps
 from pathlib import Path
+from typing import Any
 
-import tyro
+from tyro.conf import Positional
 
 from maesn.commands.options import command
-from maesn.evaluation.arguments import AnyEvaluation, Flag
-from maesn.evaluation.evaluation import USUAL
+from maesn.evaluation.arguments import Flag
 from maesn.reporting.tables import TextTable, print_tables
 from maesn.storage import RunError
 from maesn.studies.comparison import compare as compare_runs
-from maesn.studies.execution import Execution
 from maesn.studies.executors import ExecutorName
 from maesn.studies.reading import shipped_studies
 from maesn.studies.study import Results, Study
 
 
 def _run(
-    file: tyro.conf.Positional[str],
+    file: Positional[str],
     *,
     out: Path = Path("studies"),
     executor: ExecutorName = "local",
@@ -38,17 +38,19 @@ def _run(
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
     study = Study.load(file)
-    if dry_run:
-        _list(study.execution(out), workers or 1)
+    if not dry_run:
+        where = {"executor": executor, "workers": workers, "retries": retries, "only": only}
+        _show(study.run(out, **where, say=print))  # type: ignore[arg-type]
         return
-    done = study.run(out, executor=executor, workers=workers, retries=retries, only=only, say=print)
-    print_tables(done.tables)
-    _check(done)
+    jobs = study.plan.jobs.values()
+    rows = [(job.name, f"{job.steps:,}") for job in jobs]
+    rows.append(("all", f"{sum(job.steps for job in jobs):,}"))
+    left = study.execution(out).left(workers or 1)
+    columns = ("job", "environment steps")
+    print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), (left,))])
 
 
-def _status(
-    file: tyro.conf.Positional[str], *, out: Path = Path("studies"), workers: int = 1
-) -> None:
+def _status(file: Positional[str], *, out: Path = Path("studies"), workers: int = 1) -> None:
     """Show how the jobs of a study are: done, running, waiting or failed, and the time left.
 
     Args:
@@ -57,53 +59,15 @@ def _status(
         workers: Jobs at a time, for the estimate.
     """
     execution = Study.load(file).execution(out)
-    states = execution.status()
-    table = TextTable(
-        "Jobs",
-        ("job", "status", ""),
-        tuple((name, *state) for name, state in states.items()),
-        (execution.left(workers),),
-    )
-    print_tables([table])
+    rows = tuple((name, *execution.status(job)) for name, job in execution.jobs.items())
+    print_tables([TextTable("Jobs", ("job", "status", ""), rows, (execution.left(workers),))])
 
 
 @command
-def compare(
-    runs: tyro.conf.Positional[tuple[Path, ...]] = (),
-    *,
-    out: Path = Path("comparison"),
-    scratch: tuple[str, ...] = (),
-    oracle: Path | None = None,
-    family: str | None = None,
-    workers: int | None = None,
-    evaluation: AnyEvaluation = USUAL,
-) -> None:
-    """Adapt trained runs and methods from scratch to the same tasks, and compare them.
-
-    With `--rule`, `--then` or `--bonus`, every run that can be given it takes part a second time
-    with it. For anything else write a study (`maesn study run`).
-
-    Args:
-        runs: Directories of trained runs; those that differ in their seed alone become one line.
-        out: Directory of figure, tables and jobs; what was interrupted goes on there.
-        scratch: Methods that begin anew in every task: trpo, reinforce (alias vpg), vime.
-            NAME:COUNT adapts to the first COUNT tasks alone, as in vime:30.
-        oracle: Directory of a run of the preset `oracle`, the upper end of the score.
-        family: Of the tasks, where there are no runs; or `module:name` of the runs' own.
-        workers: Tasks at a time, in chunks; None: as many as there are CPUs for.
-    """
-    done = compare_runs(
-        runs,
-        out=out,
-        evaluation=evaluation,
-        scratch=scratch,
-        oracle=oracle,
-        family=family,
-        workers=workers,
-        say=print,
-    )
-    print_tables(done.tables)
-    _check(done)
+@wraps(compare_runs)
+def compare(*runs: Any, **options: Any) -> None:
+    """Compare runs that exist, and say how far it is."""
+    _show(compare_runs(*runs, **options | {"say": print}))
 
 
 _ACTIONS = {
@@ -127,21 +91,9 @@ def study(arguments: list[str]) -> None:
     _ACTIONS[action](rest)
 
 
-def _list(execution: Execution, workers: int) -> None:
-    """Print the jobs and what they take."""
-    jobs = execution.jobs.values()
-    rows = tuple((job.name, f"{job.steps:,}") for job in jobs)
-    table = TextTable(
-        f"{len(rows)} jobs",
-        ("job", "environment steps"),
-        (*rows, ("all", f"{sum(job.steps for job in jobs):,}")),
-        (execution.left(workers),),
-    )
-    print_tables([table])
-
-
-def _check(done: Results) -> None:
-    """Let the command fail if a job did."""
+def _show(done: Results) -> None:
+    """Print the tables; let the command fail if a job did."""
+    print_tables(done.tables)
     if done.failed:
         name, error = next(iter(done.failed.items()))
         raise RunError(

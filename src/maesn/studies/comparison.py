@@ -2,70 +2,73 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
+import tyro
+
+from maesn.evaluation.arguments import AnyEvaluation, AnyPath, AnyRun, OptionalPath
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.learners import SCRATCH
 from maesn.reporting.runs import read_run
-from maesn.reporting.series import Series, group_series
+from maesn.reporting.series import group_series
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 from maesn.studies.execution import Say
 from maesn.studies.executors import AbstractExecutor, ExecutorName
-from maesn.studies.jobs import TrainedRun
-from maesn.studies.members import member_of_run
+from maesn.studies.members import trained_run
 from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
-from maesn.studies.study import Results, Study, silent
-
-NAME = "comparison"
+from maesn.studies.study import Results, Study
 
 
 def compare(
-    runs: Sequence[str | Path | Run] = (),
+    runs: tyro.conf.Positional[Sequence[AnyRun]] = (),
     *,
-    out: str | Path,
-    evaluation: Evaluation = USUAL,
+    out: AnyPath = Path("comparison"),
     scratch: Sequence[str] = (),
-    oracle: str | Path | None = None,
+    oracle: OptionalPath = None,
     family: str | None = None,
-    executor: ExecutorName | AbstractExecutor = "local",
     workers: int | None = None,
-    say: Say = silent,
+    evaluation: AnyEvaluation = USUAL,
+    executor: Annotated[ExecutorName | AbstractExecutor, tyro.conf.Suppress] = "local",
+    say: Annotated[Say, tyro.conf.Suppress] = lambda sentence: None,
 ) -> Results:
-    """Adapt methods to the same tasks; write curves, a figure and tables.
+    """Adapt trained runs and methods from scratch to the same tasks, and compare them.
+
+    With `--rule`, `--then` or `--bonus`, every run that can be given it takes part a second time
+    with it. For anything else write a study (`maesn study run`).
 
     Args:
-        runs: trained runs, their directories, or names of policies that come with the library, each
-            with its latest checkpoint. Those that differ in their seed alone become one line. If
-            `evaluation` has a rule or wrappers, those that can be given them take part a second
-            time, with them.
-        out: directory for all that is written. What was computed there before is not repeated.
+        runs: Directories of trained runs; those that differ in their seed alone become one line.
+        out: Directory of figure, tables and jobs; what was interrupted goes on there.
+        scratch: Methods that begin anew in every task: trpo, reinforce (alias vpg), vime.
+            NAME:COUNT adapts to the first COUNT tasks alone, as in vime:30.
+        oracle: Directory of a run of the preset `oracle`, the upper end of the score.
+        family: Of the tasks, where there are no runs; or `module:name` of the runs' own.
+        workers: Tasks at a time, in chunks; None: as many as there are CPUs for.
         evaluation: of all lines; its seed is also that of methods from scratch.
-        scratch: methods that begin anew in every task: NAME, or NAME:COUNT for the first COUNT
-            tasks alone.
-        oracle: run of the preset `oracle`; without it there is no score.
-        family: of the tasks; None for that of the runs. Your own is `module:name`.
         executor: where it is computed; see `Study.run`.
-        workers: the same.
         say: receives messages of progress.
 
     Raises:
         RunError: a setting, a run or a directory cannot be used.
     """
-    opened = [one if isinstance(one, Run) else Run.open(one, family) for one in runs]
+    opened = [Run.open(one, family) for one in runs]
     by_path = {run.directory: run for run in opened}
-    members = {
-        series.name: (series, [by_path[one.path] for one in series.runs])
-        for series in group_series([read_run(path) for path in by_path])
+    grouped = group_series([read_run(path) for path in by_path])
+    specs = {
+        one.name: RunSpec(label=one.label, directories=tuple(str(run.path) for run in one.runs))
+        for one in grouped
     }
-    own = Common(family, opened)
     evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
-    lines = [LineSpec(run=name, evaluation=("usual",)) for name in members]
+    lines = [LineSpec(run=name, evaluation=("usual",)) for name in specs]
     if evaluation.rule is not None or evaluation.wrappers:
         evaluations["more"] = EvaluationSpec(evaluation)
-        able = [name for name, (_, seeds) in members.items() if _can(name, seeds, evaluation, say)]
-        lines += [LineSpec(run=name, evaluation=("more",)) for name in able]
+        lines += [
+            LineSpec(run=one.name, evaluation=("more",))
+            for one in grouped
+            if _can(one.name, by_path[one.runs[0].path], evaluation, say)
+        ]
     from_scratch = dict(map(_scratch, scratch))
     if len(from_scratch) < len(scratch):
         raise RunError(
@@ -74,16 +77,17 @@ def compare(
     lines += [LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch]
     if not lines:
         raise RunError("name at least one run directory, or a method with --scratch.")
-    specs = {name: _spec(*member) for name, member in members.items()}
     if oracle is not None:
         specs["oracle"] = RunSpec(directories=(str(_oracle(oracle, family, opened)),))
+    if family is None and not opened:
+        raise RunError("`family` must be given where no run says it: --family NAME.")
     spec = StudySpec(
-        name=NAME,
+        name="comparison",
         file="compare",
-        families=(own.of("family"),),
+        families=(family or _common("family", opened),),
         seeds=(evaluation.seed,),
-        variant=own.of("variant"),
-        engine=evaluation.engine or own.of("engine"),
+        variant=_common("variant", opened),
+        engine=evaluation.engine or _common("engine", opened),
         evaluation_seed=evaluation.seed,
         threads=evaluation.num_threads or 1,
         oracle="" if oracle is None else "oracle",
@@ -95,29 +99,15 @@ def compare(
     return Study(spec).run(out, executor=executor, workers=workers, say=say)
 
 
-class Common(NamedTuple):
-    """What the runs of a comparison must have in common."""
-
-    family: str | None
-    runs: Sequence[Run]
-
-    def of(self, name: str) -> Any:
-        """Return a setting of the world: what was given, or that of all runs."""
-        if name == "family" and self.family is not None:
-            return self.family
-        found = {getattr(run.settings, name) for run in self.runs}
-        if len(found) > 1:
-            raise RunError(
-                f"the runs must agree in `{name}` to be compared, got "
-                f"{' and '.join(sorted(found))}: compare fewer runs."
-            )
-        if not found and name == "family":
-            raise RunError("`family` must be given where no run says it: --family NAME.")
-        return next(iter(found), getattr(RunSettings(), name))
-
-
-def _spec(series: Series, runs: Sequence[Run]) -> RunSpec:
-    return RunSpec(label=series.label, directories=tuple(str(run.directory) for run in runs))
+def _common(name: str, runs: Sequence[Run]) -> Any:
+    """Return a setting of the world that all runs must have in common."""
+    found = {getattr(run.settings, name) for run in runs}
+    if len(found) > 1:
+        raise RunError(
+            f"the runs must agree in `{name}` to be compared, got {' and '.join(sorted(found))}: "
+            "compare fewer runs."
+        )
+    return next(iter(found), getattr(RunSettings(), name))
 
 
 def _scratch(text: str) -> tuple[str, ScratchSpec]:
@@ -135,10 +125,10 @@ def _scratch(text: str) -> tuple[str, ScratchSpec]:
     return method, ScratchSpec(method, num_tasks=int(count) if colon else None)
 
 
-def _can(name: str, runs: Sequence[Run], evaluation: Evaluation, say: Say) -> bool:
-    """Whether runs can be given the additions of an evaluation."""
+def _can(name: str, run: Run, evaluation: Evaluation, say: Say) -> bool:
+    """Whether a run can be given the additions of an evaluation."""
     try:
-        member_of_run(TrainedRun(), runs[0]).check(evaluation)
+        trained_run(run).trial_episodes(evaluation)
     except RunError as error:
         say(f"{name} takes part as it is: {error}")
         return False

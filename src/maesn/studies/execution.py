@@ -3,9 +3,10 @@
 What is done is on disk; nothing else is remembered. So a study that was killed goes on.
 """
 
-import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -14,15 +15,14 @@ from rich.live import Live
 from rich.table import Table
 
 from maesn.storage import LOCK, RunError, read_json, write_json
-from maesn.studies.executors import AbstractExecutor, Ended
-from maesn.studies.jobs import DONE, AbstractJob
+from maesn.studies.executors import AbstractExecutor, Failure
+from maesn.studies.jobs import DONE, AbstractJob, is_done
 from maesn.worlds.budget import STEPS_PER_SECOND
 
 Say: TypeAlias = Callable[[str], None]
 Status: TypeAlias = Literal["done", "running", "waiting", "failed"]
 
 FAILED = "failed.json"
-_POLL = 1.0  # seconds
 _SHOWN = 20  # lines of a terminal
 
 
@@ -36,36 +36,40 @@ class Execution:
     """How often a job that failed by accident is tried again."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
     """Job -> its error."""
-    running: dict[str, int] = dataclasses.field(default_factory=dict)
-    """Job -> which attempt it is."""
+
+    def __post_init__(self) -> None:
+        self._running: dict[Future[Failure | None], AbstractJob] = {}
+        self._attempts: Counter[str] = Counter()
 
     def run(self, executor: AbstractExecutor, say: Say) -> None:
         """Compute all that can be computed; what fails is in `failed` then."""
-        waiting = [job for job in self.jobs.values() if not job.is_done(self.directory)]
-        attempts = dict.fromkeys(self.jobs, 0)
+        waiting = [job for job in self.jobs.values() if not self._has(job.name)]
         total, done = len(self.jobs), len(self.jobs) - len(waiting)
         if done:
             say(f"{done} of {total} jobs were done before")
-        with _shown(self) as show:
-            while waiting or self.running:
-                for job in self._ready(waiting)[: executor.slots - len(self.running)]:
+        console = Console(stderr=True)
+        with Live(
+            console=console, get_renderable=self._shown, refresh_per_second=1, transient=True
+        ):
+            while waiting or self._running:
+                for job in self._ready(waiting)[: executor.slots - len(self._running)]:
                     waiting.remove(job)
-                    attempts[job.name] += 1
-                    self.running[job.name] = attempts[job.name]
-                    executor.start(job, self.directory)
-                for ended in executor.wait(_POLL):
-                    del self.running[ended.job]
-                    if not ended.error:
+                    self._attempts[job.name] += 1
+                    self._running[executor.submit(job, self.directory)] = job
+                for future in wait(self._running, return_when=FIRST_COMPLETED).done:
+                    job, error = self._running.pop(future), future.exception()
+                    lost = Failure(f"{type(error).__name__}: {error}")  # with its process
+                    failure = lost if error else future.result()
+                    if failure is None:
                         done += 1
-                        (self.directory / ended.job / FAILED).unlink(missing_ok=True)
-                        say(f"{done}/{total} {ended.job}")
-                    elif not ended.is_final and attempts[ended.job] <= self.retries:
-                        say(f"again: {ended.job}, because {ended.error}")
-                        waiting.insert(0, self.jobs[ended.job])
+                        (self.directory / job.name / FAILED).unlink(missing_ok=True)
+                        say(f"{done}/{total} {job.name}")
+                    elif not failure.is_final and self._attempts[job.name] <= self.retries:
+                        say(f"again: {job.name}, because {failure.error}")
+                        waiting.insert(0, job)
                     else:
-                        self._fail(ended, say)
+                        self._fail(job.name, failure.error, say)
                         waiting = [one for one in waiting if not self._is_lost(one)]
-                show()
 
     def only(self, name: str) -> None:
         """Leave one job, of which those that it needs must be done.
@@ -86,26 +90,31 @@ class Execution:
         return sorted(ready, key=lambda job: -job.steps)
 
     def _has(self, name: str) -> bool:
-        return (self.directory / name / DONE).exists()
+        return is_done(name, self.directory)
 
     def _is_lost(self, job: AbstractJob) -> bool:
         """Whether a job needs one that failed."""
         return any(name in self.failed or self._is_lost(self.jobs[name]) for name in job.needs)
 
-    def _fail(self, ended: Ended, say: Say) -> None:
-        self.failed[ended.job] = ended.error
-        folder = self.directory / ended.job
-        if folder.is_dir():
-            write_json(folder / FAILED, {"error": ended.error})
-        say(f"failed: {ended.job}: {ended.error}")
+    def _fail(self, job: str, error: str, say: Say) -> None:
+        self.failed[job] = error
+        if (self.directory / job).is_dir():
+            write_json(self.directory / job / FAILED, {"error": error})
+        say(f"failed: {job}: {error}")
 
-    def status(self) -> dict[str, tuple[Status, str]]:
-        """Return for each job how it is, and a remark: its progress, or its error."""
-        return {name: self._status(job) for name, job in self.jobs.items()}
+    def _shown(self) -> Table:
+        """Return what a terminal shows: the jobs that run, a line each."""
+        rows = Table.grid(padding=(0, 2))
+        for job in list(self._running.values())[:_SHOWN]:
+            attempt = self._attempts[job.name]
+            again = f"attempt {attempt}" if attempt > 1 else ""
+            rows.add_row(job.name, f"{job.progress(self.directory / job.name):.0%}", again)
+        return rows
 
-    def _status(self, job: AbstractJob) -> tuple[Status, str]:
+    def status(self, job: AbstractJob) -> tuple[Status, str]:
+        """Return how a job is, and a remark: its progress, or its error."""
         folder = self.directory / job.name
-        if job.is_done(self.directory):
+        if self._has(job.name):
             return "done", f"{read_json(folder / DONE)['seconds']:.0f} s"
         if (folder / LOCK).exists():
             return "running", f"{job.progress(folder):.0%}"
@@ -115,35 +124,14 @@ class Execution:
         return "waiting", f"for {lost[0]}" if lost else ""
 
     def left(self, workers: int) -> str:
-        """Return a sentence on the time until all is done."""
-        minutes = self.seconds_left(workers) / 60
-        return f"About {minutes:,.0f} minutes left with {workers} at a time."
-
-    def seconds_left(self, workers: int = 1) -> float:
-        """Return an estimate of the time until all is done, by the speed of what is done."""
+        """Return a sentence on the time until all is done, by the speed of what is done."""
         done = [read_json(self.directory / name / DONE) for name in self.jobs if self._has(name)]
         steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
         speed = steps / seconds if seconds else STEPS_PER_SECOND / 2
-        left = [job for job in self.jobs.values() if not job.is_done(self.directory)]
-        return sum(job.steps * (1 - job.progress(self.directory / job.name)) for job in left) / (
-            speed * workers
+        missing = sum(
+            job.steps * (1 - job.progress(self.directory / job.name))
+            for job in self.jobs.values()
+            if not self._has(job.name)
         )
-
-
-@contextlib.contextmanager
-def _shown(execution: Execution) -> Iterator[Callable[[], None]]:
-    """Yield what shows the jobs that run, a line each, on a terminal; nothing elsewhere."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda: None
-        return
-
-    def show() -> None:
-        rows = Table.grid(padding=(0, 2))
-        for name, attempt in list(execution.running.items())[:_SHOWN]:
-            share = execution.jobs[name].progress(execution.directory / name)
-            rows.add_row(name, f"{share:.0%}", f"attempt {attempt}" if attempt > 1 else "")
-        live.update(rows, refresh=True)
-
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-        yield show
+        minutes = missing / speed / workers / 60
+        return f"About {minutes:,.0f} minutes left with {workers} at a time."

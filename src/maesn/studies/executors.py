@@ -1,20 +1,16 @@
-"""Where jobs are computed: in this process, in a pool of processes, or on a Ray cluster.
-
-Each starts jobs and says which have ended. A job that is lost, with its process or its machine, is
-one that has failed.
-"""
+"""Where jobs are computed: in this process, in processes of this machine, or on a Ray cluster."""
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
 import sys
 import tempfile
-import uuid
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -28,12 +24,10 @@ from maesn.worlds import EpisodeError
 ExecutorName = Literal["local", "ray"]
 
 
-class Ended(NamedTuple):
-    """A job that has ended."""
+class Failure(NamedTuple):
+    """Why a job is not done."""
 
-    job: str
-    error: str = ""
-    """Empty if it is done."""
+    error: str
     is_final: bool = False
     """Whether the same would happen again: a setting, not an accident."""
 
@@ -45,27 +39,27 @@ class AbstractExecutor(ABC):
     """Jobs that may run at a time."""
 
     @abstractmethod
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        """Begin a job. There is a slot for it."""
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+        """Begin a job in the directory of all jobs. There is a slot for it.
 
-    @abstractmethod
-    def wait(self, seconds: float) -> list[Ended]:
-        """Return the jobs that have ended by now, or do within some seconds."""
+        What is returned will hold None, or how the job has failed. It raises if the job is lost,
+        with its process or its machine.
+        """
 
-    @abstractmethod
     def close(self) -> None:
         """Stop all jobs; what they are at is saved as far as they can."""
+        return
 
 
-def computed(job: AbstractJob, jobs: Path) -> Ended:
-    """Compute a job, and say how it ended."""
+def computed(job: AbstractJob, jobs: Path) -> Failure | None:
+    """Compute a job; return how it has failed, None if it is done."""
     try:
         run_job(job, jobs)
     except (RunError, EngineError) as error:
-        return Ended(job.name, str(error), is_final=True)
+        return Failure(str(error), is_final=True)
     except (EpisodeError, MemoryError, OSError, RuntimeError) as error:
-        return Ended(job.name, f"{type(error).__name__}: {error}")
-    return Ended(job.name)
+        return Failure(f"{type(error).__name__}: {error}")
+    return None
 
 
 class Here(AbstractExecutor):
@@ -73,96 +67,66 @@ class Here(AbstractExecutor):
 
     slots = 1
 
-    def __init__(self) -> None:
-        self._ended: list[Ended] = []
-
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        """Compute the job."""
-        self._ended.append(computed(job, jobs))
-
-    def wait(self, seconds: float) -> list[Ended]:
-        ended, self._ended = self._ended, []
-        return ended
-
-    def close(self) -> None:
-        pass
-
-
-class _Worker:
-    """A process that computes one job at a time."""
-
-    def __init__(self, threads: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=False)
-        with _environment(thread_variables(threads)):
-            self.process.start()
-        theirs.close()
-        self.job = ""
-
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        self.job = job.name
-        with contextlib.suppress(OSError):  # it is gone, which `ended` will say
-            self.connection.send((job, jobs))
-
-    def ended(self) -> Ended:
-        """Return how its job ended, which it has just said, or died over."""
-        try:
-            ended: Ended = self.connection.recv()
-        except (EOFError, OSError):
-            self.process.join()
-            ended = Ended(self.job, f"its process ended with status {self.process.exitcode}")
-        self.job = ""
-        return ended
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+        future: Future[Failure | None] = Future()
+        future.set_result(computed(job, jobs))
+        return future
 
 
 class LocalPool(AbstractExecutor):
-    """Processes of this machine. One that dies is replaced."""
+    """Processes of this machine. Each is a pool of its own: one that dies costs its job alone."""
 
     def __init__(self, workers: int, threads: int) -> None:
         self.slots = workers
         self._threads = threads
-        self._workers: list[_Worker] = []
+        self._context = multiprocessing.get_context("spawn")
+        # Workers wait at the one end of a pipe until the other one is closed, by `close` or by the
+        # end of this process.
+        self._parent, self._alive = self._context.Pipe(duplex=False)
+        self._last: dict[ProcessPoolExecutor, Future[Failure | None]] = {}
 
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        self._workers = [one for one in self._workers if one.process.is_alive() or one.job]
-        idle = next((one for one in self._workers if not one.job), None)
-        if idle is None:
-            idle = _Worker(self._threads)
-            self._workers.append(idle)
-        idle.start(job, jobs)
-
-    def wait(self, seconds: float) -> list[Ended]:
-        at_work = {one.connection: one for one in self._workers if one.job}
-        return [at_work[one].ended() for one in wait(list(at_work), seconds)]  # type: ignore[index]
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+        ended = [pool for pool, last in self._last.items() if last.done()]
+        for pool in [one for one in ended if self._last[one].exception()]:
+            pool.shutdown()  # waits until its process, and with it the lock of a job, is gone
+            ended.remove(pool)
+            del self._last[pool]
+        pool = (
+            ended[0]
+            if ended
+            else ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._parent,))
+        )
+        with _environment(thread_variables(self._threads)):  # a process begins with its first job
+            self._last[pool] = pool.submit(_compute, job, jobs)
+        return self._last[pool]
 
     def close(self) -> None:
-        for one in self._workers:
-            one.connection.close()  # ends one that waits
-            if one.job:
-                one.process.terminate()
-        for one in self._workers:
-            one.process.join()
+        self._alive.close()
+        for pool in self._last:
+            pool.shutdown()
+        self._parent.close()
 
 
-def _serve(connection: Connection) -> None:
-    """Compute the jobs that come, until the parent ends."""
+def _begin(parent: Connection) -> None:
+    """Prepare a worker: it has SIGTERM when the parent has closed its end of a pipe, or is gone."""
+
+    def end() -> None:
+        parent.poll(None)
+        os.kill(os.getpid(), signal.SIGTERM)
+
     # Ctrl-C in a terminal reaches all processes; what it means is the parent's to say.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _end_with_parent()
     enable_compilation_cache()
-    with contextlib.suppress(EOFError, OSError), ending_by_signals():
-        while True:
-            connection.send(computed(*connection.recv()))
+    threading.Thread(target=end, daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    """Get SIGTERM when the parent is gone, where the system can: jobs then save what they have."""
-    parent = multiprocessing.parent_process()
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
-    if parent is not None and os.getppid() != parent.pid:
-        raise SystemExit(0)
+def _compute(job: AbstractJob, jobs: Path) -> Failure | None:
+    """Compute a job in a worker, which ends by SIGTERM when it has saved what there is."""
+    try:
+        with ending_by_signals():
+            return computed(job, jobs)
+    except SystemExit:
+        os._exit(1)  # the pool would catch it, and wait for jobs of a parent that may be gone
 
 
 class Ray(AbstractExecutor):
@@ -172,66 +136,49 @@ class Ray(AbstractExecutor):
     """
 
     def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
-        self._ray = _import_ray()
+        try:
+            self._ray: Any = __import__("ray")
+        except ImportError as error:
+            raise RunError("the executor `ray` needs Ray: pip install 'maesn[ray]'.") from error
         local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
         if not self._ray.is_initialized():
             self._ray.init(log_to_driver=False, include_dashboard=False, **local)
-        variables = {
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-            **thread_variables(threads),
-        }
+        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        variables = path | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
             num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
         )
         cpus = int(self._ray.cluster_resources().get("CPU", 1))
         self.slots = min(workers, cpus // threads) or 1
-        self._running: dict[Any, str] = {}
-        _check_shared(self._ray, self._remote, jobs)
+        self._references: dict[Future[Failure | None], Any] = {}
+        self._check_shared(jobs)
 
-    def start(self, job: AbstractJob, jobs: Path) -> None:
-        self._running[self._remote.remote(computed, job, jobs.resolve())] = job.name
-
-    def wait(self, seconds: float) -> list[Ended]:
-        ready, _ = self._ray.wait(list(self._running), timeout=seconds)
-        return [self._ended(one, self._running.pop(one)) for one in ready]
-
-    def _ended(self, reference: Any, job: str) -> Ended:
-        try:
-            ended: Ended = self._ray.get(reference)
-        except self._ray.exceptions.RayError as error:
-            return Ended(job, f"its Ray worker is gone ({type(error).__name__})")
-        return ended
+    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+        reference = self._remote.remote(computed, job, jobs.resolve())
+        future: Future[Failure | None] = reference.future()
+        self._references[future] = reference
+        return future
 
     def close(self) -> None:
-        for one in self._running:
+        running = [one for future, one in self._references.items() if not future.done()]
+        for one in running:
             self._ray.cancel(one)  # as Ctrl-C: training saves
-        self._ray.wait(list(self._running), num_returns=len(self._running), timeout=30)
+        self._ray.wait(running, num_returns=len(running), timeout=30)
         self._ray.shutdown()
+
+    def _check_shared(self, jobs: Path) -> None:
+        """Refuse a directory that workers do not see."""
+        with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
+            if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
+                raise RunError(
+                    f"the cluster's workers do not see `{jobs.resolve()}`: give an --out on a file "
+                    "system that all machines share, at the same path."
+                )
 
 
 def _on_cluster(function: Any, *arguments: Any) -> Any:
     enable_compilation_cache()
     return function(*arguments)
-
-
-def _check_shared(ray: Any, remote: Any, jobs: Path) -> None:
-    """Refuse a directory that workers do not see."""
-    with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
-        probe.write(uuid.uuid4().bytes)
-        probe.flush()
-        seen = ray.get(remote.remote(Path.exists, Path(probe.name).resolve()))
-    if not seen:
-        raise RunError(
-            f"the cluster's workers do not see `{jobs.resolve()}`: give an --out on a file system "
-            "that all machines share, at the same path."
-        )
-
-
-def _import_ray() -> Any:
-    try:
-        return __import__("ray")
-    except ImportError as error:
-        raise RunError("the executor `ray` needs Ray: pip install 'maesn[ray]'.") from error
 
 
 def thread_variables(threads: int) -> dict[str, str]:

@@ -1,7 +1,10 @@
 """Who takes part in a study: runs, methods from scratch and baselines, each with one seed."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +12,24 @@ import jax
 import numpy as np
 
 from maesn import learners
-from maesn.envs import AnyEnv, RewardKind, describe_env
+from maesn.envs import AnyEnv
 from maesn.envs.sources import find_tasks, imported, resolve_family
+from maesn.evaluation.evaluate import AdaptationOutcome
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import identity_of_run
-from maesn.learners import (
-    AbstractFastLearner,
-    AbstractMetaLearner,
-    BonusMetaLearner,
-    RecurrentMetaLearner,
-    method_name,
-)
+from maesn.evaluation.running import evaluate, identity_of_run, play
+from maesn.learners import AbstractFastLearner, AbstractMetaLearner
+from maesn.policies import USUAL
 from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
-from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.settings import leaves
-from maesn.studies.jobs import AbstractJob, PriorJob, TrainedRun, TrainJob, Untrained
+from maesn.storage import refusals
 from maesn.studies.reading import Place
 from maesn.studies.spec import RunSpec, ScratchSpec, StudySpec
-from maesn.worlds import check_policy
+from maesn.worlds import check_policy, make_world
+
+RUN = "run"  # in the directory of a job that trains
 
 # What all runs of a study have in common, or what each has of its own, is not a run's to say.
 _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
@@ -37,124 +37,130 @@ _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
 _IMMATERIAL = ("versions", "provenance", "changes")
 
 
-@dataclasses.dataclass(frozen=True)
-class Member:
-    """What adapts to new tasks, with one seed. `RunError` says what cannot be."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AbstractMember(ABC):
+    """What adapts to new tasks, with one seed. Jobs take it with them to other processes."""
 
-    who: TrainedRun | Untrained
-    """As its jobs know it."""
     seed: int
-    method: str
+    method: str = ""
     """By which it is drawn; empty for a baseline."""
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """By their path."""
-    env: Callable[[RewardKind, float | None], AnyEnv]
-    """Reward and sparse radius -> the environment of new tasks."""
-    fast_learner: Callable[[Evaluation, AnyEnv], AbstractFastLearner[Any]]
-    """What learns there, for checks alone."""
-    identity: Callable[[AnyEnv], str]
+    identity: str
     """What decides how it acts, besides the seed."""
-    training: TrainJob | None = None
-    """The job that trains it, if it is trained here."""
-    run: Run | None = None
-    """Read, or as it will be created; None for what is never trained."""
+    job: str = ""
+    """Name of the job that trains it, if there is one."""
+    training_steps: int | None = None
+    """Environment steps of earlier training."""
 
-    @property
-    def scratch(self) -> ScratchSpec | None:
-        """What the study says of a method from scratch; None for everything else."""
-        return self.who.scratch if isinstance(self.who, Untrained) else None
+    @abstractmethod
+    def env(self, asked: Evaluation) -> AnyEnv:
+        """Return the environment of new tasks."""
 
-    @property
-    def training_steps(self) -> int | None:
-        """Environment steps of a run that exists."""
-        if self.run is None or self.training is not None:
-            return None
-        return self.run.latest().environment_steps
+    @abstractmethod
+    def trial_episodes(self, asked: Evaluation) -> int | None:
+        """Return the length of its trials, if any; `RunError` if it cannot be evaluated so."""
 
-    def fitted(self, asked: Evaluation) -> Evaluation:
-        """Return an evaluation with its radius, and in no more tasks than the member is to have.
+    @abstractmethod
+    def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
+        """Adapt to some tasks, with what is done in the directory of jobs."""
 
-        The radius is said because runs may have been trained with another one.
-        """
-        own = self.scratch.num_tasks if self.scratch else None
-        counts = [count for count in (own, asked.num_tasks) if count]
-        radius = self.env(asked.reward, asked.sparse_radius).sparse_radius
-        return dataclasses.replace(
-            asked, num_tasks=min(counts, default=None), sparse_radius=radius or None
-        )
 
-    def check(self, asked: Evaluation) -> int | None:
-        """Refuse an evaluation that it cannot have; return the length of its trials, if any."""
-        env = self.env(asked.reward, asked.sparse_radius)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainedRun(AbstractMember):
+    """A run: one that a job trains, or one that exists."""
+
+    run: Run = dataclasses.field(compare=False, repr=False)
+    """Read, or as it will be created: for plans alone. Jobs open it."""
+    init_from: str = ""
+    """What its training starts from."""
+    directory: str = ""
+    """Of one that exists."""
+    family: str | None = None
+    """`module:name`, if it is the user's own."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A family of the user's own need not be anything that can be pickled.
+        return vars(self) | {"run": None}
+
+    def env(self, asked: Evaluation) -> AnyEnv:
+        return self.run.env(asked.reward, asked.sparse_radius)
+
+    def trial_episodes(self, asked: Evaluation) -> int | None:
+        trained = Trained(self.run.learner, _blank_state(self.run), _no_prior)
         try:
-            return self.fast_learner(asked, env).capabilities.trial_episodes
+            learner = asked.fast_learner(trained, self.method, self.env(asked))
         except _PriorIsAsked:
             return None
+        return learner.capabilities.trial_episodes
 
-    def jobs_before(self, name: str, asked: Evaluation, env: AnyEnv) -> list[AbstractJob]:
-        """Return what an evaluation needs: training, and the prior of a search."""
-        jobs: list[AbstractJob] = [] if self.training is None else [self.training]
-        if self.run is None or not isinstance(self.who, TrainedRun) or asked.rule is None:
-            return jobs
-        if asked.rule.needs_return_prior:
-            digest = digest_of_document({"of": self.identity(env), "world": describe_env(env)})
-            prior = f"prior-{env.name}-{name}-seed-{self.seed}-{digest}"
-            steps = USUAL_PRIOR.steps(env, self.run.training_tasks)
-            jobs.append(PriorJob(prior, tuple(job.name for job in jobs), steps, self.who, asked))
-        return jobs
+    def open(self, jobs: Path) -> Run:
+        """Open the run, once it is trained."""
+        return Run.open(jobs / self.job / RUN if self.job else self.directory, self.family)
+
+    def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
+        return evaluate(self.open(jobs), asked, tasks=tasks)[0]
 
 
-def member_of_run(who: TrainedRun, run: Run, training: TrainJob | None = None) -> Member:
-    """Return a run as a member."""
-    config = run.config.document()
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Untrained(AbstractMember):
+    """A learner that was not trained: a method from scratch, or a baseline."""
 
-    def fast_learner(asked: Evaluation, env: AnyEnv) -> AbstractFastLearner[Any]:
-        trained = Trained(run.learner, _blank_state(run), _no_prior)
-        return asked.fast_learner(trained, run.settings.method, env)
+    world: RunSettings
+    """Of these settings, those of the environment count."""
+    learner: AbstractFastLearner[Any]
 
-    return Member(
-        who=who,
-        seed=run.settings.seed,
-        method=run.settings.method,
-        settings=leaves({**config["settings"], "learner": config["learner"]}),
-        env=run.env,
-        fast_learner=fast_learner,
-        identity=lambda _: who.job or " ".join(identity_of_run(run).values()),
-        training=training,
-        run=run,
-    )
+    def env(self, asked: Evaluation) -> AnyEnv:
+        settings = dataclasses.replace(self.world, sparse_radius=asked.sparse_radius)
+        return make_env(resolve_family(settings.family), settings, asked.reward)
 
+    def trial_episodes(self, asked: Evaluation) -> int | None:
+        return self.learner.capabilities.trial_episodes
 
-def untrained(
-    study: StudySpec,
-    family: str,
-    baseline: str = "",
-    scratch: ScratchSpec | None = None,
-    seed: int = 0,
-) -> Member:
-    """Return a baseline or a method from scratch. Of its settings those of the world count."""
-    settings = RunSettings(
-        family=family, variant=study.variant, engine=study.engine, num_threads=study.threads
-    )
-    who = Untrained(settings, scratch, baseline)
-    return Member(
-        who=who,
-        seed=seed,
-        method=scratch.method if scratch else "",
-        settings=fields_to_json(scratch) if scratch else {},
-        env=who.env,
-        fast_learner=lambda _, env: who.learner(env),
-        identity=lambda env: " ".join(written_out(who.learner(env)).split()),
-    )
+    def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
+        new = find_tasks(asked.tasks, resolve_family(self.world.family))
+        with refusals():
+            world = make_world(self.env(asked), new, self.world.num_threads, self.world.engine)
+        with closing(world):
+            return play(world, self.learner, asked, tasks=tasks)
 
 
-def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Member]:
-    """Return the seeds of a method from scratch."""
-    spec = study.scratch[name]
-    return [untrained(study, family, scratch=spec, seed=seed) for seed in spec.seeds or study.seeds]
+def baselines(world: RunSettings) -> dict[str, Untrained]:
+    """Return the agents that learn nothing in a world, by name."""
+    env = make_env(resolve_family(world.family), world)
+    found = learners.baselines(env.observation_size, env.action_size, env.action_kind)
+    return {name.replace(" ", "_"): _untrained(world, found[name]) for name in found}
 
 
-def members_of_run(study: StudySpec, name: str, family: str) -> list[Member]:
+def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untrained]:
+    """Return the seeds of a method from scratch; `RunError` if it cannot learn in a family."""
+    spec, world = study.scratch[name], study.world(family)
+    spec = dataclasses.replace(spec, method=spec.method or name)
+    learner = scratch_learner(spec, make_env(resolve_family(family), world))
+    own = {"method": spec.method, "settings": fields_to_json(spec)}
+    return [_untrained(world, learner, seed, **own) for seed in spec.seeds or study.seeds]
+
+
+def scratch_learner(spec: ScratchSpec, env: AnyEnv) -> AbstractFastLearner[Any]:
+    """Return what learns from scratch, with those of its settings that the method has."""
+    make = learners.SCRATCH[spec.method]
+    bonus = spec.curiosity_weight and learners.CuriosityBonus(spec.curiosity_weight)
+    given = {"max_kl": spec.max_kl, "step_size": spec.step_size, "curiosity": bonus}
+    known = inspect.signature(make).parameters
+    chosen = {name: one for name, one in given.items() if one is not None and name in known}
+    with refusals(f"`{spec.method}` cannot learn in `{env.name}`: "):
+        policy = USUAL[env.action_kind]
+        return make(env.observation_size, env.action_size, policy=policy, **chosen)
+
+
+def _untrained(
+    world: RunSettings, learner: AbstractFastLearner[Any], seed: int = 0, **own: Any
+) -> Untrained:
+    identity = " ".join(written_out(learner).split())
+    return Untrained(seed=seed, identity=identity, world=world, learner=learner, **own)
+
+
+def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]:
     """Return the seeds of a run on one family; none if it is not to be on that one.
 
     Raises:
@@ -165,12 +171,23 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[Member]:
         return []
     if spec.directories:
         return [_existing(one, study, family, place) for one in spec.directories]
-    seeds = spec.seeds or study.seeds
-    made = (make_learner(study, spec, place, family, seed) for seed in seeds)
-    return [_to_train(name, *one, spec.init_from, place) for one in made]
+    return [_to_train(study, name, family, seed, place) for seed in spec.seeds or study.seeds]
 
 
-def _existing(directory: str, study: StudySpec, family: str, place: Place) -> Member:
+def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
+    """Return a run as a member; of one that exists, its learner and weights are its identity."""
+    config = run.config.document()
+    return TrainedRun(
+        seed=run.settings.seed,
+        method=run.settings.method,
+        settings=leaves({**config["settings"], "learner": config["learner"]}),
+        identity=identity or " ".join(identity_of_run(run).values()),
+        run=run,
+        **where,
+    )
+
+
+def _existing(directory: str, study: StudySpec, family: str, place: Place) -> TrainedRun:
     own_family = family if ":" in family else None
     run = Run.open(directory, own_family)
     wanted = (resolve_family(family).name, study.variant)
@@ -180,33 +197,47 @@ def _existing(directory: str, study: StudySpec, family: str, place: Place) -> Me
             f"`{run.directory}` must be a run on {' of variant '.join(wanted)}, got one on "
             f"{' of variant '.join(found)}."
         )
-    who = TrainedRun(directory=directory, family=own_family)
-    return member_of_run(who, run)
+    steps = run.latest().environment_steps
+    return trained_run(run, directory=directory, family=own_family, training_steps=steps)
 
 
-def make_learner(
-    study: StudySpec, spec: RunSpec, place: Place, family: str, seed: int
+def _to_train(study: StudySpec, name: str, family: str, seed: int, place: Place) -> TrainedRun:
+    """Return a run that is to be trained; all is checked that can be before."""
+    init_from, resolved = study.runs[name].init_from, resolve_family(family)
+    learner, settings = _settings(study, name, family, seed, place)
+    with place.refusing():
+        learner = learner.for_actions(make_env(resolved, settings).action_kind)
+        learner.check_batch(settings.episodes_per_task)
+        tasks = find_tasks(settings.tasks, resolved)
+        run = Run(Path(name), new_config(settings, learner, resolved, tasks), resolved, tasks)
+        check_policy(learner.player(_blank_state(run)), run.env())
+    document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
+    del document["settings"]["checkpoint_every"]
+    started = identity_of_run(Run.open(init_from)) if init_from else ""
+    digest = digest_of_document(document | {"init_from": started})
+    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest}"
+    return trained_run(run, job, job=job, init_from=init_from, family=settings.own_family)
+
+
+def _settings(
+    study: StudySpec, name: str, family: str, seed: int, place: Place
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     """Return learner and settings of a run that is to be trained; `RunError` with the wrong key."""
+    spec = study.runs[name]
+    preset = spec.preset or name
     usual: dict[str, Any] = {}
-    if ":" in spec.preset:
-        learner = imported(spec.preset, "preset")()
+    if ":" in preset:
+        learner = imported(preset, "preset")()
     elif spec.source == "reference":
-        learner = learners.METHODS[spec.preset]()
+        learner = learners.METHODS[preset]()
     else:
-        learner = learners.recommended(spec.preset, family)
-        usual = learners.recommended_run(spec.preset, family)
-    common: dict[str, Any] = {
-        "family": family,
-        "variant": study.variant,
-        "engine": study.engine,
-        "seed": seed,
-    }
+        learner = learners.recommended(preset, family)
+        usual = learners.recommended_run(preset, family)
     with place.refusing():
-        settings = RunSettings(**common | {"num_threads": study.threads} | usual)
+        settings = dataclasses.replace(study.world(family), seed=seed, **usual)
     names = [one for one in fields_to_json(settings) if one not in _NOT_OF_A_RUN]
-    on_family = spec.on.get(family, {})
-    for path, value in {**spec.changes, **on_family}.items():
+    on_family = leaves(spec.on.get(family, {}))
+    for path, value in {**leaves(spec.changes), **on_family}.items():
         here = place / "on" / family / path if path in on_family else place / path
         try:
             if path in names:
@@ -218,53 +249,7 @@ def make_learner(
             here.unknown(path, [*names, *leaves(fields_to_json(learner)), *own], "setting")
         except ValueError as error:
             here.refuse(error)
-    return learner, settings
-
-
-def _to_train(
-    name: str,
-    learner: AbstractMetaLearner[Any, Any],
-    settings: RunSettings,
-    init_from: str,
-    place: Place,
-) -> Member:
-    """Return a run that is to be trained; all is checked that can be before."""
-    family = resolve_family(settings.family)
-    settings = dataclasses.replace(settings, method=method_name(learner))
-    with place.refusing():
-        learner = learner.for_actions(make_env(family, settings).action_kind)
-        learner.check_batch(settings.episodes_per_task)
-        tasks = find_tasks(settings.tasks, family)
-        run = Run(Path(name), new_config(settings, learner, family, tasks), family, tasks)
-        check_policy(learner.player(_blank_state(run)), run.env())
-    document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
-    del document["settings"]["checkpoint_every"]
-    started = identity_of_run(Run.open(init_from)) if init_from else ""
-    digest = digest_of_document(document | {"init_from": started})
-    job = TrainJob(
-        name=f"train-{family.name}-{name}-seed-{settings.seed}-{digest}",
-        needs=(),
-        steps=_training_steps(learner, settings, run.env().horizon),
-        learner=learner,
-        settings=settings,
-        init_from=init_from,
-    )
-    who = TrainedRun(job=job.name, family=settings.own_family)
-    return member_of_run(who, run, job)
-
-
-def _training_steps(
-    learner: AbstractMetaLearner[Any, Any], settings: RunSettings, horizon: int
-) -> int:
-    """Return the environment steps of training, if no episode ends early."""
-    inner: Any = learner.learner if isinstance(learner, BonusMetaLearner) else learner
-    rounds = (
-        inner.trial_episodes
-        if isinstance(inner, RecurrentMetaLearner)
-        else inner.inner_updates + inner.outer_batches
-    )
-    episodes = inner.meta_batch_size * settings.episodes_per_task * rounds
-    return int(settings.iterations * episodes * horizon)
+    return learner, dataclasses.replace(settings, method=learners.method_name(learner))
 
 
 def _blank_state(run: Run) -> Any:

@@ -2,104 +2,48 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maesn.envs import AnyEnv, RewardKind, TaskSet, Variant, describe_env
+from maesn.envs import AnyEnv, TaskSet, describe_env
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import baselines
+from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.serialization import digest_of_document
-from maesn.studies.jobs import AbstractJob, EvaluateJob
+from maesn.search.prior import USUAL as USUAL_PRIOR
+from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, train_job
 from maesn.studies.members import (
-    Member,
+    AbstractMember,
+    TrainedRun,
+    Untrained,
+    baselines,
     members_from_scratch,
     members_of_run,
-    untrained,
 )
 from maesn.studies.reading import Place
-from maesn.studies.spec import LineSpec, RunSpec, ScratchSpec, StudySpec
+from maesn.studies.spec import LineSpec, StudySpec
 from maesn.worlds import engine_of
 
-
-class World(NamedTuple):
-    """What lines of one comparison have in common."""
-
-    family: str
-    variant: Variant
-    tasks: str
-    reward: RewardKind
-    sparse_radius: float | None
+Entry: TypeAlias = dict[str, Any]
+"""Of the manifest: a comparison, or one of its lines, whose `seeds` are members and their jobs."""
 
 
-@dataclasses.dataclass(frozen=True)
-class PlannedSeed:
-    """What one seed of a line is made of."""
+class Plan(NamedTuple):
+    """What a study computes, and what for."""
 
-    seed: int
-    jobs: tuple[str, ...]
-    """The evaluations, each of some tasks, in their order."""
-    training: str
-    """The job that trains it; empty for what is not trained here."""
-    training_steps: int | None
-    """Environment steps of a run that exists."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PlannedLine:
-    """One line of a comparison."""
-
-    name: str
-    source: str
-    """Name of the run or of the method from scratch."""
-    method: str
-    """By which it is drawn."""
-    label: str
-    world: World
-    evaluation: Evaluation
-    num_tasks: int
-    seeds: tuple[PlannedSeed, ...]
-    trial_episodes: int | None
-    settings: Mapping[str, Any]
-    """Of the run, or of the method from scratch, by their path."""
-
-    @property
-    def is_addition(self) -> bool:
-        """Whether something is added to the method, which is drawn dashed."""
-        return bool(self.evaluation.wrappers)
-
-
-@dataclasses.dataclass(frozen=True)
-class PlannedComparison:
-    """Lines in the same tasks, and the references below and above them."""
-
-    world: World
-    horizon: int
-    lines: tuple[PlannedLine, ...]
-    baselines: tuple[PlannedLine, ...]
-    oracle: PlannedLine | None
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """Jobs by name, each behind those that it needs, and what is compared."""
-
-    study: StudySpec
     jobs: Mapping[str, AbstractJob]
-    comparisons: tuple[PlannedComparison, ...]
+    """By name, each behind those that it needs."""
+    comparisons: Sequence[Entry]
 
 
 def make_plan(study: StudySpec) -> Plan:
-    """Return the plan of a study.
-
-    Raises:
-        RunError: something cannot be computed, with its place in the study's file.
-    """
+    """Return the plan of a study; `RunError` with the place in its file of what cannot be."""
     jobs: dict[str, AbstractJob] = {}
-    comparisons = [one for name in study.families for one in _Planner(study, name, jobs).compare()]
-    return Plan(study, jobs, tuple(comparisons))
+    planners = [_Planner(study, family, jobs) for family in study.families]
+    return Plan(jobs, [one for planner in planners for one in planner.compare()])
 
 
 @dataclasses.dataclass
@@ -110,119 +54,125 @@ class _Planner:
     family: str
     jobs: dict[str, AbstractJob]
     """Those of the families before, and what is planned here."""
-    runs: dict[str, list[Member]] = dataclasses.field(default_factory=dict)
+    runs: dict[str, list[TrainedRun]] = dataclasses.field(default_factory=dict)
     task_sets: dict[str, TaskSet] = dataclasses.field(default_factory=dict)
 
-    def compare(self) -> Iterator[PlannedComparison]:
-        """Yield what is compared."""
+    def compare(self) -> Iterator[Entry]:
+        """Yield what is compared: lines in the same tasks, under the same reward."""
         worlds = defaultdict(list)
-        for number, line in enumerate(self.study.all_lines, start=1):
-            if self.family in (line.families or [self.family]):
-                for planned in self.lines(line, Place(self.study.file) / "lines" / str(number)):
-                    worlds[planned.world].append(planned)
-        for lines in worlds.values():
-            yield self.comparison(lines)
+        for number, spec in enumerate(self.study.all_lines, start=1):
+            if self.family in (spec.families or [self.family]):
+                for asked, line in self.lines(spec, Place(self.study.file, ("lines", str(number)))):
+                    world = asked.tasks, asked.reward, asked.sparse_radius
+                    worlds[world].append((asked, line))
+        for world, lines in worlds.items():
+            # Its name is that of the family, and what tells it from others there.
+            differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
+            texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
+            told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
+            name = "-".join([self.family.rpartition(":")[2], *told])
+            yield self.comparison(name, lines)
 
-    def lines(self, line: LineSpec, place: Place) -> Iterator[PlannedLine]:
+    def lines(self, spec: LineSpec, place: Place) -> Iterator[tuple[Evaluation, Entry]]:
         """Yield a line with each of its evaluations; none where the run is not of this family."""
-        study, source = self.study, line.run or line.scratch
-        spec: RunSpec | ScratchSpec
-        members: Sequence[Member]
-        if line.run:
-            spec, members = study.runs[source], self.run(source)
+        study, source = self.study, spec.run or spec.scratch
+        members: Sequence[AbstractMember]
+        if spec.run:
+            members, label, most = self.run(source), study.runs[source].label, None
         else:
-            spec = study.scratch[source]
-            members = members_from_scratch(study, source, self.family)
-        names = line.evaluation or tuple(study.evaluations)
+            with place.refusing():
+                members = members_from_scratch(study, source, self.family)
+            label, most = study.scratch[source].label, study.scratch[source].num_tasks
+        names = spec.evaluation or tuple(study.evaluations)
         rivals = [one for one in study.all_lines if source == (one.run or one.scratch)]
         for evaluation in names if members else ():
-            asked = self.evaluation(evaluation)
-            if line.scratch and (asked.rule is not None or asked.wrappers):
-                if line.evaluation:
+            asked = study.evaluations[evaluation].on_family(self.family)
+            if spec.scratch and (asked.rule is not None or asked.wrappers):
+                if spec.evaluation:
                     place.refuse(
                         f"`{source}` begins from scratch, and has no rule of `{evaluation}`."
                     )
                 continue
             name = f"{source}-{evaluation}" if len(names) > 1 or len(rivals) > 1 else source
-            yield self.line((name, source, line.label or spec.label), members, asked, place)
+            if most is not None:
+                asked = dataclasses.replace(asked, num_tasks=min(most, asked.num_tasks or most))
+            yield self.line((name, source, spec.label or label), members, asked, place)
 
     def line(
         self,
         names: tuple[str, str, str],
-        members: Sequence[Member],
+        members: Sequence[AbstractMember],
         asked: Evaluation,
         place: Place,
-    ) -> PlannedLine:
+    ) -> tuple[Evaluation, Entry]:
         """Return a line, called by name, source and label, of members that adapt alike."""
-        name, source, label = names
+        study = self.study
         with place.refusing():
-            asked = members[0].fitted(asked)
-            trials = [member.check(asked) for member in members]
-        world = World(
-            self.family, self.study.variant, asked.tasks, asked.reward, asked.sparse_radius
-        )
-        return PlannedLine(
-            name=name,
-            source=source,
-            method=members[0].method,
-            label=label,
-            world=world,
-            evaluation=asked,
-            num_tasks=asked.count(self.tasks(asked.tasks)),
-            seeds=tuple(self.seed(name, member, asked) for member in members),
-            trial_episodes=trials[0],
-            settings=members[0].settings,
-        )
+            asked = dataclasses.replace(
+                asked,
+                # It is said because runs may have been trained with another one.
+                sparse_radius=members[0].env(asked).sparse_radius or None,
+                seed=study.evaluation_seed,
+                engine=study.engine,
+                num_threads=study.threads,
+            )
+            trials = [member.trial_episodes(asked) for member in members]
+        num_tasks = asked.count(self.tasks(asked.tasks))
+        budget = {**asked.budget._asdict(), "num_tasks": num_tasks, "seed": asked.seed}
+        return asked, {
+            "name": names[0],
+            "source": names[1],
+            "method": members[0].method,
+            "label": names[2],
+            "addition": bool(asked.wrappers),
+            "settings": members[0].settings,
+            "evaluation": {"rule": asked.rule_text, **budget},
+            "trial_episodes": trials[0],
+            "seeds": [(one, list(self.evaluate(names[0], one, asked))) for one in members],
+        }
 
-    def comparison(self, lines: Sequence[PlannedLine]) -> PlannedComparison:
+    def comparison(self, name: str, planned: Sequence[tuple[Evaluation, Entry]]) -> Entry:
         """Return a comparison, with agents that learn nothing below, and the oracle above."""
+        first, lines = planned[0][0], [line for _, line in planned]
         asked = dataclasses.replace(
-            lines[0].evaluation,
-            num_tasks=max(line.num_tasks for line in lines),
+            first,
+            num_tasks=max(line["evaluation"]["num_tasks"] for line in lines),
             rule=None,
             wrappers=(),
             deploy_after=(),
             episodes=0,
             episodes_per_update=None,
             deploy_episodes=None,
-            seed=self.study.evaluation_seed,
         )
-        place = Place(self.study.file)
-        env = untrained(self.study, self.family).env(asked.reward, asked.sparse_radius)
-        below = []
-        for label in baselines(env.observation_size, env.action_size, env.action_kind):
-            name, still = label.replace(" ", "_"), untrained(self.study, self.family, label)
-            below.append(self.line((name, name, label), [still], asked, place))
-        above = None
-        if self.study.oracle and (oracle := self.run(self.study.oracle)):
-            above = self.line(("oracle", self.study.oracle, ""), oracle, asked, place)
-        return PlannedComparison(lines[0].world, env.horizon, tuple(lines), tuple(below), above)
+        study, place = self.study, Place(self.study.file)
+        still = baselines(study.world(self.family))
+        below = [self.line((name, name, ""), [one], asked, place) for name, one in still.items()]
+        members = self.run(study.oracle) if study.oracle else []
+        above = [self.line(("oracle", study.oracle, ""), members, asked, place)] if members else []
+        return {
+            "name": name,
+            "family": self.family,
+            "variant": study.variant,
+            "tasks": first.tasks,
+            "reward": first.reward,
+            "sparse_radius": first.sparse_radius,
+            "horizon": next(iter(still.values())).env(asked).horizon,
+            "lines": _labelled(planned),
+            "baselines": _labelled(below),
+            "oracle": _labelled(above),
+        }
 
-    def seed(self, name: str, member: Member, asked: Evaluation) -> PlannedSeed:
-        """Plan what an evaluation needs of a member, and itself."""
-        env = member.env(asked.reward, asked.sparse_radius)
-        needs = {job.name: job for job in member.jobs_before(name, asked, env)}
-        self.jobs.update({job: needs[job] for job in needs if job not in self.jobs})
-        jobs = tuple(self.evaluations(name, member, asked, env, tuple(needs)))
-        training = member.training.name if member.training else ""
-        return PlannedSeed(member.seed, jobs, training, member.training_steps)
-
-    def evaluations(
-        self,
-        name: str,
-        member: Member,
-        asked: Evaluation,
-        env: AnyEnv,
-        needs: tuple[str, ...],
-    ) -> Iterable[str]:
-        """Plan the evaluation of one member, some tasks at a time; yield the jobs' names."""
-        tasks, budget = self.tasks(asked.tasks), asked.budget
-        if member.scratch is not None:
+    def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
+        """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
+        tasks, budget, env = self.tasks(asked.tasks), asked.budget, member.env(asked)
+        needs = self.needs(name, member, asked, env)
+        if isinstance(member, Untrained) and member.method:
+            # From scratch, the seed is that of fresh policies and of the episodes.
             asked = dataclasses.replace(asked, seed=member.seed)
         columns = len(asked.deploy_after) or budget.episodes // budget.per_update + 1
         of_task = (budget.episodes + budget.per_update + budget.deploy * columns) * env.horizon
         document = {
-            "of": member.identity(env),
+            "of": member.identity,
             "rule": asked.rule_text,
             "world": describe_env(env),
             "engine": engine_of(env, self.study.engine),
@@ -236,30 +186,49 @@ class _Planner:
             first, count = int(part[0]), len(part)
             digest = digest_of_document(document | {"part": [first, count]})
             job = f"adapt-{env.name}-{name}-seed-{member.seed}-from-{first}-{digest}"
-            evaluate = EvaluateJob(job, needs, of_task * count, member.who, asked, first, count)
-            self.jobs.setdefault(job, evaluate)
+            some = range(first, first + count)
+            self.jobs.setdefault(job, EvaluateJob(job, needs, of_task * count, member, asked, some))
             yield job
 
-    def run(self, name: str) -> Sequence[Member]:
+    def needs(
+        self, name: str, member: AbstractMember, asked: Evaluation, env: AnyEnv
+    ) -> tuple[str, ...]:
+        """Return the jobs before an evaluation: training and, planned here, a search's prior."""
+        training = (member.job,) if member.job else ()
+        is_search = asked.rule is not None and asked.rule.needs_return_prior
+        if not (is_search and isinstance(member, TrainedRun)):
+            return training
+        digest = digest_of_document({"of": member.identity, "world": describe_env(env)})
+        prior = f"prior-{env.name}-{name}-seed-{member.seed}-{digest}"
+        steps = USUAL_PRIOR.steps(env, member.run.training_tasks)
+        self.jobs.setdefault(prior, PriorJob(prior, training, steps, member, asked))
+        return (*training, prior)
+
+    def run(self, name: str) -> Sequence[TrainedRun]:
         """Return the seeds of a run, none if it is not of this family, and plan their training."""
         if name not in self.runs:
             self.runs[name] = members_of_run(self.study, name, self.family)
-            trainings = [member.training for member in self.runs[name]]
-            self.jobs.update({job.name: job for job in trainings if job is not None})
+            self.jobs.update({one.job: train_job(one) for one in self.runs[name] if one.job})
         return self.runs[name]
-
-    def evaluation(self, name: str) -> Evaluation:
-        """Return an evaluation as the jobs of this study do it."""
-        study = self.study
-        return dataclasses.replace(
-            study.evaluations[name].on_family(self.family),
-            seed=study.evaluation_seed,
-            engine=study.engine,
-            num_threads=study.threads,
-        )
 
     def tasks(self, name: str) -> TaskSet:
         """Return a task set, read once."""
         if name not in self.task_sets:
             self.task_sets[name] = find_tasks(name, resolve_family(self.family))
         return self.task_sets[name]
+
+
+def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:
+    """Return lines as figures call them: by their methods, and what makes them differ."""
+    labels = []
+    for asked, line in planned:
+        rivals = {one["source"] for _, one in planned if one["method"] == line["method"]}
+        is_alone = line["method"] in METHOD_STYLES and len(rivals) == 1
+        usual = (
+            METHOD_STYLES[line["method"]].label if is_alone else line["source"].replace("_", " ")
+        )
+        labels.append((line["label"] or usual) + (f" ({asked.label})" if asked.label else ""))
+    return [
+        line | {"label": label if labels.count(label) == 1 else f"{label} [{line['name']}]"}
+        for (_, line), label in zip(planned, labels, strict=True)
+    ]

@@ -3,33 +3,20 @@
 import dataclasses
 import difflib
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar, get_type_hints
+from typing import Any, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
 from maesn import learners
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
-from maesn.settings import leaves
 from maesn.storage import RunError, explained
-from maesn.studies.spec import (
-    EvaluationSpec,
-    FigureSpec,
-    LineSpec,
-    RunSpec,
-    ScratchSpec,
-    StudySpec,
-)
-
-Kind = TypeVar("Kind")
-
-# What a study says once for all of its evaluations, or says in words.
-_NOT_OF_AN_EVALUATION = ("rule", "wrappers", "engine", "num_threads", "seed")
-_LISTS: dict[str, type] = {"lines": LineSpec, "figures": FigureSpec}
+from maesn.studies.spec import EvaluationSpec, RunSpec, StudySpec
 
 
 class Place(NamedTuple):
@@ -54,12 +41,19 @@ class Place(NamedTuple):
         except (RunError, ValueError) as error:
             self.refuse(error)
 
-    def unknown(self, name: str, known: Iterable[str], what: str = "key") -> NoReturn:
+    def check(
+        self, names: str | Iterable[str], known: Iterable[str], what: str = "such name"
+    ) -> None:
+        """Refuse names, or one, that are not known; an empty one stands for none."""
+        for name in [names] if isinstance(names, str) else names:
+            if name and name not in known:
+                self.unknown(name, known, what)
+
+    def unknown(self, name: str, known: Iterable[str], what: str) -> NoReturn:
         """Raise a `RunError` that says which known name is nearest."""
-        listed = list(known)
-        near = difflib.get_close_matches(name, listed, n=1, cutoff=0.0)
-        hint = f" The nearest one is `{near[0]}`." if near else " There are none."
-        self.refuse(f"there is no {what} `{name}`.{hint}")
+        near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.0)
+        hint = f"The nearest one is `{near[0]}`." if near else "There are none."
+        self.refuse(f"there is no {what} `{name}`. {hint}")
 
 
 def shipped_studies() -> dict[str, Path]:
@@ -93,31 +87,45 @@ def read_study(source: str | Path) -> StudySpec:
 def study_of_table(table: Mapping[str, Any], name: str, place: Place) -> StudySpec:
     """Return the study that a table says; `RunError` with the key of what cannot be."""
     values = dict(table)
-    if isinstance(values.get("family"), str):
+    family = values.pop("family", None)
+    if isinstance(family, str):
         if "families" in values:
             place.refuse("give `family` or `families`, not both.")
-        values["families"] = [values.pop("family")]
+        values["families"] = [family]
     if not values.get("families"):
         place.refuse('a study needs families, as in `family = "wheeled"`.')
-    given: dict[str, Any] = {"name": name, "file": place.file}
-    for key, read in {"runs": _run, "evaluations": _evaluations, "scratch": _scratch}.items():
-        if key in values:
-            given[key] = _tables(values.pop(key), place / key, read)
-    for key, kind in _LISTS.items():
-        given[key] = _list(kind, values.pop(key, []), place / key)
-    known = [one.name for one in dataclasses.fields(StudySpec) if one.name not in ("name", "file")]
-    plain = _values(StudySpec, values, place, [*known, "family"])
-    study = _made(StudySpec, given | plain, place)
+    study: StudySpec = _object(StudySpec, values, place, name=name, file=place.file)
     _check_names(study, place)
     return study
 
 
-def _tables(table: Any, place: Place, read: Callable[[str, Any, Place], Kind]) -> dict[str, Kind]:
-    for name, one in _table(table, place).items():
-        if not name.replace("_", "").replace("-", "").isalnum():
-            (place / name).refuse("a name has letters, digits, - and _ alone.")
-        _table(one, place / name)
-    return {name: read(name, one, place / name) for name, one in table.items()}
+def _read(hint: Any, value: Any, place: Place) -> Any:
+    """Return what a value of a file is as a field of this type."""
+    kind, arguments = get_origin(hint), get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        own: dict[Any, Any] = {
+            RunSpec: _run,
+            EvaluationSpec: _evaluations,
+            Evaluation: _evaluation,
+        }
+        read = own.get(hint, partial(_object, hint))
+        return read(_table(value, place), place)
+    if kind is Mapping and arguments[1] is Any:
+        return _table(value, place)
+    if kind is Mapping:
+        for name in _table(value, place):
+            if not name.replace("_", "").replace("-", "").isalnum():
+                (place / name).refuse("a name has letters, digits, - and _ alone.")
+        return {name: _read(arguments[1], one, place / name) for name, one in value.items()}
+    if kind is tuple and dataclasses.is_dataclass(arguments[0]):
+        if not isinstance(value, list):
+            place.refuse(f"expected [[{place.keys[-1]}]], got {value!r}.")
+        numbered = enumerate(value, start=1)
+        return tuple(_read(arguments[0], one, place / str(number)) for number, one in numbered)
+    # One name for a list of one.
+    given = [value] if kind is tuple and not isinstance(value, list) else value
+    with place.refusing():
+        return decode(given, hint, place.keys[-1])
 
 
 def _table(value: Any, place: Place) -> dict[str, Any]:
@@ -126,84 +134,52 @@ def _table(value: Any, place: Place) -> dict[str, Any]:
     return value
 
 
-def _list(kind: type[Kind], tables: Any, place: Place) -> tuple[Kind, ...]:
-    if not isinstance(tables, list):
-        place.refuse(f"expected [[{place.keys[-1]}]], got {tables!r}.")
-    places = [place / str(number) for number in range(1, len(tables) + 1)]
-    known = [one.name for one in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    return tuple(
-        _made(kind, _values(kind, _table(table, here), here, known), here)
-        for table, here in zip(tables, places, strict=True)
-    )
+def _object(
+    kind: Any, table: Mapping[str, Any], place: Place, more: Iterable[str] = (), **given: Any
+) -> Any:
+    """Return a dataclass with what a table gives, and what is given here, which is no key there.
 
-
-def _values(
-    kind: type, table: Mapping[str, Any], place: Place, known: Sequence[str]
-) -> dict[str, Any]:
-    """Return the fields of a dataclass that a table gives, of these names, in their types."""
-    hints, values = get_type_hints(kind), {}
-    for name, value in table.items():
-        if name not in known:
-            place.unknown(name, known)
-        is_list = getattr(hints[name], "__origin__", None) is tuple
-        # One name for a list of one.
-        one = [value] if is_list and not isinstance(value, list) else value
-        with (place / name).refusing():
-            values[name] = decode(one, hints[name], name)
-    return values
-
-
-def _made(kind: Callable[..., Kind], values: Mapping[str, Any], place: Place) -> Kind:
+    `more` are keys that have been read, for the nearest one of what is none.
+    """
+    hints = get_type_hints(kind)
+    place.check(table, [*(name for name in hints if name not in given), *more], "key")
+    values = {name: _read(hints[name], value, place / name) for name, value in table.items()}
     with place.refusing():
-        return kind(**values)
+        return kind(**given, **values)
 
 
-def _scratch(name: str, table: Mapping[str, Any], place: Place) -> ScratchSpec:
-    known = [one.name for one in dataclasses.fields(ScratchSpec)]
-    spec = _made(ScratchSpec, {"method": name, **_values(ScratchSpec, table, place, known)}, place)
-    if spec.method not in learners.SCRATCH:
-        (place / "method").unknown(spec.method, learners.SCRATCH, "method from scratch")
-    return spec
+def _run(table: Mapping[str, Any], place: Place) -> Any:
+    """Read a run, of which all other keys are settings."""
+    own = get_type_hints(RunSpec).keys() - {"changes"}
+    plain = {name: value for name, value in table.items() if name in own}
+    changes = {name: value for name, value in table.items() if name not in own}
+    return _object(RunSpec, plain, place, changes=changes)
 
 
-def _run(name: str, table: Mapping[str, Any], place: Place) -> RunSpec:
-    own = [f.name for f in dataclasses.fields(RunSpec) if f.name not in ("on", "changes")]
-    plain = {key: value for key, value in table.items() if key in own}
-    changes = leaves({key: value for key, value in table.items() if key not in (*own, "on")})
-    on = _tables(table.get("on", {}), place / "on", lambda _, more, __: leaves(more))
-    values = {"preset": name, **_values(RunSpec, plain, place, own)}
-    spec = RunSpec(**values, on=on, changes=changes)
-    if not spec.directories and ":" not in spec.preset and spec.preset not in learners.METHODS:
-        (place / "preset").unknown(spec.preset, learners.METHODS, "method")
-    return spec
+def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
+    """Read an evaluation, and those on single families, which have its settings as well."""
+    usual = {name: value for name, value in table.items() if name != "on"}
+    own = _read(Mapping[str, Mapping[str, Any]], table.get("on", {}), place / "on")
+    on = {name: _evaluation(usual | own[name], place / "on" / name) for name in own}
+    return EvaluationSpec(_evaluation(usual, place), on)
 
 
-def _evaluations(_: str, table: Mapping[str, Any], place: Place) -> EvaluationSpec:
-    usual = {key: value for key, value in table.items() if key != "on"}
-    return EvaluationSpec(
-        _evaluation(usual, place),
-        _tables(
-            table.get("on", {}), place / "on", lambda _, own, at: _evaluation({**usual, **own}, at)
-        ),
-    )
-
-
-def _evaluation(table: Mapping[str, Any], place: Place) -> Evaluation:
-    known = [f.name for f in dataclasses.fields(Evaluation) if f.name not in _NOT_OF_AN_EVALUATION]
-    plain = {key: value for key, value in table.items() if key not in KNOWN}
-    values = _values(Evaluation, plain, place, [*known, *KNOWN])
-    added = {
-        option: _named(option, table[option], place / option) for option in KNOWN if option in table
-    }
-    rule = added.pop("rule", None)
-    return _made(Evaluation, values | {"rule": rule, "wrappers": tuple(added.values())}, place)
-
-
-def _named(option: str, text: Any, place: Place) -> Any:
-    if not isinstance(text, str):
-        place.refuse(f'expected words as on the command line, "NAME SETTING=VALUE", got {text!r}.')
-    with place.refusing():
-        return from_text(option, text)
+def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
+    """Read an evaluation, whose rule and wrappers are texts. Its seed and so on are the study's."""
+    chosen = {option: table[option] for option in KNOWN if option in table}
+    for option, text in chosen.items():
+        here = place / option
+        if not isinstance(text, str):
+            here.refuse(
+                f'expected words as on the command line, "NAME SETTING=VALUE", got {text!r}.'
+            )
+        with here.refusing():
+            chosen[option] = from_text(option, text)
+    plain = {name: value for name, value in table.items() if name not in KNOWN}
+    rule = chosen.pop("rule", None)
+    given = {"rule": rule, "wrappers": tuple(chosen.values())}
+    of_study = {"engine": None, "num_threads": None, "seed": 0}
+    return _object(Evaluation, plain, place, KNOWN, **given, **of_study)
 
 
 def _check_names(study: StudySpec, place: Place) -> None:
@@ -211,34 +187,30 @@ def _check_names(study: StudySpec, place: Place) -> None:
     for family in study.families:
         with (place / "families").refusing():
             resolve_family(family)
-    for key, known, named in _references(study):
-        for name in named:
-            if name not in known:
-                Place(place.file, key).unknown(name, known, "such name")
+    (place / "oracle").check(study.oracle, study.runs)
+    for name, run in study.runs.items():
+        if not run.directories and ":" not in run.preset:
+            (place / "runs" / name / "preset").check(run.preset or name, learners.METHODS, "method")
+    for name, scratch in study.scratch.items():
+        here = place / "scratch" / name / "method"
+        here.check(scratch.method or name, learners.SCRATCH, "method from scratch")
+    known: dict[str, Iterable[str]] = {
+        "families": study.families,
+        "on": study.families,
+        "run": study.runs,
+        "scratch": study.scratch,
+        "evaluation": study.evaluations,
+        "lines": [*study.runs, *study.scratch],
+    }
+    parts: dict[str, Mapping[Any, Any]] = {
+        "runs": study.runs,
+        "evaluations": study.evaluations,
+        "lines": dict(enumerate(study.lines, start=1)),
+        "figures": dict(enumerate(study.figures, start=1)),
+    }
+    for key, specs in parts.items():
+        for name, spec in specs.items():
+            for field, names in known.items():
+                (place / key / str(name) / field).check(getattr(spec, field, ()), names)
     if not study.all_lines:
         place.refuse("nothing is compared: add `[runs.NAME]` or `[scratch.NAME]`.")
-    for number, line in enumerate(study.lines, start=1):
-        if bool(line.run) == bool(line.scratch):
-            (place / "lines" / str(number)).refuse("a line needs `run` or `scratch`, one of both.")
-
-
-def _references(
-    study: StudySpec,
-) -> Iterable[tuple[tuple[str, ...], Iterable[str], Iterable[str]]]:
-    """Yield the keys at which a study refers to its parts: place, the parts' names, those named."""
-    yield ("oracle",), study.runs, filter(None, [study.oracle])
-    for name, run in study.runs.items():
-        yield ("runs", name, "families"), study.families, run.families
-        yield ("runs", name, "on"), study.families, run.on
-    for name, evaluation in study.evaluations.items():
-        yield ("evaluations", name, "on"), study.families, evaluation.on
-    for number, line in enumerate(study.lines, start=1):
-        key = ("lines", str(number))
-        yield (*key, "run"), study.runs, filter(None, [line.run])
-        yield (*key, "scratch"), study.scratch, filter(None, [line.scratch])
-        yield (*key, "evaluation"), study.evaluations, line.evaluation
-        yield (*key, "families"), study.families, line.families
-    for number, figure in enumerate(study.figures, start=1):
-        key = ("figures", str(number))
-        yield (*key, "lines"), [*study.runs, *study.scratch], figure.lines
-        yield (*key, "families"), study.families, figure.families

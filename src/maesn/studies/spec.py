@@ -5,14 +5,13 @@ A file says it in TOML (`maesn.studies.reading`); `maesn compare` says it in Pyt
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from maesn.envs import Variant
 from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.runs.config import RunSettings
 from maesn.settings import check_number, check_positive
 from maesn.worlds import EngineName
-
-NOTHING: Mapping[str, Any] = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,16 +37,17 @@ class RunSpec:
     directories: tuple[str, ...] = ()
     """Runs that exist, of one family; they take part as they are, and nothing is trained."""
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Path of a setting -> value."""
+    """Path of a setting, or nested settings -> value."""
     on: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
     """Family -> the same for it alone."""
 
 
-class EvaluationSpec(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class EvaluationSpec:
     """`[evaluations.NAME]`: an evaluation, with what differs on single families."""
 
     usual: Evaluation = USUAL
-    on: Mapping[str, Evaluation] = NOTHING
+    on: Mapping[str, Evaluation] = dataclasses.field(default_factory=dict)
 
     def on_family(self, family: str) -> Evaluation:
         """Return the evaluation on one family."""
@@ -90,6 +90,10 @@ class LineSpec:
     """Before what rule and wrappers add; empty: that of the run or the method."""
     families: tuple[str, ...] = ()
     """None: all that the run is trained on."""
+
+    def __post_init__(self) -> None:
+        if bool(self.run) == bool(self.scratch):
+            raise ValueError("a line needs `run` or `scratch`, one of both.")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +144,12 @@ class StudySpec:
     def __post_init__(self) -> None:
         check_number("threads", self.threads, 1)
         check_number("evaluation_seed", self.evaluation_seed, 0, 2**32 - 1)
+
+    def world(self, family: str) -> RunSettings:
+        """Return what all runs have in common on a family."""
+        return RunSettings(
+            family=family, variant=self.variant, engine=self.engine, num_threads=self.threads
+        )
 
     @property
     def all_lines(self) -> tuple[LineSpec, ...]:

@@ -1,28 +1,27 @@
 """A study: any comparison, from what a file says to figures and tables."""
 
 import contextlib
+import dataclasses
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from maesn.reporting.study import RESULTS, report_study
+from maesn.reporting.reading import read_rows
+from maesn.reporting.study import MANIFEST, RESULTS, report_study
 from maesn.reporting.tables import TextTable
+from maesn.runs.config import installed_versions
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
-from maesn.storage import explained, locked, refusals
+from maesn.storage import explained, locked, read_json, refusals, write_json, write_rows
 from maesn.studies.execution import Execution, Say
 from maesn.studies.executors import AbstractExecutor, ExecutorName, LocalPool, Ray
-from maesn.studies.plan import Plan, make_plan
+from maesn.studies.jobs import DONE, ROWS, is_done
+from maesn.studies.plan import Entry, make_plan
 from maesn.studies.reading import read_study
-from maesn.studies.results import write_results
 from maesn.studies.spec import StudySpec
 
 JOBS = "jobs"
-
-
-def silent(sentence: str) -> None:
-    """Print nothing."""
+_KINDS = ("lines", "baselines", "oracle")  # of lines, in a comparison
 
 
 class Results(NamedTuple):
@@ -47,7 +46,7 @@ class Study:
     def __init__(self, spec: StudySpec) -> None:
         """Plan it; `RunError` if something in it cannot be, before anything has run."""
         self.spec = spec
-        self.plan: Plan = make_plan(spec)
+        self.plan = make_plan(spec)
 
     @classmethod
     def load(cls, source: str | Path) -> "Study":
@@ -66,7 +65,7 @@ class Study:
         workers: int | None = None,
         retries: int = 2,
         only: str | None = None,
-        say: Say = silent,
+        say: Say = lambda sentence: None,
     ) -> Results:
         """Compute what is not done yet, and write figures and tables.
 
@@ -93,32 +92,56 @@ class Study:
                 folder.mkdir(parents=True, exist_ok=True)
         if only is not None:
             execution.only(only)
-        place = contextlib.nullcontext() if only else locked(directory)
-        with place, ending_by_signals():
-            with self._opened(executor, workers, execution.directory) as opened:
-                say(execution.left(opened.slots))
-                execution.run(opened, say)
+        threads = self.spec.threads
+        at_once = workers or max(1, len(os.sched_getaffinity(0)) // threads)
+        with contextlib.nullcontext() if only else locked(directory), ending_by_signals():
+            if executor == "local":
+                executor = LocalPool(at_once, threads)
+            elif executor == "ray":
+                executor = Ray(at_once, threads, execution.directory)
+            with contextlib.closing(executor):
+                say(execution.left(executor.slots))
+                execution.run(executor, say)
             if only is not None:
                 return Results(directory, [], execution.failed)
-            write_results(self.plan, execution.directory, directory)
-            return Results(
-                directory, report_study(directory, lambda path: say(str(path))), execution.failed
-            )
+            self.write_results(Path(out))
+            tables = report_study(directory, lambda path: say(str(path)))
+            return Results(directory, tables, execution.failed)
 
     def execution(self, out: str | Path, retries: int = 2) -> Execution:
         """Return the jobs and their state in a directory."""
         return Execution(self.plan.jobs, Path(out) / JOBS, retries)
 
-    @contextlib.contextmanager
-    def _opened(
-        self, executor: ExecutorName | AbstractExecutor, workers: int | None, jobs: Path
-    ) -> Iterator[AbstractExecutor]:
-        threads = self.spec.threads
-        at_once = workers or max(1, len(os.sched_getaffinity(0)) // threads)
-        if executor == "local":
-            executor = LocalPool(at_once, threads)
-        elif executor == "ray":
-            executor = Ray(at_once, threads, jobs)
-        assert isinstance(executor, AbstractExecutor)
-        with contextlib.closing(executor):
-            yield executor
+    def write_results(self, out: Path) -> None:
+        """Write what is done: a table for each line and seed, and the manifest that names them.
+
+        `maesn.reporting.study` reads these files, and nothing else.
+        """
+        document = {
+            "study": self.spec.name,
+            "comparisons": [
+                one | {kind: self._done(one[kind], one["name"], out) for kind in _KINDS}
+                for one in self.plan.comparisons
+            ],
+            "figures": [dataclasses.asdict(one) for one in self.spec.figures],
+            "jobs": sorted(self.plan.jobs),
+            "versions": installed_versions("mujoco.batch"),
+        }
+        write_json(out / self.spec.name / MANIFEST, document)
+
+    def _done(self, lines: list[Entry], comparison: str, out: Path) -> list[Entry]:
+        """Return the lines with those seeds that are done, each with a table of all its tasks."""
+        jobs, directory, found = out / JOBS, out / self.spec.name, []
+        for line in lines:
+            seeds = []
+            for member, parts in line["seeds"]:
+                if all(is_done(job, jobs) for job in parts):
+                    table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv"
+                    rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
+                    write_rows(directory / table, rows)
+                    steps = member.training_steps
+                    if member.job:
+                        steps = read_json(jobs / member.job / DONE)["environment_steps"]
+                    seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
+            found += [line | {"seeds": seeds}] if seeds else []
+        return found
