@@ -69,7 +69,6 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
 
 def test_a_run_without_latents_records_nothing(tmp_path: Path) -> None:
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
-    finish(made)
     explorer.record_explorer(made)
     assert read_latent_paths(made.directory) is None
     assert read_searches(made.directory) is None
