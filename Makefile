@@ -3,8 +3,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Tests of one file share compiled programs, so files and not tests are spread over the processes.
-PYTEST_OPTIONS ?= --quiet --tb=short --numprocesses=auto --dist=loadfile
+# Tests of one file share compiled programs, so files and not tests are spread over the processes,
+# in the order of `tests/conftest.py`.
+PYTEST_OPTIONS ?= --quiet --tb=short --numprocesses=auto --dist=loadfile --no-loadscope-reorder
 
 RUN_READY := $(VENV)/.ready-to-run
 TEST_READY := $(VENV)/.ready-to-test

@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 # Before JAX is imported, and inherited by the programs that tests start. A graphics card can be
 # asked for by name (`JAX_PLATFORMS=cuda make test`); figures never open a window.
@@ -36,7 +37,9 @@ import jax
 import jaxtyping
 import pytest
 
-from maesn.reporting.style import Drawn
+# The process that hands out tests needs no Matplotlib.
+if TYPE_CHECKING:
+    from maesn.reporting.style import Drawn
 
 # Tests interrupt themselves, which what a shell runs in the background would ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -52,6 +55,11 @@ def x64() -> Iterator[None]:
     """
     with jax.enable_x64(True):
         yield
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests that fork: the larger a process has become, the more a copy costs."""
+    items.sort(key=lambda item: item.path.name != "test_faults.py")
 
 
 def pytest_collection_finish() -> None:
@@ -83,7 +91,7 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of what is drawn when; `tests/reporting` looks at the pictures.
     """
 
-    def touch(drawn: Drawn, directory: Path, name: str) -> list[Path]:
+    def touch(drawn: "Drawn", directory: Path, name: str) -> list[Path]:
         assert drawn.figure.axes
         directory.mkdir(parents=True, exist_ok=True)
         files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]

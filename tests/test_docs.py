@@ -26,6 +26,7 @@ generated_reference = importlib.import_module("generated_reference")
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
 LONG = [
     "README.md",
+    "docs/tutorials/point.md",
     "docs/howto/latents.md",
     "docs/howto/own_environment_gymnasium.md",
     "docs/howto/own_environment_mujoco.md",

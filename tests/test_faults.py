@@ -11,11 +11,11 @@ from faults.table import WRONG, campaign
 
 SEED = 18
 ATTEMPTS = {
-    "kills": 16,
-    "mutated files": 200,
+    "kills": 10,
+    "mutated files": 120,
     "signals": 3,
     "two writers": 2,
-    "disks": 16,
+    "disks": 10,
     "faulty environments": 3,
     "runtime calls": 20,
     "wrong command lines": 50,

@@ -79,7 +79,6 @@ def test_a_run_without_latents_has_none_to_show(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
-    finish(made)
     exploration.record_explorer(made)
     assert read_recorded(LatentPaths, made.directory / LATENT_PATHS) is None
     assert read_recorded(RecordedSearches, made.directory / SEARCHES) is None

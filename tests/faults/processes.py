@@ -1,5 +1,6 @@
 """Processes that die at any operation on files: copies of this one, so that they start warm."""
 
+import gc
 import os
 import resource
 import signal
@@ -127,6 +128,7 @@ def fork(work: Callable[[], Any], output: Path) -> int:
         process = os.fork()
     if process:
         return process
+    gc.disable()  # it would touch, and so copy, all memory
     status = 1
     try:
         signal.setitimer(signal.ITIMER_REAL, 0)

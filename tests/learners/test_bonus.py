@@ -135,7 +135,7 @@ ALONE = {
     # A trial is played by the same agents, episode after episode.
     "rl2": rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
 }
-LONG = ["more batches", "rl2"]  # in `tests/long`
+LONG = ["latent_space", "more batches", "rl2"]  # in `tests/long`
 
 
 @pytest.mark.parametrize("name", [name for name in ALONE if name not in LONG])

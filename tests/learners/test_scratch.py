@@ -149,12 +149,17 @@ def collect() -> Collector:
 @pytest.mark.parametrize("name", [pytest.param("reinforce", marks=pytest.mark.long), "trpo"])
 def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     learner = small(name)
-    outcome = adapt(learner, collect, episodes=64)
-    returns = outcome.curves.mean_return
+    returns = adapt(learner, collect, episodes=64).curves.mean_return
     assert returns.shape == (4, 9)
     assert np.all(returns[:, -1] > returns[:, 0])
-    parts = adapt(learner, collect, episodes=16, chunk_size=2)
-    np.testing.assert_allclose(parts.curves.mean_return, returns[:, :3], rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.long  # `tests/evaluation` does it with another learner
+@pytest.mark.parametrize("name", ["reinforce", "trpo"])
+def test_chunks_change_nothing(name: str, collect: Collector) -> None:
+    whole, parts = (adapt(small(name), collect, episodes=16, chunk_size=size) for size in (4, 2))
+    expected = whole.curves.mean_return
+    np.testing.assert_allclose(parts.curves.mean_return, expected, rtol=2e-3, atol=2e-3)
 
 
 def test_tasks_start_with_different_weights_that_the_seed_says() -> None:

@@ -49,6 +49,7 @@ def play_trial(collect: Collector, policy: RecurrentPolicy, length: int = 3) -> 
 
 
 distributions = eqx.filter_jit(Trials.distributions)
+join = jax.jit(join_episodes)
 
 
 def means_played(episodes: Sequence[Episodes]) -> np.ndarray:
@@ -79,14 +80,14 @@ def test_replaying_a_trial_gives_what_was_played(
 ) -> None:
     """Across episodes, across gaps, and from the start of the trial."""
     policy, episodes = played
-    trials = join_episodes(episodes)
+    trials = join(episodes)
     again = distributions(trials, policy)
     assert isinstance(again, DiagonalGaussian)
     assert trials.valid.shape == (SLOTS * EPISODES, 3 * HORIZON)
     mean = np.where(np.asarray(trials.valid)[..., None], again.mean, 0.0)
     np.testing.assert_allclose(mean, means_played(episodes), rtol=1e-3, atol=1e-5)
     # The later episodes are played from memory: forgetting it would give something else.
-    alone = distributions(join_episodes(episodes[1:]), policy)
+    alone = distributions(join(episodes[1:]), policy)
     assert isinstance(alone, DiagonalGaussian)
     forgetful = np.where(np.asarray(trials.valid[:, HORIZON:])[..., None], alone.mean, 0.0)
     assert np.abs(forgetful - means_played(episodes)[:, HORIZON:]).max() > 0.01
@@ -97,7 +98,7 @@ def test_losses_replay_one_episode_from_the_memory_that_it_began_with(
 ) -> None:
     policy, episodes = played
     agents = Agents(policy, Nothing(), shares_policy=True)
-    again = agents.map(action_distributions, episodes[2], episodes[2].z)
+    again = jax.jit(lambda one: agents.map(action_distributions, one, one.z))(episodes[2])
     assert isinstance(again, DiagonalGaussian)
     mean = np.where(np.asarray(episodes[2].valid)[..., None], again.mean, 0.0)
     mean = mean.reshape(-1, *mean.shape[2:])
@@ -124,7 +125,7 @@ def test_gradients_ignore_what_follows_the_end() -> None:
         log_prob = trials.distributions(varied).log_prob(trials.action)
         return jnp.where(trials.valid, log_prob, 0.0).sum()
 
-    trials = join_episodes(episodes)
+    trials = join(episodes)
     gradient = jax.jit(jax.grad(loss))(policy, trials)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     assert not np.isnan(np.asarray(trials.reward)).any()
@@ -146,6 +147,6 @@ def test_discrete_actions_are_one_hot_and_told_as_they_are() -> None:
     assert set(np.unique(episodes.action)) == {0.0, 1.0}
     np.testing.assert_array_equal(episodes.action.sum(-1), 1.0)
     np.testing.assert_array_equal(episodes.reward, episodes.action[..., 3:].sum(-1))
-    inputs = episodes.policy_inputs()
+    inputs = jax.jit(Episodes.policy_inputs)(episodes)
     np.testing.assert_array_equal(inputs.previous_action[:, :, 1:], episodes.action[:, :, :-1])
     np.testing.assert_array_equal(inputs.previous_reward[:, :, 1:], episodes.reward[:, :, :-1])

@@ -30,13 +30,14 @@ RESULTS = Path(__file__).resolve().parent.parent / "results"
 def test_batches_add_up_to_the_statistics_of_all_that_was_seen() -> None:
     stream = np.random.default_rng(0)
     statistics, everything = no_observations(3), []
+    with_batch = jax.jit(ObservationStatistics.with_batch)
     for size in (7, 40, 0, 1):
         # Far from 0, where naive sums of squares lose all digits in single precision.
         batch = np.float32(stream.normal([1e3, -5, 0], [1, 10, 0], (2, size, 3)))
         seen = stream.random((2, size)) < 0.7
         everything.append(batch[seen])
         batch[~seen] = np.nan
-        statistics = statistics.with_batch(jnp.asarray(batch), jnp.asarray(seen))
+        statistics = with_batch(statistics, jnp.asarray(batch), jnp.asarray(seen))
     joined = np.concatenate(everything).astype(np.float64)
     assert statistics.count == len(joined)
     np.testing.assert_allclose(statistics.mean, joined.mean(0), rtol=1e-6)

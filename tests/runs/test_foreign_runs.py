@@ -28,7 +28,9 @@ def fragile(health: Path, **settings: Any) -> TaskFamily:
 
 def new_run(directory: Path, family: TaskFamily) -> Run:
     learner = tiny_maesn(normalize_observations=True)
-    return Run.create(directory, learner, tiny_settings(checkpoint_every=3), family=family)
+    return Run.create(
+        directory, learner, tiny_settings(checkpoint_every=3, num_threads=1), family=family
+    )
 
 
 def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_log_probabilities_can_be_recomputed_from_what_is_recorded(env: AnyEnv) 
 
     # The context has no time axis: one and the same z explains every step of an episode.
     steps = jax.vmap(log_prob, (0, None, 0))
-    recomputed = jax.vmap(jax.vmap(steps))(
+    recomputed = jax.jit(jax.vmap(jax.vmap(steps)))(
         episodes.observation[:, :, :-1], episodes.z, episodes.action
     )
     recorded = episodes.behaviour.log_prob(episodes.action)

@@ -54,6 +54,7 @@ def test_physics_that_blows_up_is_named(tmp_path: Path) -> None:
         play(env, light, [2, 1], episodes=5, engine="mjx")
 
 
+@pytest.mark.long  # `test_endings` does it with the native engine
 def test_what_blows_up_after_its_end_is_no_error(tmp_path: Path) -> None:
     class Ending(cart_on(tmp_path, RUNAWAY)):  # type: ignore[misc]
         name: ClassVar[str] = "ending cart"
