@@ -22,6 +22,7 @@ from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
 from maesn.reporting.reading import RECORD
 from maesn.reporting.run_figures import draw_runs
+from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.study import report_studies, studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import AbstractRule, GradientRule, SearchRule
@@ -279,7 +280,7 @@ def report(
         if not running.adaptation_file(run.directory, USUAL).exists():
             adapt(run)
         if run.env().planar:
-            record_exploration(run)
+            record_exploration(run, run.directory / EXPLORATION)
             record_explorer(run)
     directories = [run.directory for run in opened]
     folder = page.parent if page else Path(out or directories[0] / "figures")

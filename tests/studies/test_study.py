@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import os
+import shutil
 import signal
 import threading
 import time
@@ -11,13 +12,22 @@ from pathlib import Path
 
 import pytest
 
+from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
+from maesn.reporting.study import report_studies
 from maesn.storage import LOCK, RunError
 from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
 from maesn.studies.jobs import AbstractJob
-from maesn.studies.spec import EvaluationSpec, FigureSpec, RunSpec, ScratchSpec, StudySpec
+from maesn.studies.spec import (
+    RECORDED,
+    EvaluationSpec,
+    FigureSpec,
+    RunSpec,
+    ScratchSpec,
+    StudySpec,
+)
 from maesn.studies.study import Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
@@ -112,6 +122,28 @@ def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     more = dataclasses.replace(SMALL, name="other", scratch={"vpg": ScratchSpec("reinforce")})
     Study(more).run(tmp_path, executor=other)
     assert [name.split("-")[2] for name in other.started] == ["vpg", "vpg"]
+
+
+def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, number in {"EXPLORATION_EPISODES": 4, "EXPLORATION_TASKS": 2}.items():
+        monkeypatch.setattr(exploration, name, number)
+    figures = tuple(FigureSpec(f"figure-{kind}", kind) for kind in RECORDED)
+    study = Study(dataclasses.replace(SMALL, figures=figures))
+    recorded = [name for name in study.plan.jobs if name.startswith("record-")]
+    assert len(recorded) == 1  # of one run, whatever the number of figures
+    done = study.run(tmp_path, executor=Here())
+    assert not done.failed
+    drawn = done.directory / "point"
+    assert {path.stem for path in drawn.glob("figure-*.pdf")} == {
+        f"figure-{kind}-point" for kind in RECORDED
+    }
+    # A report reads nothing but the study's own folder.
+    before = files(drawn)
+    shutil.rmtree(tmp_path / "jobs")
+    report_studies(done.directory, lambda path: None)
+    assert files(drawn) == before
 
 
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:

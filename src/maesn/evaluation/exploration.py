@@ -2,6 +2,7 @@
 
 import itertools
 from contextlib import closing
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,6 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import GradientFastLearner
 from maesn.reporting.runs import (
-    EXPLORATION,
     LATENT_PATHS,
     SEARCHES,
     LatentPaths,
@@ -37,6 +37,7 @@ from maesn.worlds.collector import Collector
 # between tasks, one would be no fair sample.
 EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
+RECORDED_EPISODES = 5150  # of the test tasks and of those figures, about: for estimates of time
 
 _EDGE = 6.0  # of the latents, in standard deviations of the prior: adapted ones are that far out
 _LATENTS = 441  # recorded paths: a lattice of 21 x 21 in the plane
@@ -70,8 +71,8 @@ def _at(path: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.take_along_axis(path, times[..., None], axis=2)
 
 
-def record_exploration(run: Run) -> None:
-    """Play and record what the figures of exploration show, in the run's directory."""
+def record_exploration(run: Run, path: Path) -> None:
+    """Play what the figures of exploration show of a run, and record it in an `.npz` file."""
     tasks, env = run.task_set("test"), run.env()
     keys = jax.random.split(jax.random.key(0), EXPLORATION_TASKS)
     old, new = map(run.learner.fast_learner, (run.latest_state(), run.untrained_state()))
@@ -103,7 +104,7 @@ def record_exploration(run: Run) -> None:
     # What a family or a method lacks is None, or has no elements.
     held = vars(recorded).items()
     arrays = {name: array for name, array in held if array is not None and np.size(array)}
-    write_arrays(run.directory / EXPLORATION, arrays)
+    write_arrays(path, arrays)
 
 
 def record_explorer(run: Run) -> None:

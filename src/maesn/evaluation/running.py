@@ -186,12 +186,19 @@ def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, 
         table.with_suffix(RECORD).unlink(missing_ok=True)
     write_rows(table, as_rows(outcome))
     write_json(table.with_suffix(RECORD), dict(record))
-    if not isinstance(outcome.contexts, Latent):
+    held = held_latents(outcome)
+    if held is None:
         return Adapted(outcome, table, None)
-    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
-    held = Latents(mean, log_std, outcome.first_update)
     write_arrays(table.with_suffix(LATENTS), vars(held))
     return Adapted(outcome, table, table.with_suffix(LATENTS))
+
+
+def held_latents(outcome: AdaptationOutcome) -> Latents | None:
+    """Return the adapted latents as files hold them; None where none are adapted."""
+    if not isinstance(outcome.contexts, Latent):
+        return None
+    mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
+    return Latents(mean, log_std, outcome.first_update)
 
 
 def read_latents(path: Path) -> tuple[Latent, int]:

@@ -5,6 +5,7 @@ Runs (`maesn.reporting.series`) and studies (`maesn.reporting.study`) both make 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ class Line:
     """Of the run or method, by their path."""
     published: PublishedCurve | None = None
     """What the paper shows for the method; None if that is something else."""
+    latents: Path | None = None
+    """The adapted latents of the first seed, if only a latent adapts."""
 
     @property
     def label(self) -> str:
@@ -86,6 +89,8 @@ class Comparison:
     """Agents that learn nothing; the one with the better mean return is the baseline."""
     oracle: tuple[Line, ...] = ()
     """The agent that is given the task, or nobody."""
+    recorded: Mapping[str, Path] = field(default_factory=dict)
+    """Name of a run -> its recorded exploration."""
 
     @property
     def tasks(self) -> str:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
+from maesn.reporting.figures import recorded
 from maesn.reporting.figures.curves import plot_curves, plot_ends, plot_profiles
 from maesn.reporting.published import comparable_curve
-from maesn.reporting.reading import read_adaptation, stack_seeds
+from maesn.reporting.reading import LATENTS, read_adaptation, stack_seeds
 from maesn.reporting.style import MethodStyle, save_figure, series_styles
 from maesn.reporting.summary import summary_tables
 from maesn.reporting.tables import TextTable
@@ -17,7 +18,15 @@ from maesn.storage import RunError, read_json, write_rows, write_whole
 MANIFEST = "study.json"
 RESULTS, SUMMARY = "results.csv", "summary.md"
 
-_KINDS = {"curves": plot_curves, "dots": plot_ends, "profiles": plot_profiles}
+_KINDS = {
+    "curves": plot_curves,
+    "dots": plot_ends,
+    "profiles": plot_profiles,
+    "tasks": recorded.plot_tasks,
+    "exploration": recorded.plot_paths,
+    "noise": recorded.plot_noise,
+    "latents": recorded.plot_adapted_latents,
+}
 _EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
 
 Wrote: TypeAlias = Callable[[Path], None]
@@ -68,10 +77,9 @@ def _report(comparison: Comparison, study: Document, out: Path, wrote: Wrote) ->
             continue
         chosen = figure["lines"] or [line.source for line in comparison.lines]
         lines = tuple(line for line in comparison.lines if line.source in chosen)
-        if lines:
-            drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
-            for path in save_figure(drawn, out, f"{figure['name']}-{name}"):
-                wrote(path)
+        drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines)) if lines else None
+        for path in save_figure(drawn, out, f"{figure['name']}-{name}") if drawn else ():
+            wrote(path)
     return tables
 
 
@@ -110,6 +118,7 @@ def _comparison(world: Document, directory: Path) -> Comparison:
         horizon=world["horizon"],
         baselines=baselines,
         oracle=oracle,
+        recorded={name: directory / file for name, file in world["recorded"].items()},
     )
 
 
@@ -124,6 +133,7 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
     )
     steps = [seed["training_steps"] for seed in seeds if seed["training_steps"] is not None]
     evaluation = {f"evaluation.{name}": value for name, value in line["evaluation"].items()}
+    latents = (directory / seeds[0]["table"]).with_suffix(LATENTS)
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
     return Line(
         line["name"],
@@ -134,4 +144,5 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
         source=line["source"],
         settings={**evaluation, **line["settings"]},
         published=None if line["addition"] else comparable_curve(*about, table),
+        latents=latents if latents.exists() else None,
     )

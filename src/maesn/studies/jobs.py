@@ -11,18 +11,29 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from maesn.envs import describe_env
 from maesn.evaluation.evaluate import as_rows
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.exploration import RECORDED_EPISODES, record_exploration
+from maesn.evaluation.running import held_latents
 from maesn.learners import AbstractMetaLearner, BonusMetaLearner, RecurrentMetaLearner
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.log import METRICS
 from maesn.runs.run import Run
+from maesn.runs.serialization import digest_of_document
 from maesn.runs.training import train
 from maesn.search.stored import prior_file, run_prior
-from maesn.storage import explained, locked, read_json_lines, write_json, write_rows
+from maesn.storage import (
+    explained,
+    locked,
+    read_json_lines,
+    write_arrays,
+    write_json,
+    write_rows,
+)
 from maesn.studies.members import RUN, AbstractMember, TrainedRun
 
-DONE, ROWS = "done.json", "rows.csv"
+DONE, ROWS, LATENTS, EXPLORATION = "done.json", "rows.csv", "latents.npz", "exploration.npz"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +124,10 @@ class PriorJob(AbstractJob):
 
 @dataclasses.dataclass(frozen=True)
 class EvaluateJob(AbstractJob):
-    """Adaptation of one member to some tasks: a table with one row per task and update."""
+    """Adaptation of one member to some tasks: a table with one row per task and update.
+
+    Where nothing but a latent adapts, the adapted latents go beside it.
+    """
 
     who: AbstractMember
     asked: Evaluation
@@ -123,7 +137,30 @@ class EvaluateJob(AbstractJob):
         outcome = self.who.play(self.asked, self.tasks, directory.parent)
         rows = ({**row, "task": self.tasks[row["task"]]} for row in as_rows(outcome))
         write_rows(directory / ROWS, rows)
+        latents = held_latents(outcome)
+        if latents is not None and not self.asked.wrappers:
+            write_arrays(directory / LATENTS, vars(latents))
         return {}
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordJob(AbstractJob):
+    """Paths of a run before any adaptation, for figures."""
+
+    who: TrainedRun
+
+    def compute(self, directory: Path) -> dict[str, Any]:
+        record_exploration(self.who.open(directory.parent), directory / EXPLORATION)
+        return {}
+
+
+def record_job(member: TrainedRun) -> RecordJob:
+    """Return the job that records the paths of a run."""
+    env = member.run.env()
+    digest = digest_of_document({"of": member.identity, "world": describe_env(env)})
+    name = f"record-{env.name}-{member.method}-seed-{member.seed}-{digest}"
+    steps = RECORDED_EPISODES * env.horizon
+    return RecordJob(name, (member.job,) if member.job else (), steps, member)
 
 
 def train_job(member: TrainedRun) -> TrainJob:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -14,7 +14,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import USUAL as USUAL_PRIOR
-from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, train_job
+from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, record_job, train_job
 from maesn.studies.members import (
     AbstractMember,
     TrainedRun,
@@ -24,7 +24,7 @@ from maesn.studies.members import (
     members_of_run,
 )
 from maesn.studies.reading import Place
-from maesn.studies.spec import LineSpec, StudySpec
+from maesn.studies.spec import RECORDED, LineSpec, StudySpec
 from maesn.worlds import engine_of
 
 Entry: TypeAlias = dict[str, Any]
@@ -160,7 +160,21 @@ class _Planner:
             "lines": _labelled(planned),
             "baselines": _labelled(below),
             "oracle": _labelled(above),
+            "recorded": self.recorded({line["source"] for line in lines}),
         }
+
+    def recorded(self, sources: Collection[str]) -> dict[str, str]:
+        """Plan what figures of runs need to have recorded; return the jobs by the runs' names."""
+        jobs = {}
+        for figure in self.study.figures:
+            named = [one for one in figure.lines or self.study.runs if one in self.study.runs]
+            is_drawn = figure.kind in RECORDED and self.family in (figure.families or [self.family])
+            for name in named if is_drawn else ():
+                for member in self.run(name)[:1]:
+                    if name in sources and member.run.env().planar:
+                        jobs[name] = record_job(member)
+        self.jobs.update({job.name: job for job in jobs.values()})
+        return {name: job.name for name, job in jobs.items()}
 
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""

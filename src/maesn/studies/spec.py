@@ -5,13 +5,19 @@ A file says it in TOML (`maesn.studies.reading`); `maesn compare` says it in Pyt
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from maesn.envs import Variant
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.runs.config import RunSettings
 from maesn.settings import check_number, check_positive
 from maesn.worlds import EngineName
+
+FigureKind: TypeAlias = Literal[
+    "curves", "dots", "profiles", "tasks", "exploration", "noise", "latents"
+]
+# Kinds of figures that need recorded paths.
+RECORDED: tuple[FigureKind, ...] = ("tasks", "exploration", "noise", "latents")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,9 +108,11 @@ class FigureSpec:
 
     name: str = "figure"
     """Of the file; that of the family is added."""
-    kind: Literal["curves", "dots", "profiles"] = "curves"
-    """curves, over steps in the new task; dots, where each line ends, with its interval; profiles,
-    in which share of the tasks it ends above each return."""
+    kind: FigureKind = "curves"
+    """curves, over episodes in the new task; dots, where each line ends, with its interval;
+    profiles, in which share of the tasks it ends above each return. Of runs: tasks, the goals;
+    exploration, paths before any adaptation; noise, the same with z held; latents, before and after
+    adaptation."""
     lines: tuple[str, ...] = ()
     """Names of runs and methods; none: all."""
     families: tuple[str, ...] = ()

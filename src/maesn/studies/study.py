@@ -3,19 +3,33 @@
 import contextlib
 import dataclasses
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from maesn.reporting import reading
 from maesn.reporting.reading import read_rows
+from maesn.reporting.runs import Latents, read_record
 from maesn.reporting.study import MANIFEST, RESULTS, report_study
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import installed_versions
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
-from maesn.storage import explained, locked, read_json, refusals, write_json, write_rows
+from maesn.storage import (
+    explained,
+    locked,
+    read_json,
+    refusals,
+    write_arrays,
+    write_json,
+    write_rows,
+    write_whole,
+)
 from maesn.studies.execution import Execution, Say
 from maesn.studies.executors import AbstractExecutor, ExecutorName, LocalPool, Ray
-from maesn.studies.jobs import DONE, ROWS, is_done
+from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS, is_done
 from maesn.studies.plan import Entry, make_plan
 from maesn.studies.reading import read_study
 from maesn.studies.spec import StudySpec
@@ -120,7 +134,9 @@ class Study:
         document = {
             "study": self.spec.name,
             "comparisons": [
-                one | {kind: self._done(one[kind], one["name"], out) for kind in _KINDS}
+                one
+                | {kind: self._done(one[kind], one["name"], out) for kind in _KINDS}
+                | {"recorded": self._recorded(one["recorded"], one["name"], out)}
                 for one in self.plan.comparisons
             ],
             "figures": [dataclasses.asdict(one) for one in self.spec.figures],
@@ -128,6 +144,15 @@ class Study:
             "versions": installed_versions("mujoco.batch"),
         }
         write_json(out / self.spec.name / MANIFEST, document)
+
+    def _recorded(self, made: Mapping[str, str], comparison: str, out: Path) -> dict[str, str]:
+        """Keep what was recorded of runs; return the files by the runs' names."""
+        jobs, directory, found = out / JOBS, out / self.spec.name, {}
+        for name, job in made.items():
+            if is_done(job, jobs):
+                found[name] = f"recorded/{comparison}/{name}.npz"
+                write_whole(directory / found[name], (jobs / job / EXPLORATION).read_bytes())
+        return found
 
     def _done(self, lines: list[Entry], comparison: str, out: Path) -> list[Entry]:
         """Return the lines with those seeds that are done, each with a table of all its tasks."""
@@ -139,9 +164,22 @@ class Study:
                     table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv"
                     rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
                     write_rows(directory / table, rows)
+                    _join_latents([jobs / job for job in parts], directory / table)
                     steps = member.training_steps
                     if member.job:
                         steps = read_json(jobs / member.job / DONE)["environment_steps"]
                     seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
             found += [line | {"seeds": seeds}] if seeds else []
         return found
+
+
+def _join_latents(jobs: Sequence[Path], table: Path) -> None:
+    """Put the adapted latents of all tasks beside their table, where jobs have kept them."""
+    if all((job / LATENTS).exists() for job in jobs):
+        parts = [read_record(Latents, job / LATENTS, "compute it again") for job in jobs]
+        mean, log_std = (
+            np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
+            for name in ("mean", "log_std")
+        )
+        joined = Latents(mean, log_std, parts[0].first_update)
+        write_arrays(table.with_suffix(reading.LATENTS), vars(joined))
