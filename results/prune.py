@@ -1,0 +1,51 @@
+"""Keep of a study's directory what its report and its runs need; the rest can be computed again.
+
+    python results/prune.py results
+
+Of a trained run `config.json`, the last checkpoint, the priors and the first lines of the metrics
+stay; of every other job that is done, only that it is.
+"""
+
+import shutil
+from pathlib import Path
+
+import tyro
+
+from maesn.runs.checkpoint import checkpoint_paths
+from maesn.runs.config import CONFIG
+from maesn.runs.log import METRICS
+from maesn.runs.run import CHECKPOINTS
+from maesn.runs.sources import TASKS_FILE
+from maesn.search.stored import PRIORS
+from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
+from maesn.studies.members import RUN
+from maesn.studies.study import JOBS
+
+LINES = 20  # of the metrics
+
+
+def prune(directory: tyro.conf.Positional[Path]) -> None:
+    """Remove what is not needed from the jobs that are done."""
+    for job in sorted((directory / JOBS).iterdir()):
+        if not (job / DONE).exists():
+            continue
+        for name in (ROWS, LATENTS, EXPLORATION):
+            (job / name).unlink(missing_ok=True)
+        if (job / RUN / CONFIG).exists():
+            prune_run(job / RUN)
+
+
+def prune_run(run: Path) -> None:
+    """Remove all of a run that acting, adapting and comparing do not need."""
+    kept = {CONFIG, CHECKPOINTS, METRICS, PRIORS, TASKS_FILE}
+    for path in run.iterdir():
+        if path.name not in kept:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    for checkpoint in checkpoint_paths(run / CHECKPOINTS)[:-1]:
+        checkpoint.unlink()
+    lines = (run / METRICS).read_text().splitlines(keepends=True)
+    (run / METRICS).write_text("".join(lines[:LINES]))
+
+
+if __name__ == "__main__":
+    tyro.cli(prune)
