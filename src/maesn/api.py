@@ -139,7 +139,7 @@ def adapt(
         raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
-    warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
+    warn_of_duration(opened.env(), num_tasks * asked.budget.episodes)
     check_writable(Path(out) if out else running.adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     usual = running.adaptation_file(opened.directory, asked, outcome.first_update)

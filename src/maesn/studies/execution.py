@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 
 from maesn.storage import LOCK, RunError, read_json, write_json
-from maesn.studies.executors import AbstractExecutor, Failure
+from maesn.studies.executors import AbstractExecutor, Failure, accident
 from maesn.studies.jobs import DONE, AbstractJob, is_done
 from maesn.worlds.budget import STEPS_PER_SECOND
 
@@ -58,8 +58,7 @@ class Execution:
                     self._running[executor.submit(job, self.directory)] = job
                 for future in wait(self._running, return_when=FIRST_COMPLETED).done:
                     job, error = self._running.pop(future), future.exception()
-                    lost = Failure(f"{type(error).__name__}: {error}")  # with its process
-                    failure = lost if error else future.result()
+                    failure = accident(error) if error else future.result()
                     if failure is None:
                         done += 1
                         (self.directory / job.name / FAILED).unlink(missing_ok=True)

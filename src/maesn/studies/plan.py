@@ -54,7 +54,7 @@ class _Planner:
     family: str
     jobs: dict[str, AbstractJob]
     """Those of the families before, and what is planned here."""
-    runs: dict[str, list[TrainedRun]] = dataclasses.field(default_factory=dict)
+    runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
     task_sets: dict[str, TaskSet] = dataclasses.field(default_factory=dict)
 
     def compare(self) -> Iterator[Entry]:
@@ -160,19 +160,26 @@ class _Planner:
             "lines": _labelled(planned),
             "baselines": _labelled(below),
             "oracle": _labelled(above),
-            "recorded": self.recorded({line["source"] for line in lines}),
+            "recorded": self.recorded(dict.fromkeys(line["source"] for line in lines)),
         }
 
     def recorded(self, sources: Collection[str]) -> dict[str, str]:
-        """Plan what figures of runs need to have recorded; return the jobs by the runs' names."""
-        jobs = {}
-        for figure in self.study.figures:
-            named = [one for one in figure.lines or self.study.runs if one in self.study.runs]
-            is_drawn = figure.kind in RECORDED and self.family in (figure.families or [self.family])
-            for name in named if is_drawn else ():
-                for member in self.run(name)[:1]:
-                    if name in sources and member.run.env().planar:
-                        jobs[name] = record_job(member)
+        """Plan what figures of runs need to have recorded; return the jobs by the runs' names.
+
+        `sources` are the runs and methods that the comparison has lines of.
+        """
+        drawn = {
+            name
+            for figure in self.study.figures
+            if figure.kind in RECORDED and self.family in (figure.families or [self.family])
+            for name in figure.lines or sources
+        }
+        jobs = {
+            name: record_job(first)
+            for name in sources
+            for first in self.runs.get(name, ())[:1]
+            if name in drawn and first.run.env().planar
+        }
         self.jobs.update({job.name: job for job in jobs.values()})
         return {name: job.name for name, job in jobs.items()}
 
