@@ -149,7 +149,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
 
 
 def test_figures_train_no_run_that_is_not_compared() -> None:
-    runs = {name: SMALL.runs["mine"] for name in ("mine", "other")}
+    runs = dict.fromkeys(("mine", "other"), SMALL.runs["mine"])
     lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
     study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
     assert not [name for name in study.plan.jobs if "other" in name]
