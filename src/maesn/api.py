@@ -255,7 +255,8 @@ def report(
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory. A name that ends in `.html` is that of the page.
+            study go into its directory. A name that ends in `.html` is that of the page, beside
+            which the figures of runs go.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:

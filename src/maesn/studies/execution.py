@@ -49,7 +49,11 @@ class Execution:
             say(f"{done} of {total} jobs were done before")
         console = Console(stderr=True)
         with Live(
-            console=console, get_renderable=self._shown, refresh_per_second=1, transient=True
+            console=console,
+            get_renderable=self._shown,
+            auto_refresh=console.is_terminal,
+            refresh_per_second=1,
+            transient=True,
         ):
             while waiting or self._running:
                 for job in self._ready(waiting)[: executor.slots - len(self._running)]:
