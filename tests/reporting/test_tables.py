@@ -198,4 +198,5 @@ def test_rules_stand_side_by_side_where_both_were_judged(tmp_path: Path) -> None
 
 def test_zero_has_no_minus() -> None:
     assert UNITS["mean_return"].number(-0.04) == "0.0"
+    assert UNITS["mean_return"].number(-0.04, sign="+") == "+0.0"
     assert UNITS["mean_return"].number(-0.06) == "-0.1"

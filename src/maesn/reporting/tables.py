@@ -27,18 +27,18 @@ class Unit(NamedTuple):
     scale: float = 1.0
     digits: int = 1
 
-    def number(self, value: float) -> str:
-        """Return the number as text, 0 without a minus."""
-        return format(self.scale * value, f"z.{self.digits}f")
+    def number(self, value: float, sign: str = "") -> str:
+        """Return the number as text, 0 without a minus; `sign` as in format specifications."""
+        return format(self.scale * value, f"{sign}z.{self.digits}f")
 
-    def text(self, interval: Interval, *, brief: bool = False) -> str:
+    def text(self, interval: Interval, sign: str = "", *, brief: bool = False) -> str:
         """Return the mean and the ends of its interval or, if `brief`, half its width."""
-        mean = self.number(interval.mean)
+        mean = self.number(interval.mean, sign)
         if not interval.is_known:
             return mean
         if brief:
             return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
-        return f"{mean} [{self.number(interval.low)}, {self.number(interval.high)}]"
+        return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
 
     def texts(self, intervals: Interval, *, brief: bool = False) -> list[str]:
         """Return the texts of the points of a curve."""
