@@ -65,9 +65,9 @@ class _Planner:
                 for asked, line in self.lines(spec, Place(self.study.file, ("lines", str(number)))):
                     world = asked.tasks, asked.reward, asked.sparse_radius
                     worlds[world].append((asked, line))
+        # The name of a comparison is that of the family, and what tells it from others there.
+        differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
         for world, lines in worlds.items():
-            # Its name is that of the family, and what tells it from others there.
-            differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
             texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
             told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
             name = "-".join([self.family.rpartition(":")[2], *told])
@@ -106,7 +106,7 @@ class _Planner:
         place: Place,
     ) -> tuple[Evaluation, Entry]:
         """Return a line, called by name, source and label, of members that adapt alike."""
-        study = self.study
+        (name, source, label), study = names, self.study
         with place.refusing():
             asked = dataclasses.replace(
                 asked,
@@ -120,15 +120,15 @@ class _Planner:
         num_tasks = asked.count(self.tasks(asked.tasks))
         budget = {**asked.budget._asdict(), "num_tasks": num_tasks, "seed": asked.seed}
         return asked, {
-            "name": names[0],
-            "source": names[1],
+            "name": name,
+            "source": source,
             "method": members[0].method,
-            "label": names[2],
+            "label": label,
             "addition": bool(asked.wrappers),
             "settings": members[0].settings,
             "evaluation": {"rule": asked.rule_text, **budget},
             "trial_episodes": trials[0],
-            "seeds": [(one, list(self.evaluate(names[0], one, asked))) for one in members],
+            "seeds": [(one, list(self.evaluate(name, one, asked))) for one in members],
         }
 
     def comparison(self, name: str, planned: Sequence[tuple[Evaluation, Entry]]) -> Entry:
