@@ -83,7 +83,7 @@ def test_a_run_without_latents_has_none_to_show(
     assert read_recorded(LatentPaths, made.directory / LATENT_PATHS) is None
     assert read_recorded(RecordedSearches, made.directory / SEARCHES) is None
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    exploration.record_exploration(made)
+    exploration.record_exploration(made, made.directory / EXPLORATION)
     recorded = read_recorded(RecordedExploration, made.directory / EXPLORATION)
     assert recorded is not None
     assert recorded.prior_paths.shape == recorded.untrained_paths.shape == (5, 41, 2)
