@@ -17,6 +17,7 @@ from synthetic_runs import write_run
 from maesn import GradientRule, SearchRule, adapt
 from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
+from maesn.reporting.runs import EXPLORATION
 from maesn.runs.run import Run
 from maesn.studies.reading import Place, study_of_table
 from maesn.studies.study import Study
@@ -173,7 +174,7 @@ def test_pictures_of_a_shipped_policy(browser: Browser, tmp_path: Path) -> None:
     shutil.copytree(Run.open("wheeled").directory, run)
     for rule in (GradientRule(), SearchRule()):
         adapt(run, rule=rule)
-    record_exploration(Run.open(run))
+    record_exploration(Run.open(run), run / EXPLORATION)
     record_explorer(Run.open(run))
     write_page(tmp_path / PAGE, run_page([run]))
     assert (tmp_path / PAGE).stat().st_size < 6e6
