@@ -139,7 +139,7 @@ def adapt(
         raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
-    warn_of_duration(opened.env(), num_tasks * (asked.budget.episodes))
+    warn_of_duration(opened.env(), num_tasks * asked.budget.episodes)
     check_writable(Path(out) if out else running.adaptation_file(opened.directory, asked))
     outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
     usual = running.adaptation_file(opened.directory, asked, outcome.first_update)
@@ -255,7 +255,8 @@ def report(
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory. A name that ends in `.html` is that of the page.
+            study go into its directory. A name that ends in `.html` is that of the page, beside
+            which the figures of runs go.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:

@@ -37,10 +37,9 @@ def test_probability_of_improvement(scores: tuple[np.ndarray, np.ndarray]) -> No
 
 
 def test_performance_profile(scores: tuple[np.ndarray, np.ndarray]) -> None:
-    thresholds = np.linspace(-8.0, 8.0, 33)
-    ours = [one.mean for one in statistics.performance_profile(scores[0], thresholds)]
+    thresholds, (ours, _) = statistics.profiles(scores)
     theirs, _ = library.create_performance_profile({"first": scores[0]}, thresholds, reps=1)
-    np.testing.assert_allclose(ours, theirs["first"], rtol=1e-12)
+    np.testing.assert_allclose(ours.mean, theirs["first"], rtol=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore:random_state is deprecated:FutureWarning")  # rliable's own

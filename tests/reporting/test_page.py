@@ -31,6 +31,7 @@ def data_of(page: str) -> object:
 def test_the_page_is_one_file_of_what_the_run_recorded(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run")
     document = run_page([run])
+    assert run_page([run, run]) == document
     write_page(tmp_path / PAGE, document)
     page = (tmp_path / PAGE).read_text()
     assert (tmp_path / PAGE).stat().st_size < 6e6

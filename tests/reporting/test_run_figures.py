@@ -75,7 +75,7 @@ def test_several_runs_share_figures(tmp_path: Path) -> None:
         "task-distribution",
         "exploration",
     }
-    assert f"No exploration trajectories in `{runs[1]}`, `{runs[0]}`: " in said
+    assert f"No exploration trajectories in `{runs[0]}`, `{runs[1]}`: " in said
     assert f"No metrics in `{runs[2]}`: " in said
 
 

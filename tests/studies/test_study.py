@@ -1,9 +1,9 @@
 """Studies from end to end: jobs that are found again, that fail, and that are killed."""
 
+import contextlib
 import csv
 import dataclasses
 import os
-import shutil
 import signal
 import threading
 import time
@@ -17,13 +17,14 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting.study import report_studies
-from maesn.storage import LOCK, RunError
+from maesn.storage import LOCK, RunError, read_json
 from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
 from maesn.studies.jobs import AbstractJob
 from maesn.studies.spec import (
     RECORDED,
     EvaluationSpec,
     FigureSpec,
+    LineSpec,
     RunSpec,
     ScratchSpec,
     StudySpec,
@@ -140,10 +141,25 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
         f"figure-{kind}-point" for kind in RECORDED
     }
     # A report reads nothing but the study's own folder.
-    before = files(drawn)
-    shutil.rmtree(tmp_path / "jobs")
+    before, jobs = files(drawn), tmp_path / "jobs"
+    jobs.rename(tmp_path / "elsewhere")
     report_studies(done.directory, lambda path: None)
     assert files(drawn) == before
+    # Another evaluation of the line may keep no latents: those of the one before do not stay.
+    (tmp_path / "elsewhere").rename(jobs)
+    assert list(done.directory.rglob("*.latents.npz"))
+    for path in jobs.glob("*/latents.npz"):
+        path.unlink()
+    study.run(tmp_path, executor=Here())
+    assert not list(done.directory.rglob("*.latents.npz"))
+
+
+def test_figures_train_no_run_that_is_not_compared() -> None:
+    runs = dict.fromkeys(("mine", "other"), SMALL.runs["mine"])
+    lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
+    study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
+    assert not [name for name in study.plan.jobs if "other" in name]
+    assert [one["recorded"].keys() for one in study.plan.comparisons] == [{"mine"}]
 
 
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
@@ -236,3 +252,29 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     assert executor.killed
     assert done.failed == {}
     assert files(done.directory) == files(whole.directory)
+
+
+@dataclasses.dataclass(frozen=True)
+class Ending(AbstractJob):
+    """Says which process computes it, and may end that a little later."""
+
+    after: float = 0.0
+
+    def compute(self, directory: Path) -> dict[str, int]:
+        if self.after:
+            threading.Timer(self.after, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        return {"process": os.getpid()}
+
+
+@pytest.mark.long
+def test_a_worker_that_dies_while_it_waits_is_replaced(tmp_path: Path) -> None:
+    pool, processes = LocalPool(1, 1), []
+    with contextlib.closing(pool):
+        for name, after in {"first": 0.5, "second": 0.0, "third": 0.0}.items():
+            assert pool.submit(Ending(name, (), 0, after), tmp_path).result() is None
+            processes.append(read_json(tmp_path / name / "done.json")["process"])
+            if after:
+                while Path(f"/proc/{processes[0]}").exists():
+                    time.sleep(0.05)
+                time.sleep(0.5)  # until the pool knows
+    assert processes[0] != processes[1] == processes[2]

@@ -20,6 +20,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import GradientFastLearner
 from maesn.reporting.runs import (
     LATENT_PATHS,
+    RECORDED_TASKS,
     SEARCHES,
     LatentPaths,
     RecordedExploration,
@@ -73,7 +74,7 @@ def _at(path: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def record_exploration(run: Run, path: Path) -> None:
     """Play what the figures of exploration show of a run, and record it in an `.npz` file."""
-    tasks, env = run.task_set("test"), run.env()
+    tasks, env = run.task_set(RECORDED_TASKS), run.env()
     keys = jax.random.split(jax.random.key(0), EXPLORATION_TASKS)
     old, new = map(run.learner.fast_learner, (run.latest_state(), run.untrained_state()))
     trained, untrained = (one.agents(one.init(keys)) for one in (old, new))
@@ -123,7 +124,7 @@ def record_explorer(run: Run) -> None:
     context = Latent(mean, jnp.zeros_like(mean)).at_mean()
     agents = Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
     keys = jax.random.split(jax.random.key(0), _LATENTS)
-    with closing(run.world(run.task_set("test"), reward_kind="sparse")) as world:
+    with closing(run.world(run.task_set(RECORDED_TASKS), reward_kind="sparse")) as world:
         # One episode of each latent, all in the first task.
         episodes = Collector(world, 1)(keys, agents, jnp.zeros(_LATENTS, int))
         has_prior = prior_file(run, world).exists()

@@ -153,11 +153,12 @@ class AdaptationTable:
 
     @property
     def prior_reach(self) -> PriorReach | None:
-        """What the prior of one run reaches; None if the table does not tell."""
+        """What the prior of a run, the first seed, reaches; None if the table does not tell."""
         episodes = self.explored_episodes or self.episodes_per_update
         if self.updates[0] or episodes is None:
             return None
-        return prior_reach(self.explored_success_rate[:, 0], self.is_solved_at_reset, episodes)
+        of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
+        return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
 
     def part(
         self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)

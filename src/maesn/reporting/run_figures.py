@@ -13,19 +13,17 @@ from maesn.reporting.figures.curves import plot_curves
 from maesn.reporting.figures.learning import plot_learning_curves
 from maesn.reporting.runs import (
     EXPLORATION,
+    RECORDED_TASKS,
     LearningCurve,
     RecordedExploration,
     RecordedRun,
     read_learning_curve,
     read_recorded,
-    read_run,
 )
-from maesn.reporting.series import Series, check_world, compare_runs, group_series
+from maesn.reporting.series import Series, compare_runs, group_series, read_runs
 from maesn.reporting.style import Drawn, MethodStyle, save_figure
 
 _RECORDING = "`maesn report DIR` records them, if the family says where things are in a plane"
-
-_RECORDED_TASKS = "test"  # the tasks whose goals an exploration records
 
 Say: TypeAlias = Callable[[str], None]
 Figures: TypeAlias = Iterator[tuple[str, Drawn]]
@@ -39,10 +37,7 @@ def draw_runs(directories: Sequence[Path], out: Path, say: Say) -> list[Path]:
     missing, with the command that makes it, and of the goals that each method reaches before it
     adapts. A `RunError` says which file is broken, or why the runs cannot be compared.
     """
-    distinct = {path.resolve(): path for path in reversed(directories)}
-    runs = [read_run(path) for path in reversed(distinct.values())]
-    check_world(runs)
-    written, series = [], group_series(runs)
+    written, series = [], group_series(read_runs(directories))
     for figures_of in (_learning, _adaptation, _exploration, _latents):
         for name, drawn in figures_of(series, say):
             written += save_figure(drawn, out, name)
@@ -89,13 +84,13 @@ def _exploration(series: Sequence[Series], say: Say) -> Figures:
         if recorded is None:
             _say_missing(one.runs, "exploration trajectories", _RECORDING, say)
             continue
-        table = run.adaptation(_RECORDED_TASKS, "sparse")
+        table = run.adaptation(RECORDED_TASKS, "sparse")
         has_goals = table is not None and table.num_tasks == len(recorded.goals)
         reach = table.prior_reach if table is not None and has_goals else None
         if reach is not None:
             say(
                 f"{one.label}: {reach.share:.0%} of the {reach.num_tasks} goals "
-                f"({_RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
+                f"({RECORDED_TASKS} tasks) are reached within {reach.episodes} prior episodes."
             )
         panels[one.name] = exploration.ExplorationPanel(one.style, recorded, reach)
     if panels:
@@ -116,7 +111,7 @@ def _latents(series: Sequence[Series], _: Say) -> Figures:
             latents = None if name.changed else run.latents(name.tasks, name.reward)
             if latents is None or latents.mean.shape[-1] < 2:
                 continue
-            goals = recorded.goals if recorded and name.tasks == _RECORDED_TASKS else None
+            goals = recorded.goals if recorded and name.tasks == RECORDED_TASKS else None
             if goals is not None and len(goals) != len(latents.mean):
                 goals = None
             figure = exploration.plot_latents(latents, goals)

@@ -17,6 +17,7 @@ from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 EXPLORATION = Path("figures") / "exploration.npz"
 LATENT_PATHS = Path("figures") / "latent-paths.npz"
 SEARCHES = Path("figures") / "searches.npz"
+RECORDED_TASKS = "test"  # in all three
 
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]

@@ -10,7 +10,7 @@ from typing import Any
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.published import comparable_curve
 from maesn.reporting.reading import TableName, read_adaptation, stack_seeds
-from maesn.reporting.runs import RecordedRun
+from maesn.reporting.runs import RecordedRun, read_run
 from maesn.reporting.style import METHOD_STYLES, MethodStyle, series_styles
 from maesn.settings import leaves
 from maesn.storage import RunError
@@ -69,6 +69,16 @@ def _line(one: Series, changed: str, number: int, files: Mapping[int, Path]) -> 
         source=one.name,
         published=None if changed else comparable_curve(*world, run.method, table),
     )
+
+
+def read_runs(directories: Sequence[Path]) -> list[RecordedRun]:
+    """Read runs for a common figure, each once; a `RunError` says why they cannot have one."""
+    distinct: dict[Path, Path] = {}
+    for path in directories:
+        distinct.setdefault(path.resolve(), path)
+    runs = [read_run(path) for path in distinct.values()]
+    check_world(runs)
+    return runs
 
 
 def check_world(runs: Sequence[RecordedRun]) -> None:

@@ -110,6 +110,7 @@ def _comparison(world: Document, directory: Path) -> Comparison:
         tuple(_line(one, MethodStyle(one["label"]), world, directory) for one in world[group])
         for group in ("baselines", "oracle")
     )
+    records = world.get("recorded", {})  # studies of earlier versions have none
     return Comparison(
         lines=tuple(lines),
         name=world["name"],
@@ -118,7 +119,7 @@ def _comparison(world: Document, directory: Path) -> Comparison:
         horizon=world["horizon"],
         baselines=baselines,
         oracle=oracle,
-        recorded={name: directory / file for name, file in world["recorded"].items()},
+        recorded={name: directory / file for name, file in records.items()},
     )
 
 

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 
 from maesn.storage import LOCK, RunError, read_json, write_json
-from maesn.studies.executors import AbstractExecutor, Failure
+from maesn.studies.executors import AbstractExecutor, Failure, accident
 from maesn.studies.jobs import DONE, AbstractJob, is_done
 from maesn.worlds.budget import STEPS_PER_SECOND
 
@@ -49,7 +49,11 @@ class Execution:
             say(f"{done} of {total} jobs were done before")
         console = Console(stderr=True)
         with Live(
-            console=console, get_renderable=self._shown, refresh_per_second=1, transient=True
+            console=console,
+            get_renderable=self._shown,
+            auto_refresh=console.is_terminal,
+            refresh_per_second=1,
+            transient=True,
         ):
             while waiting or self._running:
                 for job in self._ready(waiting)[: executor.slots - len(self._running)]:
@@ -58,8 +62,7 @@ class Execution:
                     self._running[executor.submit(job, self.directory)] = job
                 for future in wait(self._running, return_when=FIRST_COMPLETED).done:
                     job, error = self._running.pop(future), future.exception()
-                    lost = Failure(f"{type(error).__name__}: {error}")  # with its process
-                    failure = lost if error else future.result()
+                    failure = accident(error) if error else future.result()
                     if failure is None:
                         done += 1
                         (self.directory / job.name / FAILED).unlink(missing_ok=True)

@@ -10,6 +10,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -58,8 +59,13 @@ def computed(job: AbstractJob, jobs: Path) -> Failure | None:
     except (RunError, EngineError) as error:
         return Failure(str(error), is_final=True)
     except (EpisodeError, MemoryError, OSError, RuntimeError) as error:
-        return Failure(f"{type(error).__name__}: {error}")
+        return accident(error)
     return None
+
+
+def accident(error: BaseException) -> Failure:
+    """Return a failure that need not happen again."""
+    return Failure(f"{type(error).__name__}: {error}")
 
 
 class Here(AbstractExecutor):
@@ -86,16 +92,20 @@ class LocalPool(AbstractExecutor):
         self._last: dict[ProcessPoolExecutor, Future[Failure | None]] = {}
 
     def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
-        ended = [pool for pool, last in self._last.items() if last.done()]
-        for pool in [one for one in ended if self._last[one].exception()]:
-            pool.shutdown()  # waits until its process, and with it the lock of a job, is gone
-            ended.remove(pool)
-            del self._last[pool]
-        pool = (
-            ended[0]
-            if ended
-            else ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._parent,))
-        )
+        idle = [pool for pool, last in self._last.items() if last.done()]
+        # First those that lost a job, perhaps this one: nobody else can begin it before they end.
+        for pool in sorted(idle, key=lambda one: self._last[one].exception() is None):
+            try:
+                return self._begin_in(pool, job, jobs)
+            except BrokenProcessPool:
+                pool.shutdown()  # waits until its process, and with it the lock of a job, is gone
+                del self._last[pool]
+        pool = ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._parent,))
+        return self._begin_in(pool, job, jobs)
+
+    def _begin_in(
+        self, pool: ProcessPoolExecutor, job: AbstractJob, jobs: Path
+    ) -> Future[Failure | None]:
         with _environment(thread_variables(self._threads)):  # a process begins with its first job
             self._last[pool] = pool.submit(_compute, job, jobs)
         return self._last[pool]

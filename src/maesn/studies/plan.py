@@ -54,7 +54,7 @@ class _Planner:
     family: str
     jobs: dict[str, AbstractJob]
     """Those of the families before, and what is planned here."""
-    runs: dict[str, list[TrainedRun]] = dataclasses.field(default_factory=dict)
+    runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
     task_sets: dict[str, TaskSet] = dataclasses.field(default_factory=dict)
 
     def compare(self) -> Iterator[Entry]:
@@ -65,9 +65,9 @@ class _Planner:
                 for asked, line in self.lines(spec, Place(self.study.file, ("lines", str(number)))):
                     world = asked.tasks, asked.reward, asked.sparse_radius
                     worlds[world].append((asked, line))
+        # The name of a comparison is that of the family, and what tells it from others there.
+        differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
         for world, lines in worlds.items():
-            # Its name is that of the family, and what tells it from others there.
-            differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
             texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
             told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
             name = "-".join([self.family.rpartition(":")[2], *told])
@@ -106,7 +106,7 @@ class _Planner:
         place: Place,
     ) -> tuple[Evaluation, Entry]:
         """Return a line, called by name, source and label, of members that adapt alike."""
-        study = self.study
+        (name, source, label), study = names, self.study
         with place.refusing():
             asked = dataclasses.replace(
                 asked,
@@ -120,15 +120,15 @@ class _Planner:
         num_tasks = asked.count(self.tasks(asked.tasks))
         budget = {**asked.budget._asdict(), "num_tasks": num_tasks, "seed": asked.seed}
         return asked, {
-            "name": names[0],
-            "source": names[1],
+            "name": name,
+            "source": source,
             "method": members[0].method,
-            "label": names[2],
+            "label": label,
             "addition": bool(asked.wrappers),
             "settings": members[0].settings,
             "evaluation": {"rule": asked.rule_text, **budget},
             "trial_episodes": trials[0],
-            "seeds": [(one, list(self.evaluate(names[0], one, asked))) for one in members],
+            "seeds": [(one, list(self.evaluate(name, one, asked))) for one in members],
         }
 
     def comparison(self, name: str, planned: Sequence[tuple[Evaluation, Entry]]) -> Entry:
@@ -160,19 +160,26 @@ class _Planner:
             "lines": _labelled(planned),
             "baselines": _labelled(below),
             "oracle": _labelled(above),
-            "recorded": self.recorded({line["source"] for line in lines}),
+            "recorded": self.recorded(dict.fromkeys(line["source"] for line in lines)),
         }
 
     def recorded(self, sources: Collection[str]) -> dict[str, str]:
-        """Plan what figures of runs need to have recorded; return the jobs by the runs' names."""
-        jobs = {}
-        for figure in self.study.figures:
-            named = [one for one in figure.lines or self.study.runs if one in self.study.runs]
-            is_drawn = figure.kind in RECORDED and self.family in (figure.families or [self.family])
-            for name in named if is_drawn else ():
-                for member in self.run(name)[:1]:
-                    if name in sources and member.run.env().planar:
-                        jobs[name] = record_job(member)
+        """Plan what figures of runs need to have recorded; return the jobs by the runs' names.
+
+        `sources` are the runs and methods that the comparison has lines of.
+        """
+        drawn = {
+            name
+            for figure in self.study.figures
+            if figure.kind in RECORDED and self.family in (figure.families or [self.family])
+            for name in figure.lines or sources
+        }
+        jobs = {
+            name: record_job(first)
+            for name in sources
+            for first in self.runs.get(name, ())[:1]
+            if name in drawn and first.run.env().planar
+        }
         self.jobs.update({job.name: job for job in jobs.values()})
         return {name: job.name for name, job in jobs.items()}
 

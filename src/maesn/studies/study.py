@@ -175,11 +175,14 @@ class Study:
 
 def _join_latents(jobs: Sequence[Path], table: Path) -> None:
     """Put the adapted latents of all tasks beside their table, where jobs have kept them."""
-    if all((job / LATENTS).exists() for job in jobs):
-        parts = [read_record(Latents, job / LATENTS, "compute it again") for job in jobs]
-        mean, log_std = (
-            np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
-            for name in ("mean", "log_std")
-        )
-        joined = Latents(mean, log_std, parts[0].first_update)
-        write_arrays(table.with_suffix(reading.LATENTS), vars(joined))
+    path = table.with_suffix(reading.LATENTS)
+    if not all((job / LATENTS).exists() for job in jobs):
+        with explained("remove", path):
+            path.unlink(missing_ok=True)  # what the line had before its evaluation was changed
+        return
+    parts = [read_record(Latents, job / LATENTS, "compute it again") for job in jobs]
+    mean, log_std = (
+        np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
+        for name in ("mean", "log_std")
+    )
+    write_arrays(path, vars(Latents(mean, log_std, parts[0].first_update)))

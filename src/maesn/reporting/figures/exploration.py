@@ -104,7 +104,8 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
         plane.draw_explored(axes, limits, one.exploration, paths, one.style.colour)
         title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
         if one.reach is not None:
-            title += f"\n{one.reach.share:.0%} of the goals in {one.reach.episodes} episodes"
+            within = count(one.reach.episodes, "episode")
+            title += f"\n{one.reach.share:.0%} of the goals in {within}"
         axes.set_title(title)
         if position % columns:
             axes.set_ylabel("")

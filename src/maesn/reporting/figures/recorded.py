@@ -2,8 +2,7 @@
 
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.figures import exploration
-from maesn.reporting.reading import prior_reach
-from maesn.reporting.runs import Latents, RecordedExploration, read_record
+from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_record
 from maesn.reporting.style import Drawn
 
 _REMEDY = "run the study again"
@@ -17,7 +16,13 @@ def plot_tasks(comparison: Comparison) -> Drawn | None:
 
 def plot_paths(comparison: Comparison) -> Drawn | None:
     """Draw what each run explores before adaptation; None if nothing was recorded."""
-    panels = [_panel(line, record) for line, record in _recorded(comparison).values()]
+    panels = []
+    for line, record in _recorded(comparison).values():
+        # Only of the goals that are drawn, and within the regions that are drawn.
+        has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
+        has_regions = comparison.sparse_radius in (None, record.sparse_radius)
+        reach = line.table.prior_reach if has_goals and has_regions else None
+        panels.append(exploration.ExplorationPanel(line.style, record, reach))
     return exploration.plot_exploration(panels) if panels else None
 
 
@@ -29,15 +34,20 @@ def plot_noise(comparison: Comparison) -> Drawn | None:
 
 
 def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
-    """Draw the latents of all tasks before and after adaptation; None if no line has them."""
-    line = next((line for line in comparison.lines if line.latents is not None), None)
-    if line is None or line.latents is None:
-        return None
-    found = _recorded(comparison).get(line.source)
-    goals = None if found is None else found[1].goals
-    latents = read_record(Latents, line.latents, _REMEDY)
-    fits = goals is not None and len(goals) == len(latents.mean)
-    return exploration.plot_latents(latents, goals if fits else None)
+    """Draw the latents of all tasks before and after adaptation; None if no line has such.
+
+    A latent of one component has no plane.
+    """
+    recorded = _recorded(comparison)
+    for line in comparison.lines:
+        latents = None if line.latents is None else read_record(Latents, line.latents, _REMEDY)
+        if latents is None or latents.mean.shape[-1] < 2:
+            continue
+        goals = None
+        if line.source in recorded and line.table.tasks == RECORDED_TASKS:
+            goals = recorded[line.source][1].goals[: line.num_tasks]
+        return exploration.plot_latents(latents, goals)
+    return None
 
 
 def _recorded(comparison: Comparison) -> dict[str, tuple[Line, RecordedExploration]]:
@@ -48,13 +58,3 @@ def _recorded(comparison: Comparison) -> dict[str, tuple[Line, RecordedExplorati
         for name, path in comparison.recorded.items()
         if name in lines
     }
-
-
-def _panel(line: Line, record: RecordedExploration) -> exploration.ExplorationPanel:
-    """Return a run's panel, with the goals that it reaches before its first update."""
-    table, reach = line.table, None
-    episodes = table.explored_episodes or table.episodes_per_update
-    if episodes is not None and table.num_tasks == len(record.goals):
-        first = table.explored_success_rate[0, :, 0]
-        reach = prior_reach(first, table.is_solved_at_reset, episodes)
-    return exploration.ExplorationPanel(line.style, record, reach)

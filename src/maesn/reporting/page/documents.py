@@ -12,7 +12,7 @@ from maesn.reporting.comparison import Comparison
 from maesn.reporting.figures.learning import moving_mean, window_of
 from maesn.reporting.page.writing import rounded
 from maesn.reporting.runs import RecordedRun, read_recorded
-from maesn.reporting.series import Series, check_world, compare_runs, group_series
+from maesn.reporting.series import Series, compare_runs, group_series, read_runs
 from maesn.reporting.study import read_comparisons
 from maesn.reporting.style import LineStyle, MethodStyle
 from maesn.reporting.summary import summary_tables
@@ -41,8 +41,7 @@ def run_page(directories: Sequence[Path]) -> Document:
     What the latents do is shown of the first run that has recorded it. A `RunError` says which file
     is missing or broken, or why the runs cannot be compared.
     """
-    runs = [records.read_run(path) for path in directories]
-    check_world(runs)
+    runs = read_runs(directories)
     series = group_series(runs)
     shown = next((run for run in runs if (run.path / records.LATENT_PATHS).exists()), runs[0])
     return {
@@ -188,7 +187,7 @@ def _latents(run: RecordedRun, num_goals: int) -> Document:
     if paths is None:
         return {"explorer": {"missing": _NO_LATENTS}, "search": {"missing": _NO_LATENTS}}
     explorer = {name: rounded(value) for name, value in vars(paths).items()} | {"adapted": []}
-    adapted = run.latents("test", "sparse")
+    adapted = run.latents(records.RECORDED_TASKS, "sparse")
     if adapted is not None and len(adapted.mean) == num_goals:
         explorer["adapted"] = rounded(adapted.mean[:, -1])
     if searches is None:
