@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
+from scripts import load_script
 
 from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
@@ -152,6 +153,16 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
         path.unlink()
     study.run(tmp_path, executor=Here())
     assert not list(done.directory.rglob("*.latents.npz"))
+    # A pruned study has the same tables, and repeats nothing.
+    tables = files(done.directory / "tables")
+    load_script("results/prune.py").prune(tmp_path)
+    (run,) = jobs.glob("train-*/run")
+    assert {path.name for path in run.iterdir()} == {"checkpoints", "config.json", "metrics.jsonl"}
+    assert [path.name for path in run.glob("checkpoints/*")] == ["iteration-000002.safetensors"]
+    executor = Watched()
+    study.run(tmp_path, executor=executor)
+    assert executor.started == []
+    assert files(done.directory / "tables") == tables
 
 
 def test_figures_train_no_run_that_is_not_compared() -> None:

@@ -151,7 +151,8 @@ class Study:
         for name, job in made.items():
             if is_done(job, jobs):
                 found[name] = f"recorded/{comparison}/{name}.npz"
-                write_whole(directory / found[name], (jobs / job / EXPLORATION).read_bytes())
+                if (jobs / job / EXPLORATION).exists():
+                    write_whole(directory / found[name], (jobs / job / EXPLORATION).read_bytes())
         return found
 
     def _done(self, lines: list[Entry], comparison: str, out: Path) -> list[Entry]:
@@ -162,9 +163,11 @@ class Study:
             for member, parts in line["seeds"]:
                 if all(is_done(job, jobs) for job in parts):
                     table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv"
-                    rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
-                    write_rows(directory / table, rows)
-                    _join_latents([jobs / job for job in parts], directory / table)
+                    # A study that was pruned has its tables alone.
+                    if all((jobs / job / ROWS).exists() for job in parts):
+                        rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
+                        write_rows(directory / table, rows)
+                        _join_latents([jobs / job for job in parts], directory / table)
                     steps = member.training_steps
                     if member.job:
                         steps = read_json(jobs / member.job / DONE)["environment_steps"]
