@@ -8,6 +8,7 @@ import csv
 import errno
 import fcntl
 import glob
+import gzip
 import io
 import json
 import logging
@@ -153,13 +154,15 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows of the same columns, at least one, as a `.csv` file; see `write_whole`."""
+    """Write rows of the same columns, at least one, as `.csv` or `.csv.gz`; see `write_whole`."""
     first, *others = rows
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(first), lineterminator="\n")
     writer.writeheader()
     writer.writerows([first, *others])
-    write_whole(path, text.getvalue().encode())
+    content = text.getvalue().encode()
+    # Without the time, so that equal rows are equal bytes.
+    write_whole(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """The tables that adaptations leave: their names, and the curves in them."""
 
 import csv
+import gzip
 import re
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,6 +44,11 @@ def table_name(path: Path) -> TableName:
     return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
 
 
+def latents_beside(table: Path) -> Path:
+    """Return where the adapted latents of a table are."""
+    return table.with_name(table.name.removesuffix(".gz")).with_suffix(LATENTS)
+
+
 def remedy(path: Path) -> str:
     """Return what to do about a broken file of an adaptation."""
     return f"write `{path.name}` again with `maesn adapt`"
@@ -50,13 +57,14 @@ def remedy(path: Path) -> str:
 def read_rows(
     path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
 ) -> list[dict[str, Any]]:
-    """Return the rows of a `.csv` file as texts; a `RunError` says which column is missing."""
+    """Return the rows of a `.csv` or `.csv.gz` file as texts; `RunError` if a column is missing."""
     try:
         archive.refuse_special(path)
-        with path.open(newline="", encoding="utf-8") as file:
+        opened = gzip.open if path.suffix == ".gz" else open
+        with opened(path, "rt", newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             rows, present = list(reader), reader.fieldnames or ()
-    except (OSError, ValueError, csv.Error) as error:
+    except (OSError, EOFError, ValueError, csv.Error, zlib.error) as error:
         raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
     for name in columns:
         if name not in present:

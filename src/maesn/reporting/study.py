@@ -9,7 +9,7 @@ from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures import recorded
 from maesn.reporting.figures.curves import plot_curves, plot_ends, plot_profiles
 from maesn.reporting.published import comparable_curve
-from maesn.reporting.reading import LATENTS, read_adaptation, stack_seeds
+from maesn.reporting.reading import latents_beside, read_adaptation, stack_seeds
 from maesn.reporting.style import MethodStyle, save_figure, series_styles
 from maesn.reporting.summary import summary_tables
 from maesn.reporting.tables import TextTable
@@ -134,7 +134,7 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
     )
     steps = [seed["training_steps"] for seed in seeds if seed["training_steps"] is not None]
     evaluation = {f"evaluation.{name}": value for name, value in line["evaluation"].items()}
-    latents = (directory / seeds[0]["table"]).with_suffix(LATENTS)
+    latents = latents_beside(directory / seeds[0]["table"])
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
     return Line(
         line["name"],

@@ -126,7 +126,7 @@ class PriorJob(AbstractJob):
 class EvaluateJob(AbstractJob):
     """Adaptation of one member to some tasks: a table with one row per task and update.
 
-    Where nothing but a latent adapts, the adapted latents go beside it.
+    Where the method's own rule adapts a latent, the adapted latents go beside it.
     """
 
     who: AbstractMember
@@ -138,7 +138,7 @@ class EvaluateJob(AbstractJob):
         rows = ({**row, "task": self.tasks[row["task"]]} for row in as_rows(outcome))
         write_rows(directory / ROWS, rows)
         latents = held_latents(outcome)
-        if latents is not None and not self.asked.wrappers:
+        if latents is not None and not self.asked.label:  # by the method's own rule
             write_arrays(directory / LATENTS, vars(latents))
         return {}
 

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maesn.reporting import reading
-from maesn.reporting.reading import read_rows
+from maesn.reporting.reading import latents_beside, read_rows
 from maesn.reporting.runs import Latents, read_record
 from maesn.reporting.study import MANIFEST, RESULTS, report_study
 from maesn.reporting.tables import TextTable
@@ -162,7 +161,7 @@ class Study:
             seeds = []
             for member, parts in line["seeds"]:
                 if all(is_done(job, jobs) for job in parts):
-                    table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv"
+                    table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
                     # A study that was pruned has its tables alone.
                     if all((jobs / job / ROWS).exists() for job in parts):
                         rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
@@ -178,7 +177,7 @@ class Study:
 
 def _join_latents(jobs: Sequence[Path], table: Path) -> None:
     """Put the adapted latents of all tasks beside their table, where jobs have kept them."""
-    path = table.with_suffix(reading.LATENTS)
+    path = latents_beside(table)
     if not all((job / LATENTS).exists() for job in jobs):
         with explained("remove", path):
             path.unlink(missing_ok=True)  # what the line had before its evaluation was changed
