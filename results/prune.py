@@ -2,8 +2,8 @@
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint, the priors and the first lines of the metrics
-stay; of every other job that is done, only that it is.
+Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; of
+every other job that is done, only that it is. A search makes the prior of a run again, in seconds.
 """
 
 import shutil
@@ -16,7 +16,6 @@ from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.search.stored import PRIORS
 from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS
@@ -37,7 +36,7 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
 
 def prune_run(run: Path) -> None:
     """Remove all of a run that acting, adapting and comparing do not need."""
-    kept = {CONFIG, CHECKPOINTS, METRICS, PRIORS, TASKS_FILE}
+    kept = {CONFIG, CHECKPOINTS, METRICS, TASKS_FILE}
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
