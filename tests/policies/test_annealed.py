@@ -60,7 +60,7 @@ def test_choices_have_no_noise_to_bound() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"final_std": 0.0}, {"final_std": 1.5}, {"first_iteration": 250}]
+    "wrong", [{"final_std": 0.0}, {"final_std": 1.5}, {"first_iteration": 300}]
 )
 def test_refuses_a_bound_that_does_not_fall(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=f"`{next(iter(wrong))}` must"):
