@@ -19,7 +19,6 @@ INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks and seeds"
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
 _BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB
-_THRESHOLDS = 101  # of a performance profile
 
 Values = Float[np.ndarray, "*batch _ _"]
 """One value per seed and task. Samples that are compared may differ in their number of seeds."""
@@ -153,6 +152,6 @@ def profiles(
     (Agarwal et al. 2021, "performance profiles", run-score distributions).
     """
     ends = [end for sample in samples for end in (sample.min(), sample.max())]
-    thresholds = np.linspace(min(ends), max(ends), _THRESHOLDS)
+    thresholds = np.linspace(min(ends), max(ends), 101)
     above = (sample[..., None] > thresholds for sample in samples)
     return thresholds, [curve(one.astype(float)) for one in above]

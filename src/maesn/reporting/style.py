@@ -20,7 +20,6 @@ from maesn.storage import write_whole
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
-_LAYOUT_PASSES = 3  # after two, nothing moves
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -94,8 +93,8 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def settle(figure: Figure) -> None:
-    """Lay a figure out for good: panels with equal scales settle step by step."""
-    for _ in range(_LAYOUT_PASSES):
+    """Lay a figure out for good. Panels with equal scales settle in two passes; a third is safe."""
+    for _ in range(3):
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
 

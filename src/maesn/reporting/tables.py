@@ -63,20 +63,27 @@ class TextTable(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def _first_is_name(self) -> bool:
+        """Whether the first column holds names: they stand at the left, numbers at the right."""
+        return not all(row[0].isdigit() for row in self.rows)
+
     def to_rich(self) -> Table:
         """Return the table for a terminal."""
         table = Table(title=self.title, caption="\n".join(self.notes), box=None)
-        for column, heading in enumerate(self.headings):
+        for heading, *cells in zip(self.headings, *self.rows, strict=True):
             # A heading may be broken between words, a number may not be broken.
-            widths = [len(row[column]) for row in self.rows] + [*map(len, heading.split())]
-            table.add_column(heading, justify="right" if column else "left", min_width=max(widths))
+            widest = max(map(len, [*heading.split(), *cells]))
+            table.add_column(heading, justify="right", min_width=widest)
+        if self._first_is_name:
+            table.columns[0].justify = "left"
         for row in self.rows:
             table.add_row(*map(Text, row))
         return table
 
     def to_markdown(self) -> str:
         """Return the table as Markdown."""
-        ruler = ["---", *["---:"] * (len(self.headings) - 1)]
+        ruler = ["---" if self._first_is_name else "---:", *["---:"] * (len(self.headings) - 1)]
         lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
         return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
 

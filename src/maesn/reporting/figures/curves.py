@@ -14,10 +14,6 @@ from maesn.reporting.comparison import Comparison, Line, note_on_judging
 from maesn.reporting.runs import LearningCurve
 from maesn.reporting.style import Drawn, MethodStyle
 
-_NUM_MARKERS = 6
-_BAND_OPACITY = 0.18
-_LABEL_CHARACTERS = 30  # of a line of the legend
-_ROW = 0.22  # inches
 _REFERENCES = {"baseline": ":", "oracle": "-"}  # lines of their mean returns
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
@@ -65,7 +61,7 @@ def plot_curves(comparison: Comparison) -> Drawn:
 def plot_ends(comparison: Comparison) -> Drawn:
     """Draw each line's last mean return and success as a dot with its 95 % interval."""
     lines = comparison.lines[::-1]
-    figure = style.new_figure(style.TWO_COLUMNS, 0.9 + _ROW * len(lines))
+    figure = style.new_figure(style.TWO_COLUMNS, 0.9 + 0.22 * len(lines))
     returns, success = figure.subplots(1, 2, sharey=True)
     for axes, measure in ((returns, "mean_return"), (success, "success_rate")):
         for row, line in enumerate(lines):
@@ -156,14 +152,14 @@ def _draw_curve(
 ) -> None:
     """Draw a mean between the ends of its band; the label says if it is that of several seeds."""
     mean, low, high = curve
-    axes.fill_between(x, low, high, color=look.colour, alpha=_BAND_OPACITY, linewidth=0)
+    axes.fill_between(x, low, high, color=look.colour, alpha=0.18, linewidth=0)
     axes.plot(
         x,
         mean,
         color=look.colour,
         linestyle=look.line,
         marker=look.marker,
-        markevery=max(1, len(x) // _NUM_MARKERS),
+        markevery=max(1, len(x) // 6),
         markeredgecolor="white",
         markeredgewidth=0.4,
         label=look.label if num_seeds == 1 else f"{look.label}, {num_seeds} seeds",
@@ -174,7 +170,7 @@ def _draw_curve(
 def _legend(figure: Figure, axes: Axes) -> None:
     """Name the lines of a panel, beside all panels."""
     lines, labels = axes.get_legend_handles_labels()
-    texts = [textwrap.fill(label, _LABEL_CHARACTERS) for label in labels]
+    texts = [textwrap.fill(label, width=30) for label in labels]
     figure.legend(lines, texts, loc="outside right upper")
 
 

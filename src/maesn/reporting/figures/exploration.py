@@ -29,9 +29,7 @@ Points = Float[np.ndarray, "point 2"]
 Colours = str | Float[np.ndarray, "point 4"]
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
-_PANEL_WIDTH = 2.5  # inches of the plane of latents
 _PRIOR_LINE: dict[str, Any] = {"color": style.BLACK, "linestyle": "--", "linewidth": 1.0}
-_MARGIN = 0.05  # of the larger side
 # Overlapping discs stay translucent: this is the sum of their opacities, within limits for one.
 _DISC_INK, _DISC_OPACITY = 2.0, (0.015, 0.2)
 # Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
@@ -168,8 +166,8 @@ def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
     mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
     std = np.exp(log_std)
     limits = shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
-    # Title, labels and legend take 0.95 inches.
-    height = _PANEL_WIDTH / limits.width * limits.height + 0.95
+    # A plane is 2.5 inches wide; title, labels and legend take 0.95.
+    height = 2.5 / limits.width * limits.height + 0.95
     figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     colours = np.tile(to_rgba(style.BLUE), (len(mean), 1))
@@ -195,11 +193,11 @@ def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
 
 
 def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Bbox:
-    """Return a box that holds all points, with discs of `radius` around the first ones."""
+    """Return a box with a margin that holds all points, and discs around the first ones."""
     flat = [array.reshape(-1, 2) for array in points]
     corners = np.concatenate([flat[0] - radius, flat[0] + radius, *flat[1:]])
     box = Bbox([corners.min(0), corners.max(0)])
-    return box.padded(max(_MARGIN * max(box.width, box.height), 1e-3))
+    return box.padded(max(0.05 * max(box.width, box.height), 1e-3))
 
 
 def _set_plane(axes: Axes, limits: Bbox, xlabel: str = "x (m)", ylabel: str = "y (m)") -> None:
