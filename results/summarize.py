@@ -23,12 +23,11 @@ from maesn.context import Latent, LatentContext
 from maesn.reporting.comparison import Line
 from maesn.reporting.reading import AdaptationTable, stack_seeds
 from maesn.reporting.runs import read_run
-from maesn.reporting.statistics import bootstrap, difference
+from maesn.reporting.statistics import INTERVAL, bootstrap, difference
 from maesn.reporting.style import MethodStyle
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
-    labels_of,
     markdown_row,
     note_on_solved,
     sentences,
@@ -113,21 +112,20 @@ def difference_table(
 
     There is one table per seed, of the reference and of each method by its name.
     """
-    rows, intervals, beyond = [], [], []
+    rows, beyond = [], []
     first = stack_seeds(reference)
     for name, tables in others.items():
         line = Line(name, MethodStyle(name), tuple(range(len(tables))), stack_seeds(tables))
         cells = [name]
         for measure, unit in UNITS.items():
             ends = (getattr(table, measure)[..., -1] for table in (line.table, first))
-            intervals.append(bootstrap(difference, *ends))
-            cells.append(unit.text(intervals[-1], sign="+"))
+            cells.append(unit.text(bootstrap(difference, *ends), sign="+"))
         rows.append(tuple(cells))
         beyond.append(line.beyond)
     solved = note_on_solved(first.is_solved_at_reset)
-    notes = sentences(f"in brackets: {labels_of(intervals)}", solved, *beyond)
+    notes = sentences(f"in brackets: {INTERVAL}", solved, *beyond)
     headings = ("method", *(unit.heading for unit in UNITS.values()))
-    return TextTable(title, headings, tuple(rows), notes, is_named=True)
+    return TextTable(title, headings, tuple(rows), notes)
 
 
 def main() -> None:

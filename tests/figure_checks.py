@@ -34,12 +34,7 @@ def crowd() -> list[Series]:
 
 
 def legend(figure: Figure) -> list[str]:
-    return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
-def labels(axes: Axes) -> list[str]:
-    """The labels beside the lines of a panel, the lowest first."""
-    return [text.get_text().replace("\n", " ") for text in axes.texts]
+    return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
 
 
 def segments(axes: Axes) -> list[np.ndarray]:

@@ -1,9 +1,11 @@
 """`maesn render`: the episodes are those of `maesn adapt`, and the files show them."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from pictures import assert_says_what_to_install, can_draw
@@ -17,15 +19,15 @@ from maesn import cli
 from maesn.envs import Point
 from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.film import Played, record_adaptation
+from maesn.evaluation.film import Filmed, record_adaptation
 from maesn.evaluation.running import new_tasks
-from maesn.reporting.filmstrip import Cell, Row, contact_sheet
-from maesn.reporting.filmstrip import film as make_film
 from maesn.rules import BestOfRule
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld, EpisodeError
+from maesn.worlds.collector import Collector
 
 TASK, PLAYED, SHOWN, AFTER = 3, 5, 2, [0, 10]
+Played = dict[int, list[Filmed]]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def played(run: Run) -> Played:
     learner = run.learner.fast_learner(run.latest_state())
     world = run.world(run.task_set("test"), "sparse")
     asked = Evaluation(episodes=2 * PLAYED, episodes_per_update=PLAYED, seed=4)
-    return record_adaptation(learner, world, asked, TASK, AFTER, SHOWN)
+    return record_adaptation(learner, world, asked, TASK, AFTER, PLAYED)
 
 
 def test_the_episodes_are_those_of_adapt(run: Run, played: Played, tmp_path: Path) -> None:
@@ -107,11 +109,11 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
 def test_an_episode_is_drawn_state_by_state_with_its_way(
     played: Played, drawn: list[Drawn], run: Run
 ) -> None:
-    first, row = film.draw(Point(), run.task_set("test")[TASK], played, 15, SHOWN)
-    assert first.title.startswith("before adaptation: mean return ")
-    assert row.title.startswith(f"after {2 * PLAYED} episodes: mean return ")
-    assert [len(cell.pictures) for cell in row.cells] == [4] * SHOWN  # steps 0, 15, 30 and 40
-    episodes = [episode for kept in played.values() for episode in kept[:SHOWN]]
+    shown = {before: episodes[:SHOWN] for before, episodes in played.items()}
+    made = film.draw(Point(), run.task_set("test")[TASK], shown, 15)
+    assert list(made) == AFTER
+    assert [len(one.pictures) for one in made[0]] == [4] * SHOWN  # steps 0, 15, 30 and 40
+    episodes = [episode for kept in shown.values() for episode in kept]
     states = np.stack([episode.states["qpos"] for episode in episodes], axis=1)
     assert len(drawn[0].calls) == 4 * 2 * SHOWN
     for index, (qpos, trail) in enumerate(drawn[0].calls):
@@ -131,14 +133,25 @@ def test_an_episode_is_drawn_state_by_state_with_its_way(
 
 
 def test_an_episode_that_ended_stands_still_where_it_was_sound(
-    played: Played, drawn: list[Drawn], run: Run
+    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = [episode.states for episode in played[0]]
-    readings = {name: np.stack([one[name] for one in whole], axis=1) for name in whole[0]}
-    readings["qpos"][8:] = np.nan
-    cut = [film._lived(readings, episode, steps) for episode, steps in enumerate([8, 7])]
-    ended = [film.Filmed(states, 0.0, False) for states in cut]
-    film.draw(Point(), run.task_set("test")[TASK], {0: ended}, 5, SHOWN)
+    """Two episodes end after 8 and 7 steps; the first one because its state blew up."""
+    play, readings = Collector.play, {}
+
+    def cut(self: Collector, *arguments: Any) -> Any:
+        episodes, whole = play(self, *arguments)
+        readings["qpos"] = np.array(whole["qpos"])
+        readings["qpos"][8:] = np.nan
+        lengths = np.array([8, 7, *[7] * (PLAYED - 2)])
+        valid = np.arange(episodes.valid.shape[-1]) < lengths[:, None]
+        return replace(episodes, valid=jnp.asarray(valid[None])), {**whole, **readings}
+
+    monkeypatch.setattr(Collector, "play", cut)
+    asked = Evaluation(episodes=0, episodes_per_update=PLAYED)
+    with new_tasks(run, asked) as (world, learner):
+        ended = record_adaptation(learner, world, asked, TASK, [0], SHOWN)
+    assert [len(one.states["qpos"]) for one in ended[0]] == [8, 8]
+    film.draw(Point(), run.task_set("test")[TASK], ended, 5)
     for index, (qpos, trail) in enumerate(drawn[0].calls):
         episode, picture = divmod(index, 9)
         np.testing.assert_array_equal(qpos, readings["qpos"][min(5 * picture, 7), episode])
@@ -156,8 +169,7 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert moving.n_frames == 41
         assert moving.info["loop"] == 0
         assert moving.size == still.size
-        assert still.width > SHOWN * 300
-        assert still.height > 2 * 190
+        assert still.size == (SHOWN * 310, 2 * 250)
 
 
 @pytest.fixture
@@ -221,20 +233,25 @@ def test_what_was_opened_is_closed_whatever_happens(
     assert closed == 2 * whole
 
 
-def test_cells_stand_in_rows_and_reached_goals_are_framed() -> None:
-    grey, light = np.full((40, 60, 3), 90, np.uint8), np.full((40, 60, 3), 200, np.uint8)
-    rows = [
-        Row("first", [Cell("a", False, [grey, grey]), Cell("b", True, [grey, light])]),
-        Row("second", [Cell("a much longer caption than fits", False, [grey, light])]),
-    ]
-    with Image.open(io.BytesIO(contact_sheet("title", rows))) as sheet:
+def test_episodes_stand_in_rows_and_reached_goals_are_framed() -> None:
+    grey, light = np.full((190, 300, 3), 90, np.uint8), np.full((190, 300, 3), 200, np.uint8)
+    first = [Filmed({}, 1.0, False, [grey, grey]), Filmed({}, 2.0, True, [grey, light])]
+    second = [Filmed({}, 3.0, False, [grey, light]), Filmed({}, 4.0, False, [grey, grey])]
+    gif, png = film.compose("title", {0: first, 50: second}, 40)
+    with Image.open(io.BytesIO(png)) as sheet:
         pixels = np.asarray(sheet).astype(int)
-    places = np.argwhere((pixels == 200).all(-1))
-    # A light picture at the right of the first row and one at the left of the second.
-    assert len(places) == 60 * 40 + (60 - 8) * (40 - 8)
-    framed = (pixels == [0, 158, 115]).all(-1).sum()
-    assert framed >= 60 * 40 - (60 - 8) * (40 - 8)
-    with Image.open(io.BytesIO(make_film("title", rows, 40))) as moving:
+    # Light pictures at the right of the first row and at the left of the second.
+    half, middle = (length // 2 for length in pixels.shape[:2])
+    is_light, is_green = (pixels == 200).all(-1), (pixels == [0, 158, 115]).all(-1)
+    parts = [
+        [part.sum() / (190 * 300) for part in np.split(rows, [middle], axis=1)]
+        for rows in np.split(is_light, [half])
+    ]
+    np.testing.assert_allclose(parts, [[0.0, 1.0], [1.0, 0.0]], atol=0.15)
+    assert is_green[:half, middle:].sum() >= 2 * (190 + 300)
+    assert not is_green[half:].any()
+    assert not is_green[:, :middle].any()
+    with Image.open(io.BytesIO(gif)) as moving:
         assert moving.n_frames == 2
         assert moving.info["duration"] == 40
 

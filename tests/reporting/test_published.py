@@ -17,22 +17,21 @@ def published_curve(family: str, method: str) -> PublishedCurve | None:
 
 
 @pytest.mark.parametrize(
-    ("family", "method", "name", "start", "end"),
+    ("family", "method", "start", "end"),
     [
-        ("wheeled", "maesn", "MAESN", -395.7, -357.5),
-        ("wheeled", "latent_space", "LatentSpace", -400.8, -396.8),
-        ("wheeled", "maml_bias_only", "MAML", -404.8, -411.4),
-        ("ant", "maesn", "MAESN", 309.3, 374.9),
-        ("ant", "rl2", "RL2", 291.0, 290.7),
-        ("blockpush", "maesn", "MAESN", -376.7, -278.6),
-        ("blockpush", "trpo", "TRPO", -439.3, -305.4),
-        ("blockpush", "reinforce", "VPG", -439.3, -422.3),
+        ("wheeled", "maesn", -395.7, -357.5),
+        ("wheeled", "latent_space", -400.8, -396.8),
+        ("wheeled", "maml_bias_only", -404.8, -411.4),
+        ("ant", "maesn", 309.3, 374.9),
+        ("ant", "rl2", 291.0, 290.7),
+        ("blockpush", "maesn", -376.7, -278.6),
+        ("blockpush", "trpo", -439.3, -305.4),
+        ("blockpush", "reinforce", -439.3, -422.3),
     ],
 )
-def test_ends_of_the_curves(family: str, method: str, name: str, start: float, end: float) -> None:
+def test_ends_of_the_curves(family: str, method: str, start: float, end: float) -> None:
     curve = published_curve(family, method)
     assert curve is not None
-    assert curve.name == name
     assert (curve.mean_return[0], curve.mean_return[-1]) == (start, end)
     assert (curve.update[0], curve.update[-1]) == (0, 99)
 
@@ -55,7 +54,6 @@ def test_only_the_same_protocol_is_comparable() -> None:
     per_twenty = replace(table, episodes=20 * np.arange(4))
     curve = comparable_curve("wheeled", "reference", None, "maesn", table)
     assert curve is not None
-    assert curve.name == "MAESN"
     assert comparable_curve("wheeled", "reference", 0.8, "maesn", table)
     assert comparable_curve("blockpush", "reference", None, "maesn", per_twenty)
     assert comparable_curve("wheeled", "reference", 1.0, "maesn", table) is None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from figure_checks import labels
+from figure_checks import legend
 from matplotlib.figure import Figure
 from synthetic_runs import write_run
 
@@ -123,7 +123,7 @@ def test_other_rules_are_lines_of_the_same_figure(
     monkeypatch.setattr("maesn.reporting.run_figures.save_figure", keep)
     draw_runs([run], tmp_path / "out", print)
     assert set(figures) == {"adaptation-curves-test-sparse", "latents-maesn-test-sparse"}
-    assert set(labels(figures["adaptation-curves-test-sparse"].figure.axes[0])) == {
+    assert set(legend(figures["adaptation-curves-test-sparse"].figure)) == {
         "MAESN",
         "MAESN (then TRPO)",
     }

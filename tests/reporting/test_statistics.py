@@ -102,32 +102,6 @@ def test_coverage_is_what_theory_predicts() -> None:
     assert abs(hits / repetitions - expected) < SIGMAS * sigma
 
 
-@pytest.mark.parametrize(
-    ("shape", "label"),
-    [
-        ((1, 100), "95 % interval, resampling 100 tasks; 1 seed"),
-        ((3, 100), "95 % interval, resampling 100 tasks and 3 seeds"),
-        ((3, 1), "95 % interval, resampling 3 seeds; 1 task"),
-        ((1, 1), "no interval: 1 task and 1 seed"),
-    ],
-)
-def test_the_label_says_what_is_resampled(shape: tuple[int, int], label: str) -> None:
-    assert bootstrap(mean, draw(*shape)).label == label
-
-
-@pytest.mark.parametrize(
-    ("seeds", "resampled"),
-    [
-        ((1, 1), "100 tasks; 1 seed each"),
-        ((3, 3), "100 tasks and 3 seeds each"),
-        ((1, 3), "100 tasks and 1 against 3 seeds"),
-    ],
-)
-def test_the_label_of_a_difference(seeds: tuple[int, int], resampled: str) -> None:
-    label = bootstrap(difference, draw(seeds[0], 100), draw(seeds[1], 100)).label
-    assert label == f"95 % interval of the paired difference, resampling {resampled}"
-
-
 def test_one_number_has_no_interval() -> None:
     interval = bootstrap(mean, np.array([[2.0]]))
     assert interval.mean == 2.0
@@ -148,7 +122,6 @@ def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> No
     values = np.random.default_rng(0).permutation([*range(1, 8), 1e6]).reshape(2, 4)
     interval = bootstrap(interquartile_mean, values)
     assert interval.mean == np.mean([3, 4, 5, 6])
-    assert "of the interquartile mean, resampling 4 tasks and 2 seeds" in interval.label
 
 
 def test_the_interval_of_an_interquartile_mean_of_many_values_is_the_asymptotic_one() -> None:
@@ -200,7 +173,6 @@ def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks
     error = np.std(gain - expected * range_) / range_.mean() / np.sqrt(num_tasks)
     assert found.standard_error == pytest.approx(error, rel=TOLERANCE)
     assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
-    assert "of the score, resampling 400 tasks" in found.label
 
 
 def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> None:

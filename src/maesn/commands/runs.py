@@ -8,7 +8,7 @@ from maesn.evaluation import film
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
-from maesn.reporting.tables import print_adaptation_summary, print_side_by_side, print_tables
+from maesn.reporting.tables import print_adaptation_summary, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
@@ -71,7 +71,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     gradient = api.adapt(run)
     api.prior(run)
     search = api.adapt(run, rule=SearchRule())
-    tables = {"policy gradient": gradient.table, "search": search.table}
-    print_side_by_side(tables, "Return in 100 new tasks, by episodes in each of them")
+    for done in (gradient, search):
+        print_adaptation_summary(done.table)
     print("3. figures")
     _say_reported(api.report([run]))

@@ -1,13 +1,17 @@
 """Pictures of a trained policy at work: exploration before, behaviour after adaptation."""
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
 from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
@@ -19,16 +23,30 @@ from maesn.evaluation.running import adaptation_file, new_tasks, open_run
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
-from maesn.reporting.filmstrip import Cell, Picture, Row, contact_sheet, film
+from maesn.reporting import style
 from maesn.storage import RunError, refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
-_WIDTH, _HEIGHT = 300, 190  # of each episode's picture, in pixels
+_SIZE = 300, 190  # of each episode's picture, in pixels
+_PANEL = 3.1, 2.5  # of a picture with its texts, in inches
 _MOST_SHOWN = 50  # episodes in a row: more are too small to see
 _MOST_PICTURES = 50  # of a film: more make the file large and nothing clearer
 # Milliseconds between two pictures: in real time, unless that is too fast or too slow to watch.
-_QUICKEST, _SLOWEST = 40.0, 100.0
+_QUICKEST, _SLOWEST = 40, 100
+_HOLD = 1500  # milliseconds that the last picture stays
+
+
+class Filmed(NamedTuple):
+    """An episode."""
+
+    states: HostReadings
+    """`[time, ...]` each, up to the one that ended it if that can be drawn."""
+    total_return: float
+    solved: bool
+    """Whether it reaches the goal region at some time."""
+    pictures: Sequence[UInt8[np.ndarray, "height width 3"]] = ()
+    """That its environment has drawn; none if states are to be drawn."""
 
 
 def render(
@@ -64,10 +82,7 @@ def render(
     """
     run, asked = open_run(run, family), evaluation
     each = asked.budget.per_update
-    if after is None:
-        after = (0, asked.budget.episodes // each // 2 * each)
-    if not after:
-        raise RunError("`after` must be at least one number of episodes.")
+    after = sorted(set(after or (0, asked.budget.episodes // each // 2 * each)))
     with refusals():
         asked.check_reached("after", after)
     if not 1 <= shown <= _MOST_SHOWN:
@@ -77,37 +92,22 @@ def render(
             raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
         stride = math.ceil(env.horizon / _MOST_PICTURES)
-        if not world.film(shown, stride, (_WIDTH, _HEIGHT)):
+        draws_itself = world.film(shown, stride, _SIZE)
+        if not draws_itself:
             # Raises where pictures cannot be drawn, before minutes are spent on playing.
             Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
-        played = record_adaptation(learner, world, asked, task, sorted(set(after)), shown)
+        played = record_adaptation(learner, world, asked, task, after, shown)
         goal = world.tasks[task]
-    rows = draw(env, goal, played, stride, shown)
+    if not draws_itself:
+        played = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
-    title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
+    title = f"{run.settings.method} on {env.name}\n{asked.reward} reward, {asked.tasks} task {task}"
+    period = np.clip(round(1000 * stride * env.control_period), _QUICKEST, _SLOWEST)
     folder = run.directory / "render" if out is None else Path(out)
-    period = 1000.0 * stride * env.control_period
-    moving = film(title, rows, round(min(max(period, _QUICKEST), _SLOWEST)))
-    written = {folder / f"{name}.gif": moving, folder / f"{name}.png": contact_sheet(title, rows)}
-    for path, content in written.items():
+    paths = [folder / f"{name}.gif", folder / f"{name}.png"]
+    for path, content in zip(paths, compose(title, played, int(period)), strict=True):
         write_whole(path, content)
-    return list(written)
-
-
-class Filmed(NamedTuple):
-    """An episode."""
-
-    states: HostReadings
-    """`[time, ...]` each, up to the one that ended it if that can be drawn."""
-    total_return: float
-    solved: bool
-    """Whether it reaches the goal region at some time."""
-    pictures: Sequence[Picture] = ()
-    """That its environment has drawn; none if states are to be drawn."""
-
-
-Played: TypeAlias = Mapping[int, Sequence[Filmed]]
-"""Number of episodes that were learned from before -> the episodes that were played next."""
+    return paths
 
 
 def record_adaptation(
@@ -117,11 +117,10 @@ def record_adaptation(
     task: int,
     after: Sequence[int],
     shown: int,
-) -> Played:
-    """Adapt to one task as `maesn.adapt` does, and keep some of the episodes.
+) -> dict[int, list[Filmed]]:
+    """Adapt to one task as `maesn.adapt` does, and return some of the episodes.
 
-    After each of these numbers, all episodes of the next update are kept, or of the next updates
-    until there are `shown`.
+    They are the first `shown` that are played after each of these numbers of episodes.
     """
     each = evaluation.budget.per_update
     played: dict[int, list[Filmed]] = {before: [] for before in after}
@@ -129,81 +128,87 @@ def record_adaptation(
     def keep(episodes: Episodes, readings: Readings | HostReadings, update: int) -> None:
         for before in after:
             if 0 <= update * each - before < shown:
-                played[before] += _filmed(episodes, readings, world.pictures)
+                numbers = range(min(each, shown))
+                played[before] += [_filmed(world, episodes, readings, one) for one in numbers]
 
     episodes = (max(after) + shown - 1) // each * each
     collect = Collector(world, each, keep)
     adapt(learner, collect, episodes=episodes, seed=evaluation.seed, tasks=[task])
-    return played
+    return {before: filmed[:shown] for before, filmed in played.items()}
 
 
 def _filmed(
-    episodes: Episodes,
-    readings: Readings | HostReadings,
-    pictures: Sequence[Sequence[Picture]],
-) -> list[Filmed]:
-    """Return the episodes of the only task, which are the simulations."""
-    lengths = np.asarray(episodes.valid[0].sum(-1))
-    solved = np.asarray((episodes.valid & episodes.solved)[0].any(-1))
-    drawn = dict(enumerate(zip(*pictures, strict=True)))  # the first ones alone, if any
-    return [
-        Filmed(
-            _lived(readings, number, int(lengths[number])),
-            float(total_return),
-            bool(solved[number]),
-            drawn.get(number, ()),
-        )
-        for number, total_return in enumerate(episodes.undiscounted_return[0])
-    ]
+    world: AbstractWorld, episodes: Episodes, readings: Readings | HostReadings, number: int
+) -> Filmed:
+    """Return an episode of the only task."""
+    valid, solved, returns = (
+        np.asarray(x)[0, number]
+        for x in (episodes.valid, episodes.solved, episodes.undiscounted_return)
+    )
+    states = {name: np.asarray(x)[: valid.sum() + 1, number] for name, x in readings.items()}
+    if not all(np.isfinite(x[-1]).all() for x in states.values()):  # the physics blew up there
+        states = {name: x[:-1] for name, x in states.items()}
+    pictures = [at_once[number] for at_once in world.pictures]
+    return Filmed(states, float(returns), bool(solved.any()), pictures)
 
 
-def _lived(readings: Readings | HostReadings, episode: int, num_steps: int) -> HostReadings:
-    """Return the states of one episode, without the last one if the physics blew up there."""
-    states = {name: np.asarray(x)[: num_steps + 1, episode] for name, x in readings.items()}
-    blown_up = not all(np.isfinite(value[num_steps]).all() for value in states.values())
-    return {name: value[:num_steps] for name, value in states.items()} if blown_up else states
-
-
-def draw(env: AnyEnv, task: Any, played: Played, stride: int, shown: int) -> list[Row]:
-    """Show the first episodes of each time, one picture every `stride` steps, from one place."""
-    filmed = [episode for episodes in played.values() for episode in episodes[:shown]]
-    pictures = iter([episode.pictures for episode in filmed])
-    if not all(episode.pictures for episode in filmed):
-        pictures = iter(_draw_states(env, task, [episode.states for episode in filmed], stride))
-    rows = []
-    for before, episodes in played.items():
-        mean_return = np.mean([episode.total_return for episode in episodes])
-        success_rate = np.mean([episode.solved for episode in episodes])
-        when = f"after {before} episodes" if before else "before adaptation"
-        title = (
-            f"{when}: mean return {mean_return:.1f}, {success_rate:.0%} of {len(episodes)} "
-            "episodes reach the goal"
-        )
-        cells = []
-        for number, episode in enumerate(episodes[:shown], start=1):
-            reached = ", goal reached" if episode.solved else ""
-            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
-            cells.append(Cell(caption, episode.solved, next(pictures)))
-        rows.append(Row(title, cells))
-    return rows
-
-
-def _draw_states(
-    env: AnyEnv, task: Any, episodes: Sequence[HostReadings], stride: int
-) -> list[Sequence[Picture]]:
-    drawn = [*episodes, *(jax.tree.map(lambda x: x[-1:], states) for states in episodes)]
-    seen = jax.tree.map(lambda *all_: np.concatenate([x[::stride] for x in all_]), *drawn)
-    goal = jax.tree.map(lambda x: np.asarray(x)[None], task)
+def draw(
+    env: AnyEnv, task: Any, played: Mapping[int, Sequence[Filmed]], stride: int
+) -> dict[int, list[Filmed]]:
+    """Draw episodes from one place, one picture every `stride` steps."""
+    filmed = [episode.states for episodes in played.values() for episode in episodes]
+    everything = jax.tree.map(lambda *states: np.concatenate(states), *filmed)
+    view = arena(env, jax.tree.map(lambda x: np.asarray(x)[None], task), everything)
     times = [*range(0, env.horizon, stride), env.horizon]
-    with closing(Scene(env, arena(env, goal, seen), _WIDTH, _HEIGHT)) as scene:
+    with closing(Scene(env, view, *_SIZE)) as scene:
 
-        def picture(states: HostReadings, path: np.ndarray, time: int) -> Picture:
-            now = min(time, len(path) - 1)  # an episode that has ended stands still
-            trail = np.concatenate([path[:now:stride], path[now : now + 1]])
-            return scene.draw({name: x[now] for name, x in states.items()}, task, trail)
+        def with_pictures(episode: Filmed) -> Filmed:
+            path, pictures = places(env, episode.states), []
+            for time in times:
+                now = min(time, len(path) - 1)  # an episode that has ended stands still
+                trail = np.concatenate([path[:now:stride], path[now : now + 1]])
+                state = {name: x[now] for name, x in episode.states.items()}
+                pictures.append(scene.draw(state, task, trail))
+            return episode._replace(pictures=pictures)
 
-        paths = [places(env, states) for states in episodes]
-        return [
-            [picture(states, path, time) for time in times]
-            for states, path in zip(episodes, paths, strict=True)
-        ]
+        return {before: [*map(with_pictures, episodes)] for before, episodes in played.items()}
+
+
+@style.publication_style()
+def compose(
+    title: str, played: Mapping[int, Sequence[Filmed]], milliseconds: int
+) -> tuple[bytes, bytes]:
+    """Return a GIF in which all episodes move at once, and a PNG of their last pictures."""
+    columns = max(map(len, played.values()))
+    figure = style.new_figure(columns * _PANEL[0], len(played) * _PANEL[1])
+    figure.suptitle(title, x=0.01, ha="left")
+    panels = figure.subplots(len(played), columns, squeeze=False)
+    images = []
+    for row, (before, episodes) in zip(panels, played.items(), strict=True):
+        when = f"after learning from {before} episodes" if before else "before adaptation"
+        row[0].set_title(when, loc="left")
+        for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), start=1):
+            images.append((axes.imshow(episode.pictures[-1]), episode.pictures))
+            reached = ", goal reached" if episode.solved else ""
+            colour = style.BLUISH_GREEN if episode.solved else style.DARK_GREY
+            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            axes.set(xticks=[], yticks=[])
+            axes.set_xlabel(caption, color=colour)
+            axes.spines[:].set(visible=episode.solved, color=colour, linewidth=5)
+    style.settle(figure)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    sheets = []
+    for time in range(len(images[0][1])):
+        for image, pictures in images:
+            image.set_data(pictures[time])
+            image.axes.draw_artist(image)
+        sheets.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
+    gif, png = io.BytesIO(), io.BytesIO()
+    sheets[-1].save(png, "PNG")
+    # One palette for all pictures: with palettes of their own, still areas would flicker.
+    palette = sheets[-1].quantize(dither=Image.Dither.NONE)
+    first, *others = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in sheets)
+    durations = [milliseconds] * len(others) + [_HOLD]
+    first.save(gif, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
+    return gif.getvalue(), png.getvalue()

@@ -9,20 +9,6 @@ from jaxtyping import Float
 
 from maesn.reporting.reading import AdaptationTable
 
-# Our presets -> the paper's names. All three MAML presets are compared with the one curve that was
-# published; the table's header says what it is.
-_PUBLISHED_NAME = {
-    "maesn": "MAESN",
-    "latent_space": "LatentSpace",
-    "maml": "MAML",
-    "maml_bias": "MAML",
-    "maml_bias_only": "MAML",
-    "rl2": "RL2",
-    "vime": "VIME",
-    "trpo": "TRPO",
-    "reinforce": "VPG",
-}
-
 # What the published returns depend on, beside the rewards of the reference code: the sparse radius
 # in metres (also the family's own, that of a run without one) and the episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
@@ -31,8 +17,6 @@ _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 class PublishedCurve(NamedTuple):
     """One published curve; updates that could not be read are absent."""
 
-    name: str
-    """The method's name in the paper."""
     update: Float[np.ndarray, " point"]
     mean_return: Float[np.ndarray, " point"]
 
@@ -41,13 +25,15 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    radius, episodes = _PROTOCOLS.get(family, (None, None))
-    name, is_ours = _PUBLISHED_NAME.get(method), (variant, table.reward) == ("reference", "sparse")
-    if not (name and is_ours and sparse_radius in (None, radius)):
+    if (variant, table.reward) != ("reference", "sparse") or family not in _PROTOCOLS:
         return None
-    if table.episodes_per_update != episodes:
+    radius, episodes = _PROTOCOLS[family]
+    if sparse_radius not in (None, radius) or table.episodes_per_update != episodes:
         return None
+    # One curve was published for all MAML presets; the header of the file says what it is.
+    name = "maml" if method.startswith("maml") else method
     text = files("maesn.reporting").joinpath("published_curves.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    found = [(row["update"], row[name]) for row in rows if row["family"] == family and row[name]]
-    return PublishedCurve(name, *np.array(found, float).T) if found else None
+    of_family = (row for row in rows if row["family"] == family)
+    found = [(row["update"], row[name]) for row in of_family if row.get(name)]
+    return PublishedCurve(*np.array(found, float).T) if found else None

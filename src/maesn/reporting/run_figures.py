@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from maesn.reporting.figures import exploration
-from maesn.reporting.figures.curves import plot_curves
-from maesn.reporting.figures.learning import plot_learning_curves
+from maesn.reporting.figures.curves import plot_curves, plot_learning_curves
 from maesn.reporting.runs import (
     EXPLORATION,
     RECORDED_TASKS,

@@ -1,4 +1,4 @@
-"""How sure the reported means are: bootstrap intervals that say what they resample.
+"""How sure the reported means are: bootstrap intervals over tasks and seeds.
 
 The tasks of a set are the same for every seed and every method, so seeds and tasks are crossed
 factors. An interval draws tasks with replacement *once for all seeds and methods*, and seeds with
@@ -15,11 +15,10 @@ import scipy.stats
 from jaxtyping import Float
 
 CONFIDENCE = 0.95
+INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks and seeds"
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
-_BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB for each point,
-_POINTS = 16  # of which there are so many at a time
-_THRESHOLDS = 101  # of a performance profile
+_BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB
 
 Values = Float[np.ndarray, "*batch _ _"]
 """One value per seed and task. Samples that are compared may differ in their number of seeds."""
@@ -31,8 +30,6 @@ Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
 class Interval(NamedTuple):
     """A statistic, and what a repetition might have given instead: numbers, or arrays `[point]`."""
 
-    label: str
-    """What the interval is and what it resamples, to be printed beside it."""
     mean: Any
     """The statistic of the values themselves."""
     low: Any
@@ -48,13 +45,12 @@ class Interval(NamedTuple):
     @property
     def band(self) -> tuple[Any, Any, Any]:
         """What a curve and its band are drawn from."""
-        return self.mean, self.low, self.high
+        return self[:3]
 
     @property
     def points(self) -> list["Interval"]:
         """The intervals of the points one by one."""
-        rows = zip(*self.band, self.standard_error, strict=True)
-        return [Interval(self.label, *map(float, row)) for row in rows]
+        return [Interval(*map(float, row)) for row in zip(*self, strict=True)]
 
 
 def mean(x: Values) -> Float[np.ndarray, "*batch"]:
@@ -99,15 +95,6 @@ def score(x: Values, oracle: Values, *baselines: Values) -> Float[np.ndarray, "*
     return np.asarray((mean(x) - baseline) / np.where(above > 0, above, np.nan))
 
 
-_NAMES: dict[Statistic, str] = {
-    mean: "",
-    interquartile_mean: " of the interquartile mean",
-    difference: " of the paired difference",
-    improvement: " of the paired probability",
-    score: " of the score",
-}
-
-
 def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interval:
     """Return a statistic of samples `[seed, task]` with its 95 % percentile bootstrap interval.
 
@@ -132,20 +119,20 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interv
             f"{' and '.join(map(str, num_tasks))}; compare results on one task set."
         )
     sizes = [num_tasks[0], *(sample.shape[-2] for sample in samples)]
-    columns = [np.ascontiguousarray(x).reshape(-1, *x.shape[-2:]) for x in samples]
-    blocks = [slice(first, first + _POINTS) for first in range(0, len(columns[0]), _POINTS)]
+    points = [np.ascontiguousarray(x).reshape(-1, *x.shape[-2:]) for x in samples]
     generator = np.random.default_rng(0)  # the same numbers in every table and figure
-    resamples = np.full((len(columns[0]), NUM_RESAMPLES), np.nan)
+    resamples = np.full((len(points[0]), NUM_RESAMPLES), np.nan)
     for first in range(0, NUM_RESAMPLES if max(sizes) > 1 else 0, _BATCH):
         tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
-        for block in blocks:
-            drawn = [_draw(x[block], rows, tasks) for x, rows in zip(columns, seeds, strict=True)]
-            resamples[block, first : first + _BATCH] = statistic(*drawn)
+        # Of the flattened values: much faster than two indices.
+        chosen = [rows[:, :, None] * sizes[0] + tasks[:, None, :] for rows in seeds]
+        for point, values in enumerate(zip(*points, strict=True)):
+            drawn = map(np.take, values, chosen)
+            resamples[point, first : first + _BATCH] = statistic(*drawn)
     tail = 50 * (1 - CONFIDENCE)
     low, high = np.percentile(resamples, (tail, 100 - tail), axis=-1)
-    numbers = np.stack([statistic(*columns), low, high, resamples.std(axis=-1, ddof=1)])
-    of_points = numbers.reshape(4, *samples[0].shape[:-2])
-    return Interval(_label(sizes[0], sizes[1:], _NAMES[statistic]), *of_points)
+    numbers = np.stack([statistic(*points), low, high, resamples.std(axis=-1, ddof=1)])
+    return Interval(*numbers.reshape(4, *samples[0].shape[:-2]))
 
 
 def curve(values: Float[np.ndarray, "seed task point"]) -> Interval:
@@ -165,34 +152,6 @@ def profiles(
     (Agarwal et al. 2021, "performance profiles", run-score distributions).
     """
     ends = [end for sample in samples for end in (sample.min(), sample.max())]
-    thresholds = np.linspace(min(ends), max(ends), _THRESHOLDS)
+    thresholds = np.linspace(min(ends), max(ends), 101)
     above = (sample[..., None] > thresholds for sample in samples)
     return thresholds, [curve(one.astype(float)) for one in above]
-
-
-def _draw(values: np.ndarray, seeds: np.ndarray, tasks: np.ndarray) -> np.ndarray:
-    """Return `[point, *resample, seed, task]`, what one resample after the other draws."""
-    # Of the flattened values: much faster than two indices.
-    chosen = seeds[..., :, None] * values.shape[-1] + tasks[..., None, :]
-    return np.take(values.reshape(len(values), -1), chosen, axis=-1)
-
-
-def _label(num_tasks: int, num_seeds: Sequence[int], what: str) -> str:
-    """Say what is resampled, and what is not because there is only one of it."""
-    seeds = " against ".join(map(str, num_seeds)) + " seeds"
-    if len(set(num_seeds)) == 1:
-        seeds = count(num_seeds[0], "seed") + (" each" if len(num_seeds) > 1 else "")
-    factors = {count(num_tasks, "task"): num_tasks > 1, seeds: max(num_seeds) > 1}
-    resampled, fixed = (
-        " and ".join(name for name, is_resampled in factors.items() if is_resampled is wanted)
-        for wanted in (True, False)
-    )
-    if not resampled:
-        return f"no interval{what}: {fixed}"
-    level = f"{100 * CONFIDENCE:g} % interval{what}, resampling {resampled}"
-    return f"{level}; {fixed}" if fixed else level
-
-
-def count(number: int, noun: str) -> str:
-    """Return a number of things, as in "1 seed" and "3 seeds"."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

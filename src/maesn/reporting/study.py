@@ -11,8 +11,7 @@ from maesn.reporting.figures.curves import plot_curves, plot_ends, plot_profiles
 from maesn.reporting.published import comparable_curve
 from maesn.reporting.reading import latents_beside, read_adaptation, stack_seeds
 from maesn.reporting.style import MethodStyle, save_figure, series_styles
-from maesn.reporting.summary import summary_tables
-from maesn.reporting.tables import TextTable
+from maesn.reporting.tables import TextTable, summary_tables
 from maesn.storage import RunError, read_json, write_rows, write_whole
 
 MANIFEST = "study.json"

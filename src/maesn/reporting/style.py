@@ -1,9 +1,8 @@
 """How every figure looks: colours, sizes, files.
 
-Figures are drawn at the width at which they are printed, so that 8 points stay 8 points. Methods
-differ in colour (Okabe and Ito, "Color universal design", 2008: distinguishable with every common
-colour blindness), in lightness, in line style and in marker, so that they survive a grey printer.
-Nothing here changes Matplotlib's global state, and no window is ever opened.
+Figures are drawn at the width at which they are printed. Methods differ in colour (Okabe and Ito,
+"Color universal design", 2008: distinguishable with every common colour blindness), in lightness,
+line style and marker, so that they survive a grey printer. Matplotlib's global state never changes.
 """
 
 import io
@@ -21,8 +20,6 @@ from maesn.storage import write_whole
 
 ONE_COLUMN = 3.3  # inches; one column of a two-column page
 TWO_COLUMNS = 6.8
-# Matplotlib's layout of panels with equal scales settles step by step; it is still after two.
-_LAYOUT_PASSES = 3
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -36,11 +33,8 @@ DARK_GREY = "#444444"
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 _LONG_DASH = (0, (6.0, 1.5))
-_DASH_DOT = (0, (5.0, 1.2, 1.2, 1.2))
 _DASH_DOT_DOT = (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
-_DOTS = (0, (1.2, 1.2))
-_SHORT_DASH = (0, (3.0, 1.5))
-_DASHES = ("-", _SHORT_DASH, _DOTS, _DASH_DOT, _LONG_DASH, _DASH_DOT_DOT)
+_DASHES = ("-", "--", ":", "-.", _LONG_DASH, _DASH_DOT_DOT)
 
 
 @dataclass(frozen=True)
@@ -54,44 +48,38 @@ class MethodStyle:
 
     def variant(self, number: int, label: str) -> "MethodStyle":
         """Return the style of the method's line of that number, from 0: each has other dashes."""
-        return replace(
-            self, label=label, line=_DASHES[number % len(_DASHES)] if number else self.line
-        )
+        dashes = _DASHES[number % len(_DASHES)] if number else self.line
+        return replace(self, label=label, line=dashes)
 
 
 METHOD_STYLES = {
     "maesn": MethodStyle("MAESN", VERMILLION, "-", "o"),
     "maesn_theta": MethodStyle("MAESN + θ", ORANGE, _LONG_DASH, "D"),
-    "latent_space": MethodStyle("LatentSpace", BLUE, _DASH_DOT, "s"),
+    "latent_space": MethodStyle("LatentSpace", BLUE, "-.", "s"),
     "maml": MethodStyle("MAML", BLUISH_GREEN, _LONG_DASH, "^"),
     "maml_bias": MethodStyle("MAML + bias", SKY_BLUE, _DASH_DOT_DOT, "v"),
-    "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, _DOTS, "P"),
-    "rl2": MethodStyle("RL²", BLACK, _SHORT_DASH, "X"),
-    "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, _DOTS, "p"),
-    "vime": MethodStyle("VIME", ORANGE, _SHORT_DASH, "h"),
-    "trpo": MethodStyle("TRPO", GREY, _DASH_DOT, "<"),
-    "reinforce": MethodStyle("REINFORCE", GREY, _DOTS, ">"),
+    "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, ":", "P"),
+    "rl2": MethodStyle("RL²", BLACK, "--", "X"),
+    "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, ":", "p"),
+    "vime": MethodStyle("VIME", ORANGE, "--", "h"),
+    "trpo": MethodStyle("TRPO", GREY, "-.", "<"),
+    "reinforce": MethodStyle("REINFORCE", GREY, ":", ">"),
     "oracle": MethodStyle("oracle", DARK_GREY, "-", "*"),
 }
 
-# For what has no style of its own, and for a second experiment with the same method.
-_SPARE = (
-    MethodStyle("", BLUE, _SHORT_DASH, "*"),
-    MethodStyle("", BLACK, _DASH_DOT, "d"),
-    MethodStyle("", BLUISH_GREEN, _SHORT_DASH, "p"),
-    MethodStyle("", REDDISH_PURPLE, _LONG_DASH, "X"),
-    MethodStyle("", ORANGE, _DASH_DOT_DOT, "v"),
-    MethodStyle("", SKY_BLUE, "-", "s"),
-)
-
 
 def series_styles(methods: Sequence[str]) -> list[MethodStyle]:
-    """Return a style for each series of a figure; the first of a method gets the method's own."""
-    styles, spare = [], itertools.cycle(_SPARE)
+    """Return a style for each series of a figure.
+
+    The first series of a method gets the method's own; any other one has the colour of a method
+    that the figure does not show, in other dashes.
+    """
+    unused = [style for method, style in METHOD_STYLES.items() if method not in methods]
+    spare, styles = itertools.cycle(unused or METHOD_STYLES.values()), []
     for position, method in enumerate(methods):
         own = METHOD_STYLES.get(method, MethodStyle(method))
         is_first = method in METHOD_STYLES and method not in methods[:position]
-        styles.append(own if is_first else replace(next(spare), label=own.label))
+        styles.append(own if is_first else next(spare).variant(position, own.label))
     return styles
 
 
@@ -102,6 +90,13 @@ publication_style = partial(matplotlib.style.context, ["default", "maesn.reporti
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure that no window system knows of; sizes in inches."""
     return Figure(figsize=(width, height), layout="compressed")
+
+
+def settle(figure: Figure) -> None:
+    """Lay a figure out for good. Panels with equal scales settle in two passes; a third is safe."""
+    for _ in range(3):
+        figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 class Drawn(NamedTuple):
@@ -121,9 +116,7 @@ def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
         sentences = "".join(f"{note[0].upper()}{note[1:]}.\n" for note in drawn.notes)
         write_whole(directory / f"{name}.txt", sentences.encode())
     with publication_style():
-        for _ in range(_LAYOUT_PASSES):
-            drawn.figure.draw_without_rendering()
-        drawn.figure.set_layout_engine("none")
+        settle(drawn.figure)
         for file in files:
             content = io.BytesIO()
             undated = {"CreationDate": None} if file.suffix == ".pdf" else None

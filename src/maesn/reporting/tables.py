@@ -1,6 +1,7 @@
 """Tables of numbers with their intervals, for the terminal and as Markdown."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,14 +11,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from maesn.reporting import statistics
 from maesn.reporting.comparison import Comparison, Line, note_on_judging
 from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
-from maesn.reporting.statistics import Interval, curve
+from maesn.reporting.statistics import INTERVAL, Interval, bootstrap, curve
 from maesn.reporting.style import MethodStyle
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
-_FEW_TASKS = 10  # each has a row of its own
-_SHOWN_EPISODES = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)  # about equal steps of their logarithm
+_NO_SCORE = (
+    "a method has no score without an oracle above the baseline on its tasks; give the run of an "
+    "oracle with --oracle DIR (maesn train oracle)"
+)
 
 
 class Unit(NamedTuple):
@@ -40,10 +44,6 @@ class Unit(NamedTuple):
             return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
         return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
 
-    def texts(self, intervals: Interval, *, brief: bool = False) -> list[str]:
-        """Return the texts of the points of a curve."""
-        return [self.text(one, brief=brief) for one in intervals.points]
-
 
 UNITS = {
     "mean_return": Unit("return"),
@@ -52,7 +52,7 @@ UNITS = {
     "final_success_rate": Unit("ends at goal (%)", 100.0),
     "time_in_region": Unit("time at goal (%)", 100.0),
 }
-_MAIN = ("mean_return", "success_rate")  # where there is little room
+_SHARE = Unit("", digits=2)  # scores and probabilities
 
 
 class TextTable(NamedTuple):
@@ -62,24 +62,28 @@ class TextTable(NamedTuple):
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
-    is_named: bool = False
-    """Whether the first column holds names, which stand at the left."""
+
+    @property
+    def _first_is_name(self) -> bool:
+        """Whether the first column holds names: they stand at the left, numbers at the right."""
+        return not all(row[0].isdigit() for row in self.rows)
 
     def to_rich(self) -> Table:
         """Return the table for a terminal."""
         table = Table(title=self.title, caption="\n".join(self.notes), box=None)
-        for column, heading in enumerate(self.headings):
+        for heading, *cells in zip(self.headings, *self.rows, strict=True):
             # A heading may be broken between words, a number may not be broken.
-            widths = [len(row[column]) for row in self.rows] + [*map(len, heading.split())]
-            left = self.is_named and not column
-            table.add_column(heading, justify="left" if left else "right", min_width=max(widths))
+            widest = max(map(len, [*heading.split(), *cells]))
+            table.add_column(heading, justify="right", min_width=widest)
+        if self._first_is_name:
+            table.columns[0].justify = "left"
         for row in self.rows:
             table.add_row(*map(Text, row))
         return table
 
     def to_markdown(self) -> str:
         """Return the table as Markdown."""
-        ruler = ["---" if self.is_named else "---:", *["---:"] * (len(self.headings) - 1)]
+        ruler = ["---" if self._first_is_name else "---:", *["---:"] * (len(self.headings) - 1)]
         lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
         return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
 
@@ -112,17 +116,18 @@ def update_tables(
 
 def _update_table(line: Line, title: str, brief: bool) -> TextTable:
     table = line.table
-    intervals = {name: curve(line.measure(name)) for name in UNITS}
-    texts = [UNITS[name].texts(one, brief=brief) for name, one in intervals.items()]
-    labels = labels_of(intervals.values())
+    columns = [
+        [unit.text(one, brief=brief) for one in curve(line.measure(name)).points]
+        for name, unit in UNITS.items()
+    ]
     return TextTable(
         title,
         ("update", "episodes", *(unit.heading for unit in UNITS.values())),
-        tuple(zip(map(str, table.updates), map(str, table.episodes), *texts, strict=True)),
+        tuple(zip(map(str, table.updates), map(str, table.episodes), *columns, strict=True)),
         sentences(
             note_on_solved(table.is_solved_at_reset),
             line.beyond,
-            f"± half the {labels}" if brief else f"in brackets: {labels}",
+            f"± half the {INTERVAL}" if brief else f"in brackets: {INTERVAL}",
             note_on_judging([line]),
         ),
     )
@@ -131,15 +136,12 @@ def _update_table(line: Line, title: str, brief: bool) -> TextTable:
 def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
     """Show one table of `maesn adapt` in the terminal.
 
-    Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
-    tasks no episode reached the goal. A `RunError` says if the file is missing or broken.
+    On sparse reward, it is said in how many tasks no episode reached the goal. A `RunError` says if
+    the file is missing or broken.
     """
     console = console or Console()
     table = read_adaptation(path)
-    shown = update_tables([table], f"Adaptation: {path.stem}", brief=True)
-    if table.num_tasks <= _FEW_TASKS:
-        shown.append(_task_table(table))
-    print_tables(shown, console)
+    print_tables(update_tables([table], f"Adaptation: {path.stem}", brief=True), console)
     failed = int((table.explored_success_rate == 0).all(axis=1).sum())
     if failed and table.reward == "sparse" and len(table.updates) > 1:
         console.print(
@@ -149,32 +151,68 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
         )
 
 
-def print_side_by_side(
-    paths: Mapping[str, Path], title: str, console: Console | None = None
-) -> None:
-    """Show tables of `maesn adapt` by name, at numbers of episodes from 0 to the last."""
-    rows: list[tuple[str, ...]] = []
-    for name, path in paths.items():
-        found = read_adaptation(path)
-        shown = np.isin(found.episodes, [*_SHOWN_EPISODES, found.episodes[-1]])
-        curves = {one: getattr(found, one)[None, :, shown] for one in _MAIN}
-        cells = [UNITS[one].texts(curve(values), brief=True) for one, values in curves.items()]
-        rows += zip([name] * shown.sum(), map(str, found.episodes[shown]), *cells, strict=True)
-    headings = ("rule", "episodes", *(UNITS[one].heading for one in _MAIN))
-    print_tables([TextTable(title, headings, tuple(rows), is_named=True)], console)
+def summary_tables(comparison: Comparison) -> list[TextTable]:
+    """Return where each method ends, in all tasks and in parts of them, and who beats whom."""
+    tables = [_ends(part, addition) for addition, part in comparison.parts().items()]
+    return [*tables, _improvements(comparison)] if len(comparison.lines) > 1 else tables
 
 
-def _task_table(table: AdaptationTable) -> TextTable:
-    """Return one row per task: before the first update, and after the last."""
-    columns = [
-        [UNITS[name].number(value) for value in getattr(table, name)[:, column]]
-        for name in _MAIN
-        for column in (0, -1)
-    ]
+def _ends(comparison: Comparison, addition: str) -> TextTable:
+    first = comparison.lines[0].table
+    rows = [_end(comparison, line) for line in comparison.everyone]
+    methods = rows[: len(comparison.lines)]
     return TextTable(
-        f"Each task, before and after {table.updates[-1]} updates",
-        ("task", "return before", "after", "reaches goal (%) before", "after"),
-        tuple(zip(map(str, range(table.num_tasks)), *columns, strict=True)),
+        f"After each method's last update, in {first.tasks} tasks{addition}",
+        tuple(rows[0]),
+        tuple(tuple(row.values()) for row in rows),
+        sentences(
+            f"mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points",
+            note_on_judging(comparison.lines),
+            f"in brackets: {INTERVAL}",
+            "trained on: environment steps of meta-training",
+            note_on_solved(comparison.is_solved_at_reset),
+            *(line.beyond for line in comparison.lines),
+            "" if all(row["score"] for row in methods) else _NO_SCORE,
+        ),
+    )
+
+
+def _end(comparison: Comparison, line: Line) -> dict[str, str]:
+    """Return one method's row, by headings."""
+    last, steps = line.column(-1), line.training_steps
+    score = ""
+    if not np.isnan(comparison.score(last, line.num_tasks)).any():
+        rivals = (*comparison.oracle, *comparison.baselines)
+        bounds = (one.column(0, num_tasks=line.num_tasks) for one in rivals)
+        score = _SHARE.text(bootstrap(statistics.score, last, *bounds))
+    returns, success = UNITS["mean_return"], UNITS["success_rate"]
+    return {
+        "method": line.label,
+        "trained on": "" if steps is None else f"{steps / 1e6:.3g} M",
+        "seeds": str(len(line.seeds)),
+        "tasks": str(line.num_tasks),
+        "updates": str(line.table.updates[-1]),
+        "steps": f"{line.table.episodes[-1] * comparison.horizon:,}",
+        "return": returns.text(bootstrap(statistics.mean, last)),
+        "IQM": returns.text(bootstrap(statistics.interquartile_mean, last)),
+        success.heading: success.text(bootstrap(statistics.mean, line.column(-1, "success_rate"))),
+        "score": score,
+    }
+
+
+def _improvements(comparison: Comparison) -> TextTable:
+    """Compare the methods' last points in pairs, over the tasks that both have."""
+    rows = []
+    for pair in combinations(comparison.lines, 2):
+        both = min(line.num_tasks for line in pair)
+        ends = (line.column(-1, num_tasks=both) for line in pair)
+        better = bootstrap(statistics.improvement, *ends)
+        rows.append((*(line.label for line in pair), _SHARE.text(better)))
+    return TextTable(
+        "Probability that the first method's last point is above the second's in a task",
+        ("first", "second", "probability"),
+        tuple(rows),
+        sentences(f"in brackets: {INTERVAL}. A tie counts as half a win"),
     )
 
 
@@ -185,10 +223,5 @@ def sentences(*notes: str) -> tuple[str, ...]:
 
 def note_on_solved(solved: Bool[np.ndarray, " task"]) -> str:
     """Say how many tasks need not be solved, because their episodes start in the goal region."""
-    count, verb = int(solved.sum()), "is" if solved.sum() == 1 else "are"
-    return f"{count} of the {len(solved)} tasks {verb} solved at reset" if count else ""
-
-
-def labels_of(intervals: Iterable[Interval]) -> str:
-    """Return what intervals are and resample, each text once."""
-    return "; or ".join(dict.fromkeys(interval.label for interval in intervals))
+    count = int(solved.sum())
+    return f"{count} of the {len(solved)} tasks are solved at reset" if count else ""

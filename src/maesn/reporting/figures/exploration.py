@@ -1,4 +1,7 @@
-"""What is explored before adaptation, and how latents adapt: the paper's Fig. 4 (right), 6 to 8."""
+"""What is explored before adaptation, and how latents adapt: the paper's Fig. 4 (right), 6 to 8.
+
+Positions in the plane of the world are in metres.
+"""
 
 import math
 import textwrap
@@ -6,21 +9,32 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import ListedColormap, Normalize, to_rgba
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
+from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
-from maesn.reporting.figures import plane
 from maesn.reporting.reading import PriorReach, prior_reach
-from maesn.reporting.runs import Latents, RecordedExploration
-from maesn.reporting.statistics import count
+from maesn.reporting.runs import Latents, Positions, RecordedExploration
+
+Points = Float[np.ndarray, "point 2"]
+Colours = str | Float[np.ndarray, "point 4"]
 
 _TITLE_CHARACTERS = 32  # across the narrowest panel
-_PANEL_WIDTH = 2.5  # inches of the plane of latents alone
-_SURROUNDINGS = 0.95  # inches of its title, labels and legend
+_PRIOR_LINE: dict[str, Any] = {"color": style.BLACK, "linestyle": "--", "linewidth": 1.0}
+# Overlapping discs stay translucent: this is the sum of their opacities, within limits for one.
+_DISC_INK, _DISC_OPACITY = 2.0, (0.015, 0.2)
+# Lightness rises evenly, in colour and in grey; without the end that is invisible on white.
+_DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))
+_ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 
 class ExplorationPanel(NamedTuple):
@@ -39,43 +53,34 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     What a task lays out beside its goal, such as blocks, is drawn as well.
     """
     training, goals = exploration.training_goals, exploration.goals
-    radius, start = exploration.sparse_radius, exploration.prior_paths[:, 0].mean(0, keepdims=True)
-    middle = goals[np.argmin(np.linalg.norm(goals - goals.mean(0), axis=-1))]
-    landmarks = (
-        ("training tasks", exploration.training_landmarks, style.VERMILLION),
-        ("tasks adapted to", exploration.landmarks, style.BLUE),
-    )
-    # Once each: several tasks may share a layout.
-    objects = [
-        (np.unique(array.reshape(-1, 2), axis=0), "s", colour, f"objects of {tasks}")
-        for tasks, array, colour in landmarks
-        if array is not None
+    marks = [
+        (f"{len(training)} training goals", training, "o", style.VERMILLION),
+        (f"{len(goals)} goals adapted to", goals, "x", style.BLUE),
+        ("objects of training tasks", exploration.training_landmarks, "s", style.VERMILLION),
+        ("objects of tasks adapted to", exploration.landmarks, "s", style.BLUE),
+        ("start", exploration.prior_paths[:, 0].mean(0), "+", style.BLACK),
     ]
-    positions = [middle[None], goals, training, start, *(points for points, *_ in objects)]
-    limits = plane.shared_limits(positions, radius)
+    # Once each: several tasks may share a layout.
+    drawn = [
+        (np.unique(positions.reshape(-1, 2), axis=0).T, marker, colour, label)
+        for label, positions, marker, colour in marks
+        if positions is not None
+    ]
+    middle = goals[np.argmin(np.linalg.norm(goals - goals.mean(0), axis=-1))]
+    radius = exploration.sparse_radius
+    limits = shared_limits([middle, *(points.T for points, *_ in drawn)], radius)
     # Beside the plane labels take 0.6 inches, above and below it labels and legend take 0.85.
-    height = (style.ONE_COLUMN - 0.6) * limits.height / limits.width + 0.85
+    height = (style.ONE_COLUMN - 0.6) / limits.width * limits.height + 0.85
     figure = style.new_figure(style.ONE_COLUMN, height)
     axes = figure.subplots()
-    _mark(axes, training, "o", style.VERMILLION, f"{len(training)} training goals", alpha=0.7)
-    crosses = f"{len(goals)} goals adapted to"
-    _mark(axes, goals, "x", style.BLUE, crosses, markeredgewidth=0.9)
-    region = Circle((float(middle[0]), float(middle[1])), radius, facecolor=style.BLUISH_GREEN)
-    region.set(alpha=0.2, linewidth=0, zorder=0.5, label=f"goal region ({radius:g} m)")
+    for (x, y), marker, colour, label in drawn:
+        axes.plot(x, y, marker, color=colour, label=label, markersize=3.5, fillstyle="none")
+    region = Circle(tuple(middle.tolist()), radius, label=f"goal region ({radius:g} m)")
+    region.set(facecolor=style.BLUISH_GREEN, alpha=0.2, linewidth=0, zorder=0.5)
     axes.add_patch(region)
-    for one in objects:
-        _mark(axes, *one, markeredgewidth=0.7, fillstyle="none")
-    _mark(axes, start, "+", style.BLACK, "start", markersize=6, markeredgewidth=1.0, zorder=3)
-    plane.plane_axes(axes, limits)
+    _set_plane(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
     return style.Drawn(figure)
-
-
-def _mark(
-    axes: Axes, points: plane.Points, marker: str, colour: str, label: str, **changed: Any
-) -> None:
-    look = {"markersize": 3.5, "markeredgewidth": 0, **changed}
-    axes.plot(*points.T, marker, color=colour, label=label, **look)
 
 
 @style.publication_style()
@@ -88,76 +93,69 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
     solved, episodes = first.solved_at_reset > 0, first.episodes_per_task
     reach = prior_reach(first.untrained_success_rate, solved, episodes)
     untrained = ExplorationPanel(style.MethodStyle("untrained policy", style.BLACK), first, reach)
-    drawn = [(one, one.exploration.prior_paths) for one in explorers]
-    drawn.append((untrained, first.untrained_paths))
-    limits = plane.shared_limits([first.goals, *(paths for _, paths in drawn)], first.sparse_radius)
-    columns = 2 if len(drawn) in (2, 4) else 3
-    rows = math.ceil(len(drawn) / columns)
-    # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
-    height = (style.TWO_COLUMNS - 0.5) / columns * limits.height / limits.width + 0.42
-    figure = style.new_figure(style.TWO_COLUMNS, rows * height + 0.4)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in panels[len(drawn) :]:
-        unused.remove()
-    for position, (one, paths) in enumerate(drawn):
-        axes = panels[position]
-        plane.draw_explored(axes, limits, one.exploration, paths, one.style.colour)
+    drawn = []
+    for one in (*explorers, untrained):
+        paths = first.untrained_paths if one is untrained else one.exploration.prior_paths
         title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
         if one.reach is not None:
-            within = count(one.reach.episodes, "episode")
+            within = "1 episode" if one.reach.episodes == 1 else f"{one.reach.episodes} episodes"
             title += f"\n{one.reach.share:.0%} of the goals in {within}"
-        axes.set_title(title)
-        if position % columns:
-            axes.set_ylabel("")
-            axes.tick_params(labelleft=False)
-        if position + columns < len(drawn):
-            axes.set_xlabel("")
-            axes.tick_params(labelbottom=False)
-    return style.Drawn(figure)
+        drawn.append((title, paths, one.style.colour))
+    return style.Drawn(_draw_explored(first, drawn))
 
 
 @style.publication_style()
 def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
     """Draw trajectories with the latent drawn from the prior beside those with it fixed.
 
-    Colours are the direction in which an episode ends. If the drawn latents are known and have two
-    components at least, a panel before them shows which latent went where.
+    Colours are the direction in which an episode ends.
     """
-    sampled, fixed = exploration.prior_paths, exploration.fixed_paths
-    assert fixed is not None  # methods without latents have no such figure
-    limits = plane.shared_limits([exploration.goals, sampled, fixed], exploration.sparse_radius)
-    scale = plane.direction_scale(exploration.goals)
-    latents = exploration.prior_latents
-    if latents is not None and latents.shape[1] < 2:
-        latents = None
-    # The panel of latents is as high as the planes beside it.
-    widths = [1.0, 1.0] if latents is None else [limits.height / limits.width, 1.0, 1.0]
-    # Beside the panels labels and colour bar take 1.7 inches, above and below them text takes 0.8.
-    height = (style.TWO_COLUMNS - 1.7) / sum(widths) * limits.height / limits.width + 0.8
-    figure = style.new_figure(style.TWO_COLUMNS, height)
-    panels = figure.subplots(1, len(widths), width_ratios=widths).tolist()
-    drawn = {"z sampled from the prior": sampled, "z fixed": fixed}
-    for axes, (title, paths) in zip(panels[-2:], drawn.items(), strict=True):
-        colours = scale.to_rgba(plane.directions(paths[:, -1]))
-        plane.draw_explored(axes, limits, exploration, paths, colours)
+    assert exploration.fixed_paths is not None  # methods without latents have no such figure
+    scale = direction_scale(exploration.goals)
+    shown = {
+        "z sampled from the prior": exploration.prior_paths,
+        "z fixed": exploration.fixed_paths,
+    }
+    drawn = []
+    for title, paths in shown.items():
         # Root mean square distance from their mean.
         spread = float(np.sqrt(paths[:, -1].var(0).sum()))
-        axes.set_title(f"{title}\nfinal positions spread {spread:.2f} m")
-    if latents is not None:
-        colours = scale.to_rgba(plane.directions(sampled[:, -1]))
-        plane.draw_dots(panels[0], latents[:, :2], colours, size=7.0)
-        plane.draw_prior(panels[0])
-        reach = 1.15 * float(np.abs(latents[:, :2]).max())
-        box = Bbox([[-reach, -reach], [reach, reach]])
-        labels = {"xlabel": "latent component 1", "ylabel": "latent component 2"}
-        plane.equal_axes(panels[0], box, title="the sampled z\n", **labels)
-    panels[-1].label_outer()
-    plane.direction_bar(figure, panels, scale, "final direction (°)")
+        colours = scale.to_rgba(directions(paths[:, -1]))
+        drawn.append((f"{title}\nfinal positions spread {spread:.2f} m", paths, colours))
+    figure = _draw_explored(exploration, drawn)
+    _direction_bar(figure, scale, "final direction (°)")
     return style.Drawn(figure)
 
 
+def _draw_explored(
+    world: RecordedExploration, drawn: Sequence[tuple[str, Positions, Colours]]
+) -> Figure:
+    """Draw a panel for each title, paths and colours of the paths, all with the world's goals.
+
+    Goals lie in translucent regions; a path is a line with a dot at its end.
+    """
+    goals = world.goals
+    limits = shared_limits([goals, *(paths for _, paths, _ in drawn)], world.sparse_radius)
+    columns = 2 if len(drawn) in (2, 4) else 3
+    rows = math.ceil(len(drawn) / columns)
+    # Labels take 0.5 inches of a row and 0.4 below the last one, the title 0.42 of each.
+    height = (style.TWO_COLUMNS - 0.5) / columns / limits.width * limits.height + 0.42
+    figure = style.new_figure(style.TWO_COLUMNS, rows * height + 0.4)
+    opacity = float(np.clip(_DISC_INK / len(goals), *_DISC_OPACITY))
+    region = {"facecolor": style.GREY, "edgecolor": "none", "alpha": opacity, "zorder": 0.5}
+    for position, (title, paths, colours) in enumerate(drawn, start=1):
+        axes = figure.add_subplot(rows, columns, position, title=title)
+        _draw_ellipses(axes, goals, np.full_like(goals, world.sparse_radius), **region)
+        _draw_dots(axes, goals, style.DARK_GREY)
+        axes.add_collection(LineCollection(list(paths), colors=colours, linewidths=0.7, alpha=0.6))
+        _draw_dots(axes, paths[:, -1], colours)
+        _set_plane(axes, limits)
+        axes.label_outer()
+    return figure
+
+
 @style.publication_style()
-def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.Drawn:
+def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
     """Draw every task's latent distribution as its 1-sigma ellipse, before and after adaptation.
 
     The prior N(0, I) is a dashed circle of radius 1. Of more than two components, those whose means
@@ -167,29 +165,74 @@ def plot_latents(latents: Latents, goals: plane.Points | None = None) -> style.D
     chosen = np.sort(np.argsort(-latents.mean[:, -1].var(0), kind="stable")[:2])
     mean, log_std = (x[:, [0, -1]][..., chosen] for x in (latents.mean, latents.log_std))
     std = np.exp(log_std)
-    limits = plane.shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
-    height = _PANEL_WIDTH * limits.height / limits.width + _SURROUNDINGS
+    limits = shared_limits([np.array([[-1.0, -1.0], [1.0, 1.0]]), mean - std, mean + std])
+    # A plane is 2.5 inches wide; title, labels and legend take 0.95.
+    height = 2.5 / limits.width * limits.height + 0.95
     figure = style.new_figure(style.TWO_COLUMNS, height)
     panels = figure.subplots(1, 2, sharex=True, sharey=True).tolist()
     colours = np.tile(to_rgba(style.BLUE), (len(mean), 1))
     if goals is not None:
-        scale = plane.direction_scale(goals)
-        colours = scale.to_rgba(plane.directions(goals))
-        plane.direction_bar(figure, panels, scale, "direction of the goal (°)")
-    for column, later in enumerate((0, latents.mean.shape[1] - 1)):
-        axes, centres = panels[column], mean[:, column]
+        scale = direction_scale(goals)
+        colours = scale.to_rgba(directions(goals))
+        _direction_bar(figure, scale, "direction of the goal (°)")
+    for column, axes in enumerate(panels):
         outline = {"facecolors": "none", "edgecolors": colours, "linewidths": 0.7, "alpha": 0.8}
-        plane.draw_ellipses(axes, centres, std[:, column], **outline)
-        plane.draw_dots(axes, centres, colours)
-        plane.draw_prior(axes)
-        update = latents.first_update + later
-        title = f"after {count(update, 'update')}" if update else "before adaptation"
-        plane.equal_axes(axes, limits, title=title)
-        axes.set_xlabel(f"latent component {chosen[0] + 1}")
-    panels[0].set_ylabel(f"latent component {chosen[1] + 1}")
+        _draw_ellipses(axes, mean[:, column], std[:, column], **outline)
+        _draw_dots(axes, mean[:, column], colours)
+        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **_PRIOR_LINE))
+        _set_plane(axes, limits, *(f"latent component {number + 1}" for number in chosen))
+        axes.label_outer()
+        update = latents.first_update + column * (latents.mean.shape[1] - 1)
+        axes.set_title(f"after update {update}" if update else "before adaptation")
     legend = {
-        "prior N(0, I), 1σ": Line2D([], [], **plane.PRIOR_LINE),
+        "prior N(0, I), 1σ": Line2D([], [], **_PRIOR_LINE),
         "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
     return style.Drawn(figure)
+
+
+def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Bbox:
+    """Return a box with a margin that holds all points, and discs around the first ones."""
+    flat = [array.reshape(-1, 2) for array in points]
+    corners = np.concatenate([flat[0] - radius, flat[0] + radius, *flat[1:]])
+    box = Bbox([corners.min(0), corners.max(0)])
+    return box.padded(max(0.05 * max(box.width, box.height), 1e-3))
+
+
+def _set_plane(axes: Axes, limits: Bbox, xlabel: str = "x (m)", ylabel: str = "y (m)") -> None:
+    """Give a panel limits, and the same scale in both directions."""
+    axes.set(xlim=limits.intervalx, ylim=limits.intervaly, xlabel=xlabel, ylabel=ylabel)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+
+
+def _draw_dots(axes: Axes, points: Points, colours: Colours) -> None:
+    x, y = points.T
+    axes.scatter(x, y, c=colours, s=4.0, zorder=2.5)
+
+
+def _draw_ellipses(axes: Axes, centres: Points, half_axes: Points, **look: Any) -> None:
+    """Draw one ellipse around each point, in the units of the panel."""
+    widths, heights = 2 * half_axes.T
+    look |= {"units": "xy", "offsets": centres, "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(widths, heights, np.zeros(len(centres)), **look))
+
+
+def directions(points: Points) -> Float[np.ndarray, " point"]:
+    """Return the angle of each point seen from the origin, in degrees from the x axis."""
+    return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+
+
+def direction_scale(goals: Points) -> ScalarMappable:
+    """Return a colour for each direction: one end of the goals' range to the other."""
+    angles = directions(goals) / _ANGLE_STEP
+    low, high = float(np.floor(angles.min())), float(np.ceil(angles.max()))
+    norm = Normalize(_ANGLE_STEP * low, _ANGLE_STEP * max(high, low + 1))
+    return ScalarMappable(norm, _DIRECTION_COLOURS)
+
+
+def _direction_bar(figure: Figure, scale: ScalarMappable, label: str) -> None:
+    """Explain the colours of directions, once for all panels."""
+    ticks = MultipleLocator(_ANGLE_STEP)
+    figure.colorbar(scale, ax=figure.axes, label=label, ticks=ticks, shrink=0.85, aspect=25)

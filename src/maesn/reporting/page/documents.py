@@ -9,13 +9,13 @@ import numpy as np
 from maesn.reporting import runs as records
 from maesn.reporting import statistics
 from maesn.reporting.comparison import Comparison
-from maesn.reporting.figures.learning import moving_mean, window_of
+from maesn.reporting.figures.curves import moving_mean, window_of
 from maesn.reporting.page.writing import rounded
 from maesn.reporting.runs import RecordedRun, read_recorded
 from maesn.reporting.series import Series, compare_runs, group_series, read_runs
 from maesn.reporting.study import read_comparisons
 from maesn.reporting.style import LineStyle, MethodStyle
-from maesn.reporting.summary import summary_tables
+from maesn.reporting.tables import summary_tables
 from maesn.settings import leaves
 from maesn.storage import read_json
 
@@ -146,7 +146,7 @@ def _curve(style: MethodStyle, x: Any, mean: Any, low: Any = (), high: Any = ())
 def dash(line: LineStyle) -> str:
     """Return Matplotlib's dash in plotly's words."""
     if isinstance(line, str):
-        return {":": "dot"}.get(line, "solid")
+        return {":": "dot", "--": "dash", "-.": "dashdot"}.get(line, "solid")
     return ",".join(f"{3 * length:g}px" for length in line[1])
 
 
