@@ -54,7 +54,6 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("report " + 5000 * "x", "File name too long"),
         ("render " + 5000 * "x", "File name too long"),
         ("resume " + 5000 * "x", "File name too long"),
-        ("resume {} --change num_threads=" + 500 * "[", "cannot"),
     ],
 )
 def test_wrong_words_get_a_sentence(

@@ -10,8 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-import tyro
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import arguments, running
@@ -81,7 +80,7 @@ def resume(
     family: arguments.AnyFamily = None,
     change: arguments.AnyChange = None,
     keep: int = KEEP,
-    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE,
+    sharing: Annotated[Sharing, arg(name="")] = ALONE,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
@@ -141,7 +140,7 @@ def adapt(
 
 def prior(
     run: Positional[arguments.AnyRun],
-    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
+    settings: Annotated[PriorSettings, arg(name="")] = USUAL_PRIOR,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,

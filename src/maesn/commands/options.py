@@ -45,7 +45,7 @@ def command(
     bound.__signature__ = signature.replace(parameters=named)  # type: ignore[attr-defined]
 
     def main(arguments: list[str]) -> None:
-        run = parse(bound, function.__name__.replace("_", " "), arguments)
+        run = parse(bound, function.__name__, arguments)
         enable_compilation_cache()
         show(run())
 

@@ -2,7 +2,7 @@
 
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
@@ -25,7 +25,6 @@ from maesn.runs.run import Run
 from maesn.storage import RunError, refusals
 from maesn.studies.comparison import compare as compare_runs
 from maesn.studies.executors import ExecutorName
-from maesn.studies.reading import shipped_studies
 from maesn.studies.study import Results, Study
 
 
@@ -89,7 +88,8 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
 
 
 @command
-def study_run(
+def study(
+    action: Positional[Literal["run", "status"]],
     file: Positional[str],
     *,
     out: Path = Path("studies"),
@@ -102,6 +102,7 @@ def study_run(
     """Compute a study: train, adapt, compare. What was interrupted goes on with the same command.
 
     Args:
+        action: run: compute it. status: show how its jobs are, and the time left.
         file: A .toml file, or the name of a study that comes with the library.
         out: Directory of jobs and results; studies there share jobs.
         executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
@@ -110,31 +111,21 @@ def study_run(
         only: The one job to compute, as a job of an array does.
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
-    study = Study.load(file)
-    if not dry_run:
+    asked = Study.load(file)
+    if action == "run" and not dry_run:
         where = {"executor": executor, "workers": workers, "retries": retries, "only": only}
-        _say_results(study.run(out, **where, say=print))  # type: ignore[arg-type]
+        _say_results(asked.run(out, **where, say=print))  # type: ignore[arg-type]
         return
-    jobs = study.plan.jobs.values()
-    rows = [(job.name, f"{job.steps:,}") for job in jobs]
-    rows.append(("all", f"{sum(job.steps for job in jobs):,}"))
-    left = study.execution(out).left(workers or 1)
-    columns = ("job", "environment steps")
-    print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), (left,))])
-
-
-@command
-def study_status(file: Positional[str], *, out: Path = Path("studies"), workers: int = 1) -> None:
-    """Show how the jobs of a study are: done, running, waiting or failed, and the time left.
-
-    Args:
-        file: As for `maesn study run`.
-        out: Its directory.
-        workers: Jobs at a time, for the estimate.
-    """
-    execution = Study.load(file).execution(out)
-    rows = tuple((name, *execution.status(job)) for name, job in execution.jobs.items())
-    print_tables([TextTable("Jobs", ("job", "status", ""), rows, (execution.left(workers),))])
+    execution = asked.execution(out)
+    jobs, left = execution.jobs.items(), (execution.left(workers or 1),)
+    if dry_run:
+        rows = [(name, f"{job.steps:,}") for name, job in jobs]
+        rows.append(("all", f"{sum(job.steps for _, job in jobs):,}"))
+        columns = ("job", "environment steps")
+        print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), left)])
+    else:
+        states = tuple((name, *execution.status(job)) for name, job in jobs)
+        print_tables([TextTable("Jobs", ("job", "status", ""), states, left)])
 
 
 @command
@@ -142,23 +133,6 @@ def study_status(file: Positional[str], *, out: Path = Path("studies"), workers:
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
     _say_results(compare_runs(*runs, **options | {"say": print}))
-
-
-def study(arguments: list[str]) -> None:
-    """Run `maesn study run` or `maesn study status`."""
-    action, *rest = arguments or [""]
-    if action == "run":
-        study_run(rest)
-    elif action == "status":
-        study_status(rest)
-    elif action in ("-h", "--help"):
-        print(
-            "usage: maesn study {run,status} FILE [OPTIONS]\n\n"
-            "FILE is a .toml file that says what is trained, evaluated and compared, or the name\n"
-            f"of a study that comes with the library: {', '.join(shipped_studies())}."
-        )
-    else:
-        raise RunError("say `maesn study run FILE` or `maesn study status FILE`.")
 
 
 def _say_results(done: Results) -> None:

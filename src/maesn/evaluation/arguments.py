@@ -14,7 +14,6 @@ from maesn.envs import TaskFamily
 from maesn.rules import AbstractRule, AbstractWrapper, from_text
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
-from maesn.storage import refusals
 
 
 def _read(
@@ -37,11 +36,6 @@ def _named(option: str) -> PrimitiveConstructorSpec[Any]:
     )
 
 
-def _changes(words: list[str]) -> dict[str, Any]:
-    with refusals("`--change`: "):
-        return values_of_words(words)
-
-
 AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
 AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
@@ -50,7 +44,9 @@ AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME"
 """A user's own family or its `module:name`; None for one that comes with the library."""
 AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
-AnyChange: TypeAlias = Annotated[Mapping[str, Any] | None, _read("*", "NAME=VALUE", _changes)]
+AnyChange: TypeAlias = Annotated[
+    Mapping[str, Any] | None, _read("*", "NAME=VALUE", values_of_words)
+]
 """Name of a setting -> its new value."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""

@@ -114,8 +114,8 @@ def _adapt_chunk(
     slots: np.ndarray,
     updates: range,
     seed: int,
-) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
-    """Return curves and contexts of some tasks, `[task, update, ...]`."""
+) -> Any:
+    """Return curves of both purposes and contexts of some tasks, `[task, update, ...]`."""
     state = learner.init(_task_keys(seed, _START, slots))
 
     def play(plays: Collector, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
@@ -138,10 +138,7 @@ def _adapt_chunk(
         columns.append(jax.tree.map(np.asarray, (column, fresh, learner.adapted(state))))
         if update < updates[-1]:
             state = learner.update(state, explored)
-    stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
-        lambda *xs: np.stack(xs, axis=1), *columns
-    )
-    return stacked
+    return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
 @jax.jit
