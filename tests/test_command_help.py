@@ -4,15 +4,12 @@ import contextlib
 import itertools
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from maesn import cli
-from maesn.commands import doctor, options
 
-WORDS = [[name] for name in cli.COMMANDS] + [["train", "maesn"], ["study", "run"]]
+WORDS = [[name] for name in cli.COMMANDS] + [["train", "maesn"]]
 
 
 def help_of(
@@ -31,7 +28,7 @@ def test_help_wraps_once(
     # A line ends only where the next word would not have fitted, or a sentence ends.
     lines = [re.sub("[│|]", " ", line).rstrip() for line in help_of(words, capsys, monkeypatch)]
     boxed = [line for line in lines if line.startswith(" ")]
-    assert boxed or words[0] == "study"
+    assert boxed
     longest = max(map(len, boxed), default=0)
     for line, after in itertools.pairwise(boxed):
         begun = re.match(r" {8,}\S|.*\S {2,}\S", line) and not line.endswith((")", "."))
@@ -50,11 +47,8 @@ def test_train_shows_settings_without_a_method(
 @pytest.mark.parametrize(
     ("words", "meant"),
     [
-        (["adapt", "wheeled", "--latents", "x"], "--start"),
         (["adapt", "wheeled", "--episode", "5"], "--episodes"),
-        (["report", "wheeled", "--output=x"], "--out"),
         (["train", "maesn", "--famly", "point"], "--family"),
-        (["train", "maesn", "--epochs", "3"], "--iterations"),
     ],
 )
 def test_options_that_do_not_exist_name_the_one_that_does(
@@ -63,15 +57,9 @@ def test_options_that_do_not_exist_name_the_one_that_does(
     with pytest.raises(SystemExit) as end:
         cli.run(words)
     assert end.value.code == cli.USAGE_ERROR
-    assert f"Did you mean `{meant}`?" in capsys.readouterr().err
-
-
-def test_a_word_that_resembles_nothing_gets_no_suggestion(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(SystemExit):
-        cli.run(["export", "wheeled", "policy.npz", "--qqqqq", "3"])
-    assert "There is no option `--qqqqq`.\n" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "Perhaps you meant:" in said
+    assert f" {meant} " in said
 
 
 def test_doctor_lets_a_robot_drive(
@@ -84,23 +72,3 @@ def test_doctor_lets_a_robot_drive(
     for word in ("maesn ", "mujoco ", "cpu", "blockpush", "all is well"):
         assert word in shown
     assert list(tmp_path.iterdir()) == []
-
-
-def test_doctor_names_what_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("MAESN_CACHE", str(tmp_path / "file" / "cache"))
-    monkeypatch.setattr(options, "enable_compilation_cache", lambda: None)
-    assert cli.run(["doctor"]) == cli.USAGE_ERROR
-    assert "MAESN_CACHE=off" in capsys.readouterr().err
-
-
-def test_doctor_notices_returns_that_are_no_numbers(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    curves = SimpleNamespace(explored=SimpleNamespace(mean_return=np.array([np.nan])))
-    monkeypatch.setattr(doctor, "evaluate", lambda *_: (curves, {}))
-    monkeypatch.setenv("MAESN_CACHE", "off")
-    assert cli.run(["doctor"]) == cli.USAGE_ERROR
-    assert "not finite" in capsys.readouterr().err

@@ -64,7 +64,6 @@ def command_line() -> str:
     """Return the help of all commands."""
     helps = {"": [], **{name: [name] for name in cli.COMMANDS}}
     helps |= {"train maesn": ["train", "maesn"], "train rl2": ["train", "rl2"]}
-    helps |= {f"study {action}": ["study", action] for action in ("run", "status")}
     return "\n".join(
         f"## maesn {name}\n\n```text\n{help_of(words)}\n```\n" for name, words in helps.items()
     )

@@ -42,7 +42,6 @@ from maesn.learners import PolicyGradient as PolicyGradient
 from maesn.learners import ProximalStep as ProximalStep
 from maesn.learners import RecurrentMetaLearner as RecurrentMetaLearner
 from maesn.learners import RecurrentValue as RecurrentValue
-from maesn.learners import SavedContexts as SavedContexts
 from maesn.learners import TrustRegionStep as TrustRegionStep
 from maesn.learners import latent_space as latent_space
 from maesn.learners import maesn as maesn

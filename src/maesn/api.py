@@ -4,41 +4,39 @@ In Python a run is given as a `Run`, its directory or its policy's name, and a f
 as `module:name`.
 """
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-import tyro
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
-from maesn.context import Latent
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import arguments, running
-from maesn.evaluation.evaluation import USUAL
+from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
-from maesn.reporting.reading import RECORD
 from maesn.reporting.run_figures import draw_runs
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.study import report_studies, studies_in
 from maesn.reporting.tables import TextTable
-from maesn.rules import AbstractRule, GradientRule, SearchRule
+from maesn.rules import GradientRule, SearchRule
 from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.log import log_figures
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, train_live
-from maesn.runtime.return_model import ReturnPrior
-from maesn.runtime.search import SearchSettings
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
-from maesn.storage import RunError, check_writable, read_json
+from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import warn_of_duration
+
+logger = logging.getLogger(__name__)
 
 
 def train(
@@ -69,10 +67,9 @@ def train(
     """
     with sharing.begun():
         if is_lead():
-            run = Run.create(directory, learner, settings, family=family, init_from=init_from)
+            Run.create(directory, learner, settings, family=family, init_from=init_from)
         wait_for_all("the run is there")
-        if not is_lead():
-            run = Run.open(directory, settings.own_family if family is None else family)
+        run = Run.open(directory, family or settings.own_family)
         train_live(run, keep=keep)
     return run
 
@@ -83,7 +80,7 @@ def resume(
     family: arguments.AnyFamily = None,
     change: arguments.AnyChange = None,
     keep: int = KEEP,
-    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE,
+    sharing: Annotated[Sharing, arg(name="")] = ALONE,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
@@ -101,33 +98,31 @@ def resume(
         EpisodeError: as for `train`.
     """
     with sharing.begun():
-        run = Run.open(run, family=family)
+        run = Run.open(run, family)
         if change and is_lead():
-            run = change_run(run, change)
+            change_run(run, change)
         wait_for_all("the run is changed")
-        if not is_lead():
-            run = Run.open(run)
+        run = Run.open(run)
         train_live(run, iterations, keep)
     return run
 
 
 def adapt(
     run: Positional[arguments.AnyRun],
-    evaluation: arguments.AnyEvaluation = USUAL,
+    evaluation: AnyEvaluation = USUAL,
     *,
     out: arguments.OptionalPath = None,
-    start: arguments.OptionalPath = None,
     family: arguments.AnyFamily = None,
     **settings: Any,
 ) -> running.Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
 
+    Of a policy that comes with the library, a copy is made, `maesn-NAME` in the current folder.
+
     Args:
-        run: Directory of the run, or the name of a policy that comes with the library, of which a
-            copy is made, `maesn-NAME` in the current folder, unless a directory has its name.
+        run: Directory of the run, or the name of a policy that comes with the library.
         evaluation: tasks, reward, rule, budgets, seed.
         out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
-        start: Latents of an earlier adaptation to the same tasks (`.latents.npz`) to go on from.
         family: The run's family as `module:name`, if it is your own.
         settings: single settings of the evaluation by name, as in `episodes=100`.
 
@@ -135,20 +130,17 @@ def adapt(
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    if out is not None and not Path(out).name:
-        raise RunError(f"`out` must be the path of a table, got `{out}`: give it a name.")
     asked, opened = evaluation.changed(**settings), running.open_run(run, family)
     num_tasks = asked.count(opened.task_set(asked.tasks))
     warn_of_duration(opened.env(), num_tasks * asked.budget.episodes)
-    check_writable(Path(out) if out else running.adaptation_file(opened.directory, asked))
-    outcome, record = running.evaluate(opened, asked, None if start is None else Path(start))
-    usual = running.adaptation_file(opened.directory, asked, outcome.first_update)
-    return running.write_outcome(Path(out) if out else usual, outcome, record)
+    table = Path(out) if out else running.adaptation_file(opened.directory, asked)
+    check_writable(table)
+    return running.write_outcome(table, *running.evaluate(opened, asked))
 
 
 def prior(
     run: Positional[arguments.AnyRun],
-    settings: Annotated[PriorSettings, tyro.conf.arg(name="")] = USUAL_PRIOR,
+    settings: Annotated[PriorSettings, arg(name="")] = USUAL_PRIOR,
     *,
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
@@ -160,8 +152,7 @@ def prior(
     is missing. The file is `DIR/priors/REWARD-RADIUS.safetensors`; an earlier one is replaced.
 
     Args:
-        run: Directory of the run, or the name of a policy that comes with the library, of which a
-            copy is made, `maesn-NAME` in the current folder.
+        run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         settings: of the archive.
         reward: Reward of the new tasks.
         sparse_radius: Of the new tasks, in metres; None: the run's own.
@@ -190,39 +181,44 @@ def export(
 ) -> Path:
     """Write the last checkpoint of a run as one file for the NumPy runtime.
 
-    A robot starts at the prior, or at a latent that an adaptation has found. From there its step
-    sizes go on as those of `maesn adapt --start` would.
+    A robot starts at the prior, or at a latent that an adaptation has found, from which its step
+    sizes go on.
 
     Args:
-        run: Directory of the run, or the name of a policy that comes with the library, unless a
-            directory has its name.
+        run: Directory of the run, or the name of a policy that comes with the library.
         path: File to write, `.npz`.
         family: The run's family as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
-        rule: How the robot adapts: gradient, or search with its settings behind it. Left out:
-            gradient.
+        rule: How the robot adapts: gradient, the default, or search with its settings behind it.
         overwrite: Replace a file that is there.
 
     Raises:
-        RunError: the run cannot be exported, the file is there, or the latents are others or lack
-            the task.
+        RunError: the run cannot be exported, the file is there, or the latents do not fit.
     """
     if not overwrite and Path(path).exists():
         raise RunError(
-            f"`{path}` exists and would be replaced: give another path, or say so (--overwrite, in "
-            "Python `overwrite=True`)."
+            f"`{path}` exists and would be replaced: give another path, or `--overwrite`."
         )
     opened = Run.open(run, family=family)
-    method, checkpoint = opened.settings.method, opened.latest()
+    checkpoint = opened.latest()
+    about: dict[str, Any] = {"method": opened.settings.method, "iteration": checkpoint.iteration}
+    start = search = None
+    if latents is not None and task is not None:
+        start = running.adapted_latent(opened, Path(latents), task)
+        about["task"] = task
+    elif latents is not None or task is not None:
+        raise RunError("`latents` and `task` belong together: give both of them, or none.")
+    if isinstance(rule, SearchRule) and start is None:
+        with closing(opened.world(reward_kind="sparse")) as world:
+            found = find_prior(opened, checkpoint.state, world, rule.prior, rule.any_reward)
+        search = found, rule.settings
+    elif not isinstance(rule, GradientRule | None):
+        raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
     learner = opened.learner.fast_learner(checkpoint.state)
-    start = _adapted_start(opened, latents, task)
-    search = _search(opened, rule, start)
-    description: dict[str, Any] = {"method": method, "iteration": checkpoint.iteration}
-    description |= {} if task is None else {"task": task}
     try:
-        write_policy(path, exported_policy(learner, opened.env(), description, start, search))
+        write_policy(path, exported_policy(learner, opened.env(), about, start, search))
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)
@@ -248,15 +244,14 @@ def report(
     reward where no table of it is there yet. A table that is there is drawn as it is: after more
     training, `adapt` renews it. For a study, or a directory with several, nothing is played.
 
-    Beside the figures goes `report.html`: one page that shows them, lets you move through the
-    latents and watch a search. It needs no network; to write it needs the extra `maesn[page]`.
+    Beside the figures goes `report.html`, a page that lets you move through the latents and watch a
+    search. It needs no network; to write it needs the extra `maesn[page]`.
 
     Args:
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory. A name that ends in `.html` is that of the page, beside
-            which the figures of runs go.
+            study go into its directory.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:
@@ -264,18 +259,13 @@ def report(
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
-    page = Path(out) if out is not None and Path(out).suffix == ".html" else None
     if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
-        if len(of) > 1 or (out is not None and (page is None or len(studies) > 1)):
-            raise RunError(
-                "a study is reported by itself, into its directory: maesn report DIR. The page of "
-                "one study can go elsewhere: --out NAME.html"
-            )
+        if len(of) > 1 or out is not None:
+            raise RunError("a study is reported by itself, into its directory: maesn report DIR")
         files: list[Path] = []
-        found = report_studies(Path(of[0]), files.append)
-        for path in studies:
-            files += _page(page or path / PAGE, study_page, path)
-        return Reported(files, found)
+        tables = report_studies(Path(of[0]), files.append)
+        pages = _write_pages({path / PAGE: study_page(path) for path in studies})
+        return Reported(files + pages, tables)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
         if not running.adaptation_file(run.directory, USUAL).exists():
@@ -284,63 +274,20 @@ def report(
             record_exploration(run, run.directory / EXPLORATION)
             record_explorer(run)
     directories = [run.directory for run in opened]
-    folder = page.parent if page else Path(out or directories[0] / "figures")
+    folder = Path(out or directories[0] / "figures")
     files = draw_runs(directories, folder, print)
     if len(opened) == 1 and out is None:
         pictures = [file for file in files if file.suffix == ".png"]
         log_figures(directories[0], pictures, opened[0].latest().environment_steps)
-    return Reported(files + _page(page or folder / PAGE, run_page, directories), [])
+    return Reported(files + _write_pages({folder / PAGE: run_page(directories)}), [])
 
 
-def _page(
-    path: Path, document: Callable[[Any], Any], of: Any, say: Callable[[object], None] = print
-) -> list[Path]:
-    """Write the page of runs or a study; return its path, or say why there is none."""
+def _write_pages(documents: Mapping[Path, Mapping[str, Any]]) -> list[Path]:
+    """Write pages and return their paths, or say why there are none."""
     try:
-        write_page(path, document(of))
+        for path, document in documents.items():
+            write_page(path, document)
     except PlotlyMissing as error:
-        say(error)
+        logger.warning("%s", error)
         return []
-    return [path]
-
-
-def _adapted_start(
-    run: Run, latents: str | Path | None, task: int | None
-) -> tuple[Latent, int] | None:
-    """Return the latent that an adaptation of the run has found, and the updates behind it."""
-    if latents is None and task is None:
-        return None
-    if latents is None or task is None:
-        raise RunError(
-            "`latents` and `task` belong together: give the file that `maesn adapt` wrote, and the "
-            "index of the task whose latent to start from."
-        )
-    record = Path(latents).with_suffix("").with_suffix(RECORD)
-    weights = running.identity_of_run(run)["weights"]
-    if record.exists() and read_json(record).get("weights") != weights:
-        raise RunError(
-            f"`{latents}` was adapted with other weights than the latest checkpoint of "
-            f"`{run.directory}` has: adapt this run, and give the latents that this writes."
-        )
-    found, updates = running.read_latents(Path(latents))
-    if not 0 <= task < len(found.mean):
-        raise RunError(
-            f"`task` must be an index from 0 to {len(found.mean) - 1}, the tasks of `{latents}`, "
-            f"got {task}."
-        )
-    return Latent(found.mean[task], found.log_std[task]), updates
-
-
-def _search(
-    run: Run, rule: AbstractRule | None, start: tuple[Latent, int] | None
-) -> tuple[ReturnPrior, SearchSettings] | None:
-    """Return the prior and the settings of a rule, if it is a search."""
-    if rule is None or isinstance(rule, GradientRule):
-        return None
-    if not isinstance(rule, SearchRule):
-        raise RunError("`rule` must be `gradient` or `search`: the runtime has no other.")
-    if start is not None:
-        raise RunError("a search starts with no latent: leave out `latents` and `task`.")
-    with closing(run.world(reward_kind="sparse")) as world:
-        found = find_prior(run, run.latest_state(), world, rule.prior, rule.any_reward)
-    return found, rule.settings
+    return list(documents)

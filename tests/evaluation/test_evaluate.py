@@ -1,4 +1,4 @@
-"""Evaluation: what is measured, and that neither chunks nor interruptions change it."""
+"""Evaluation: what is measured, and that chunks do not change it."""
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +8,10 @@ import pytest
 from maesn.axes import Readings
 from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
 from maesn.evaluation.evaluate import adapt, as_rows, measure
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner, SavedContexts, maesn, reinforce
+from maesn.learners import GradientFastLearner, maesn, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.worlds import EpisodeError, make_world
@@ -70,35 +71,21 @@ def test_measures_of_two_episodes_worked_out_by_hand() -> None:
 def test_chunks_change_nothing(
     collect: Collector, learner: GradientFastLearner, chunk_size: int
 ) -> None:
-    options = {"episodes": 2 * EPISODES, "seed": 4}
-    whole = adapt(learner, collect, chunk_size=NUM_TASKS, **options)
-    parts = adapt(learner, collect, chunk_size=chunk_size, **options)
+    whole, parts = (
+        adapt(learner, collect, Evaluation(seed=4, tasks_at_once=size), episodes=2 * EPISODES)
+        for size in (NUM_TASKS, chunk_size)
+    )
     assert whole.curves.mean_return.shape == (NUM_TASKS, 3)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         # The compiler may round differently for other shapes.
         np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
 
 
-def test_going_on_from_saved_contexts_equals_one_adaptation(
-    collect: Collector, learner: GradientFastLearner
-) -> None:
-    whole = adapt(learner, collect, episodes=3 * EPISODES)
-    first = adapt(learner, collect, episodes=EPISODES)
-    last = jax.tree.map(lambda x: jnp.asarray(x[:, -1]), first.contexts)
-    saved = SavedContexts(last, 1)
-    rest = adapt(learner, collect, episodes=2 * EPISODES, saved=saved, chunk_size=2)
-    np.testing.assert_allclose(
-        rest.curves.mean_return, whole.curves.mean_return[:, 1:], rtol=2e-4, atol=2e-4
-    )
-    assert [row["update"] for row in as_rows(rest)][:3] == [1, 2, 3]
-    assert [row["episodes"] for row in as_rows(rest)][:3] == [EPISODES, 2 * EPISODES, 3 * EPISODES]
-
-
 def test_the_latents_move_and_the_seed_matters(
     collect: Collector, learner: GradientFastLearner
 ) -> None:
-    one = adapt(learner, collect, episodes=EPISODES, seed=1)
-    other = adapt(learner, collect, episodes=EPISODES, seed=2)
+    one = adapt(learner, collect, Evaluation(seed=1), episodes=EPISODES)
+    other = adapt(learner, collect, Evaluation(seed=2), episodes=EPISODES)
     assert np.all(one.contexts.mean[:, 0] == 0)
     assert np.all(np.abs(one.contexts.mean[:, 1]).sum(-1) > 0)
     assert not np.array_equal(one.curves.mean_return, other.curves.mean_return)
@@ -176,8 +163,7 @@ def test_an_agent_that_its_updates_have_led_astray() -> None:
 def test_fresh_episodes_judge_the_deployed_mean(
     collect: Collector, learner: GradientFastLearner
 ) -> None:
-    deploy = Collector(collect.world, 3)
-    done = adapt(learner, collect, episodes=EPISODES, deploy=deploy)
+    done = adapt(learner, collect, Evaluation(deploy_episodes=3), episodes=EPISODES)
     assert done.deployed is not None
     assert done.curves is done.deployed
     purposes = [row["purpose"] for row in as_rows(done)]

@@ -213,7 +213,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         api.adapt(recurrent, deploy_episodes=7)
     with pytest.raises(RunError, match="an update needs at least 2 episodes of a task, got 1"):
         api.adapt(trained, episodes_per_update=1)
-    with pytest.raises(RunError, match="an evaluation has no setting `updates`"):
+    with pytest.raises(TypeError, match="updates"):
         api.adapt(trained, updates=3)
 
 

@@ -42,9 +42,9 @@ def attempt(stream: random.Random, material: Material, directory: Path, findings
     ended = wait(process, said)
     what = f"{sent}: status {ended.status}, {ended.said[-2000:]}"
     numbers = {number for _, number in sent}
-    if "Traceback" in ended.said or ended.status not in (
-        {0} | {128 + n for n in numbers} | {-n for n in numbers}
-    ):
+    # Python says so itself where Ctrl-C comes before the command or after it.
+    told = "Traceback" in ended.said and "KeyboardInterrupt" not in ended.said
+    if told or ended.status not in ({0} | {128 + n for n in numbers} | {-n for n in numbers}):
         findings.add(TRACEBACK, what)
         return
     same = outcome(finish(Run.open(run.directory))) == material.long_outcome

@@ -12,6 +12,7 @@ from playing import keys
 
 from maesn.envs import point
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import (
@@ -26,7 +27,6 @@ from maesn.learners import (
     FineTuning,
     GradientFastLearner,
     Purpose,
-    SavedContexts,
     inside,
     latent_space,
     maesn,
@@ -45,7 +45,7 @@ TASKS = 3
 class Listener(AbstractFastLearner[list[Episodes]]):
     """Learns nothing, and keeps what it is handed."""
 
-    def init(self, keys: jax.Array, saved: SavedContexts | None = None) -> list[Episodes]:
+    def init(self, keys: jax.Array) -> list[Episodes]:
         return []
 
     def agents(self, state: list[Episodes], purpose: Purpose = "explore") -> Agents:
@@ -167,7 +167,7 @@ def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) ->
         for known, start in zip(*map(jax.tree.leaves, handed_over), strict=True):
             np.testing.assert_array_equal(start, jnp.stack([known] * TASKS))
     assert np.all(begun.curiosity.medians.count == 0)
-    outcome = adapt(fast, collect, episodes=8, chunk_size=2)
+    outcome = adapt(fast, collect, Evaluation(tasks_at_once=2), episodes=8)
     assert np.isfinite(outcome.curves.mean_return).all()
     assert np.all(outcome.contexts.mean[:, 1] != 0)
 

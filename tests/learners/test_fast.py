@@ -21,7 +21,6 @@ from maesn.learners import (
     FineTuning,
     GradientFastLearner,
     GradientState,
-    SavedContexts,
     maesn,
     maesn_theta,
     maml,
@@ -100,36 +99,13 @@ def test_theta_and_step_sizes_stay() -> None:
         np.testing.assert_array_equal(old, new)
 
 
-def test_adaptation_resumes_where_it_stopped() -> None:
-    learner = fast_learner("maesn")
-    problem, rng = make_problem(2, UNEQUAL), np.random.default_rng(0)
-    theta = start(problem.parameters, 0).theta
-    batches = [
-        stack([play(rng, theta, np.zeros(LATENT), np.zeros(LATENT), UNEQUAL)]) for _ in range(4)
-    ]
-    state = learner.init(keys(1))
-    for episodes in batches:
-        state = learner.update(state, episodes)
-    half = learner.init(keys(1))
-    for episodes in batches[:2]:
-        half = learner.update(half, episodes)
-    contexts = learner.agents(half).context
-    assert isinstance(contexts, Latent)
-    assert learner.capabilities.resumes
-    resumed = learner.init(keys(1), SavedContexts(contexts, 2))
-    for episodes in batches[2:]:
-        resumed = learner.update(resumed, episodes)
-    for old, new in zip(jax.tree.leaves(state), jax.tree.leaves(resumed), strict=True):
-        np.testing.assert_array_equal(old, new)
-
-
 CAN = {
-    "maesn": Capabilities(resumes=True, least_episodes=2),
-    "latent_space": Capabilities(resumes=True, least_episodes=2),
-    "maesn_theta": Capabilities(resumes=True, least_episodes=2),  # in its first stage
+    "maesn": Capabilities(least_episodes=2),
+    "latent_space": Capabilities(least_episodes=2),
+    "maesn_theta": Capabilities(least_episodes=2),  # in its first stage
     "maml": Capabilities(),
     "maml_bias": Capabilities(),
-    "maml_bias_only": Capabilities(resumes=True),
+    "maml_bias_only": Capabilities(),
     "rl2": Capabilities(is_recurrent=True, trial_episodes=2, learns_from_reward=False),
     "oracle": Capabilities(learns_from_reward=False),
     "maesn+curiosity": Capabilities(has_bonus=True, least_episodes=2),
@@ -141,16 +117,13 @@ def test_learners_say_what_they_can(method: str) -> None:
     meta = METHODS[method]()
     learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 20, 2))
     assert learner.capabilities == CAN[method]
-    if not learner.capabilities.resumes:
-        saved = SavedContexts(Latent(jnp.zeros((1, 2)), jnp.zeros((1, 2))), 1)
-        with pytest.raises(ValueError, match="`saved` must be None for `"):
-            learner.init(keys(1), saved)
 
 
 def test_a_latent_is_deployed_at_its_mean() -> None:
     inner = fast_learner("maesn")
     at = Latent(jnp.array([[1.0, -2.0]]), jnp.array([[0.5, 0.0]]))
-    explored = inner.init(keys(1), SavedContexts(at, 0))
+    begun = inner.init(keys(1))
+    explored = replace(begun, agents=replace(begun.agents, context=at))
     tuned = FineTuning(inner, after=0)
     for learner, state in ((inner, explored), (tuned, tuned.init(keys(1)))):
         explore, deploy = (learner.agents(state, purpose) for purpose in ("explore", "deploy"))

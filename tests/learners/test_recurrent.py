@@ -11,7 +11,6 @@ import pytest
 from learning_problems.memory import assert_a_probe_of_memory_is_solved
 
 from maesn.axes import TaskKeys
-from maesn.context import Latent
 from maesn.envs import HiddenEnd, TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
@@ -24,7 +23,6 @@ from maesn.learners import (
     RecurrentMetaLearner,
     RecurrentMetaState,
     RecurrentValue,
-    SavedContexts,
     TrustRegionStep,
     maesn,
     method_name,
@@ -184,9 +182,6 @@ def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
     assert collect.trial_states[0] is None
     for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
         assert began is before.trial_end
-    saved = SavedContexts(Latent(jnp.zeros((2, 2)), jnp.zeros((2, 2))), 1)
-    with pytest.raises(ValueError, match="`saved` must be None for `RecurrentFastLearner`"):
-        fast.init(jax.random.split(jax.random.key(0), 2), saved)
 
 
 def test_method_names() -> None:

@@ -17,6 +17,7 @@ from reference.trust_region import TrustRegionSettings
 from maesn.context import Nothing
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator
@@ -157,7 +158,9 @@ def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
 @pytest.mark.long  # `tests/evaluation` does it with another learner
 @pytest.mark.parametrize("name", ["reinforce", "trpo"])
 def test_chunks_change_nothing(name: str, collect: Collector) -> None:
-    whole, parts = (adapt(small(name), collect, episodes=16, chunk_size=size) for size in (4, 2))
+    whole, parts = (
+        adapt(small(name), collect, Evaluation(tasks_at_once=size), episodes=16) for size in (4, 2)
+    )
     expected = whole.curves.mean_return
     np.testing.assert_allclose(parts.curves.mean_return, expected, rtol=2e-3, atol=2e-3)
 

@@ -12,6 +12,7 @@ import numpy as np
 from maesn.context import LatentContext
 from maesn.envs import HiddenSide, TaskSet
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
@@ -53,7 +54,7 @@ def assert_updates_raise_the_return_after_meta_training_alone(method: str, updat
     def returns(state: Any) -> np.ndarray:
         """Before and after the updates, `[task, 2]`."""
         fast, episodes = learner.fast_learner(state), updates * EPISODES
-        found = adapt(fast, collect, episodes=episodes, seed=5)
+        found = adapt(fast, collect, Evaluation(seed=5), episodes=episodes)
         return np.asarray(found.curves.mean_return)[:, [0, updates]]
 
     before, after = returns(trained).T

@@ -85,8 +85,8 @@ def test_the_path_of_a_table_says_what_its_name_says() -> None:
     assert usual == Path("run/adaptation/test-sparse.csv")
     assert table_name(usual) == TableName("test", "sparse")
     changed = Evaluation(tasks="ood", reward="dense", engine="mjx")
-    other = adaptation_file(Path("run"), changed, first_update=10)
-    assert table_name(other) == TableName("from-10-ood-on-mjx", "dense")
+    other = adaptation_file(Path("run"), changed)
+    assert table_name(other) == TableName("ood-on-mjx", "dense")
 
 
 @pytest.mark.parametrize(

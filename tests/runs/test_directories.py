@@ -161,9 +161,8 @@ def test_a_run_that_was_changed_since_it_was_opened_is_not_trained(tmp_path: Pat
 @pytest.mark.parametrize(
     "name", ["metrics.jsonl", "timing.jsonl", "adaptation", "checkpoints/more"]
 )
-@pytest.mark.parametrize("command", ["resume", "adapt", "report"])
-def test_nothing_is_written_through_a_link(
-    finished_drift: Run, capsys: pytest.CaptureFixture[str], name: str, command: str
+def test_training_writes_nothing_through_a_link(
+    finished_drift: Run, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     directory = finished_drift.directory
     victim, link = directory.parent / "victim", directory / name
@@ -171,7 +170,7 @@ def test_nothing_is_written_through_a_link(
     (directory.parent / "folder").mkdir(exist_ok=True)
     link.unlink(missing_ok=True)
     link.symlink_to("../folder" if name == "adaptation" else directory.parent / "victim")
-    assert cli.run([command, str(directory)]) == cli.USAGE_ERROR
+    assert cli.run(["resume", str(directory)]) == cli.USAGE_ERROR
     assert f"`{link}` must be a file or a folder itself, but is a link" in capsys.readouterr().err
     assert victim.read_text() == "precious"
     assert not list((directory.parent / "folder").iterdir())

@@ -2,7 +2,6 @@
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, r
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 from maesn.runs.serialization import from_json, to_json
-from maesn.storage import RunError, write_arrays
+from maesn.storage import RunError
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
 
@@ -61,13 +60,7 @@ def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:
     assert not (trained / "adaptation" / "test-sparse.latents.npz").exists()
 
 
-def test_latents_are_no_start_and_there_is_nothing_to_export(trained: Path, tmp_path: Path) -> None:
-    latents: dict[str, Any] = {
-        "mean": np.zeros((1, 100, 2)), "log_std": np.zeros((1, 100, 2)), "first_update": 0,
-    }  # fmt: skip
-    write_arrays(tmp_path / "old.latents.npz", latents)
-    with pytest.raises(RunError, match="cannot be a start: the latents in it are not all"):
-        api.adapt(trained, start=tmp_path / "old.latents.npz")
+def test_there_is_nothing_to_export(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="cannot be exported"):
         api.export(trained, tmp_path / "policy.npz")
 

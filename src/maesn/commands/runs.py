@@ -1,18 +1,26 @@
-"""Commands that work on runs: go on with one, adapt it, draw it, film it, export it; the demo."""
+"""Commands that work on runs and studies, and the demo."""
 
+from functools import wraps
 from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import Positional
 
 from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation import film
+from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
-from maesn.reporting.tables import print_adaptation_summary, print_tables
+from maesn.reporting.tables import TextTable, print_adaptation_summary, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError, refusals
+from maesn.studies.comparison import compare as compare_runs
+from maesn.studies.executors import ExecutorName
+from maesn.studies.study import Results, Study
 
 
 def say_what_is_next(run: Run) -> None:
@@ -60,10 +68,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     if (run / CONFIG).exists():
         begun = Run.open(run).settings
         if (begun.method, begun.family, begun.seed) != ("maesn", settings.family, seed):
-            raise RunError(
-                f"`{run}` holds a run of {begun.method} on {begun.family} with seed {begun.seed}, "
-                f"not of maesn on {settings.family} with seed {seed}: give another `--run`."
-            )
+            raise RunError(f"`{run}` holds another run than this demo: give another `--run`.")
         api.resume(run, iterations)
     else:
         api.train(recommended("maesn", settings.family), settings, run)
@@ -75,3 +80,62 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
         print_adaptation_summary(done.table)
     print("3. figures")
     _say_reported(api.report([run]))
+
+
+@command
+def study(
+    action: Positional[Literal["run", "status"]],
+    file: Positional[str],
+    *,
+    out: Path = Path("studies"),
+    executor: ExecutorName = "local",
+    workers: int | None = None,
+    retries: int = 2,
+    only: str | None = None,
+    dry_run: Flag = False,
+) -> None:
+    """Compute a study: train, adapt, compare. What was interrupted goes on with the same command.
+
+    Args:
+        action: run: compute it. status: show how its jobs are, and the time left.
+        file: A .toml file, or the name of a study that comes with the library.
+        out: Directory of jobs and results; studies there share jobs.
+        executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
+        workers: Jobs at a time; None: as many as there are CPUs for.
+        retries: How often a job that failed by accident is tried again.
+        only: The one job to compute, as a job of an array does.
+        dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
+    """
+    asked = Study.load(file)
+    if action == "run" and not dry_run:
+        where = {"executor": executor, "workers": workers, "retries": retries, "only": only}
+        _say_results(asked.run(out, **where, say=print))  # type: ignore[arg-type]
+        return
+    execution = asked.execution(out)
+    jobs, left = execution.jobs.items(), (execution.left(workers or 1),)
+    if dry_run:
+        rows = [(name, f"{job.steps:,}") for name, job in jobs]
+        rows.append(("all", f"{sum(job.steps for _, job in jobs):,}"))
+        columns = ("job", "environment steps")
+        print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), left)])
+    else:
+        states = tuple((name, *execution.status(job)) for name, job in jobs)
+        print_tables([TextTable("Jobs", ("job", "status", ""), states, left)])
+
+
+@command
+@wraps(compare_runs)
+def compare(*runs: Any, **options: Any) -> None:
+    """Compare runs that exist, and say how far it is."""
+    _say_results(compare_runs(*runs, **options | {"say": print}))
+
+
+def _say_results(done: Results) -> None:
+    """Print the tables; let the command fail if a job did."""
+    print_tables(done.tables)
+    if done.failed:
+        name, error = next(iter(done.failed.items()))
+        raise RunError(
+            f"{len(done.failed)} jobs failed, the first is `{name}`: {error} All that do not "
+            "need them are done; the same command tries them again."
+        )

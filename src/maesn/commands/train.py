@@ -3,7 +3,7 @@
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -15,12 +15,9 @@ from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
-from maesn.runs.serialization import differing
 from maesn.runs.training import KEEP
 from maesn.settings import suggestion
 from maesn.storage import RunError
-
-Source: TypeAlias = Literal["recommended", "reference"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +26,7 @@ class Options:
 
     run_settings: Annotated[RunSettings, tyro.conf.arg(name="")]
     learner: Annotated[AbstractMetaLearner[Any, Any], tyro.conf.arg(name="")]
-    settings: Source = "recommended"
+    settings: Literal["recommended", "reference"] = "recommended"
     """recommended: the defaults are what was found to work on the family, where that is known;
     reference: they are the published ones."""
     run: Path | None = None
@@ -44,10 +41,9 @@ class Options:
 
 def train(arguments: list[str]) -> None:
     """Run `maesn train`, whose options depend on the method and the family."""
+    method, *rest = arguments or ["--help"]
     known = ", ".join(learners.PRESETS)
-    if not arguments:
-        raise RunError(f"name a method: maesn train METHOD --run DIR. Known are: {known}.")
-    if arguments[0] in ("-h", "--help"):
+    if method in ("-h", "--help"):
         print(
             "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
             f"METHOD is one of: {known}.\n"
@@ -55,27 +51,17 @@ def train(arguments: list[str]) -> None:
             "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
             "the method on that family. Those of `maesn`:\n"
         )
-        read_options("maesn", arguments)
-    method, *rest = arguments
-    if method in learners.SCRATCH:
-        raise RunError(
-            f"`{method}` is not meta-trained: it learns each task from scratch, as in "
-            f"`maesn compare --scratch {method} --family FAMILY --out DIR`."
-        )
+        read_options("maesn", ["--help"])
     if method not in learners.METHODS:
         hint = suggestion(method, learners.METHODS)
         raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
-    _train(method, read_options(method, rest))
-
-
-def _train(method: str, options: Options) -> None:
+    options = read_options(method, rest)
     enable_compilation_cache()
     settings = options.run_settings
     directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
     env = make_env(resolve_family(settings.family), settings)
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
-    _say_what_suits(method, options)
     given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
     say_what_is_next(api.train(learner, settings, directory, **given))
 
@@ -86,30 +72,11 @@ def read_options(method: str, arguments: list[str]) -> Options:
     first.add_argument("--family", nargs="?")
     first.add_argument("--settings", nargs="?")
     found, _ = first.parse_known_args(arguments)
-    source: Source = "reference" if found.settings == "reference" else "recommended"
-    default = _defaults(method, found.family or RunSettings().family, source)
+    family = found.family or RunSettings().family
+    if found.settings == "reference":
+        default = Options(RunSettings(family=family), learners.METHODS[method](), "reference")
+    else:
+        settings = RunSettings(family=family, **learners.recommended_run(method, family))
+        default = Options(settings, learners.recommended(method, family))
     options: Options = parse(Options, f"train {method}", arguments, default)
     return options
-
-
-def _defaults(method: str, family: str, source: Source) -> Options:
-    if source == "reference":
-        return Options(RunSettings(family=family), learners.METHODS[method](), source)
-    settings = RunSettings(family=family, **learners.recommended_run(method, family))
-    return Options(settings, learners.recommended(method, family), source)
-
-
-def _say_what_suits(method: str, options: Options) -> None:
-    """Print the defaults that are the family's own and were not overridden."""
-    family = options.run_settings.family
-    suited, usual = (_defaults(method, family, s) for s in ("recommended", "reference"))
-    own, chosen = (
-        differing(one.run_settings, usual.run_settings) | differing(one.learner, usual.learner)
-        for one in (suited, options)
-    )
-    kept = [f"{name} {value}" for name, value in own.items() if chosen.get(name) == value]
-    if kept:
-        print(
-            f"settings that suit `{family}`: {', '.join(kept)} (--settings reference for the "
-            "published ones)"
-        )

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import TaskKeys
-from maesn.evaluation.evaluation import CHUNK_SIZE
+from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
+from maesn.learners import AbstractFastLearner, Purpose
 from maesn.worlds import EpisodeError
 from maesn.worlds.collector import Collector
 
@@ -49,8 +49,6 @@ class AdaptationOutcome(NamedTuple):
     none were asked for."""
     contexts: Any
     """What was adapted, `[task, update, ...]`: `AbstractFastLearner.adapted`."""
-    first_update: int
-    """Number of updates that lie before the first column."""
     episodes_per_update: int
     """Number of episodes of a task that an update adds to what the agent has learned from."""
     trial_episodes: int | None = None
@@ -65,13 +63,9 @@ class AdaptationOutcome(NamedTuple):
 def adapt(
     learner: AbstractFastLearner[Any],
     collect: Collector,
+    evaluation: Evaluation = USUAL,
     *,
-    episodes: int = 500,
-    deploy: Collector | None = None,
-    deploy_after: Collection[int] = (),
-    seed: int = 0,
-    chunk_size: int = CHUNK_SIZE,
-    saved: SavedContexts | None = None,
+    episodes: int | None = None,
     tasks: Sequence[int] | None = None,
 ) -> AdaptationOutcome:
     """Adapt to tasks of a set, all of them at once.
@@ -79,37 +73,37 @@ def adapt(
     Args:
         learner: learns in each task separately.
         collect: plays the episodes of each task that an update learns from.
-        episodes: of each task, in all: a multiple of `collect.episodes_per_task`.
-        deploy: plays the fresh episodes that judge the deployed agents; None for none.
-        deploy_after: numbers of episodes after which it does; none for after every update.
-        seed: of the episodes. The same seed gives the same episodes for any `chunk_size`.
-        chunk_size: number of tasks that advance together at most; bounds the memory.
-        saved: contexts of all tasks of the set to go on from, with the same episodes as if there
-            had been no break; None for the learner's own start.
-        tasks: indices of the tasks, in the order of the outcome; None for all. A task's episodes
-            do not depend on which others there are.
+        evaluation: budgets, seed, and how many tasks advance together at most. The same seed gives
+            the same episodes for any such number.
+        episodes: of each task, in all: a multiple of `collect.episodes_per_task`; None for what the
+            evaluation says.
+        tasks: indices of the tasks, in the order of the outcome; None for the first ones, as many
+            as the evaluation says. A task's episodes do not depend on which others there are.
 
     Raises:
         EpisodeError: an episode went wrong, perhaps because updates have led its agent astray.
     """
-    chosen = np.arange(collect.num_tasks) if tasks is None else np.asarray(tasks)
-    first = 0 if saved is None else saved.updates
-    updates = range(first, first + episodes // collect.episodes_per_task + 1)
-    judged = {count // collect.episodes_per_task for count in deploy_after} or set(updates)
+    budget, each = evaluation.budget, collect.episodes_per_task
+    updates = range((budget.episodes if episodes is None else episodes) // each + 1)
+    deploy = Collector(collect.world, budget.deploy) if budget.deploy else None
+    judged = {count // each for count in evaluation.deploy_after} or updates
+    chosen = np.arange(evaluation.count(collect.world.tasks)) if tasks is None else np.array(tasks)
     most = min(one.most_tasks for one in (collect, deploy or collect))
-    size = min(chunk_size, most, len(chosen))
+    size = min(evaluation.tasks_at_once, most, len(chosen))
     parts = []
     for start in range(0, len(chosen), size):
         # Chunks of one size share compiled programs: the last task fills the last of them.
         slots = chosen[np.minimum(np.arange(start, start + size), len(chosen) - 1)]
-        parts.append(_adapt_chunk(learner, collect, deploy, judged, slots, updates, seed, saved))
+        parts.append(
+            _adapt_chunk(learner, collect, deploy, judged, slots, updates, evaluation.seed)
+        )
     explored, deployed, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
     trial_episodes = learner.capabilities.trial_episodes
     # Trials are played side by side: each has seen one episode more.
-    added = collect.episodes_per_task if trial_episodes is None else 1
-    return AdaptationOutcome(explored, deployed, contexts, first, added, trial_episodes)
+    added = each if trial_episodes is None else 1
+    return AdaptationOutcome(explored, deployed, contexts, added, trial_episodes)
 
 
 def _adapt_chunk(
@@ -120,12 +114,9 @@ def _adapt_chunk(
     slots: np.ndarray,
     updates: range,
     seed: int,
-    saved: SavedContexts | None,
-) -> tuple[AdaptationCurves, AdaptationCurves | None, Any]:
-    """Return curves and contexts of some tasks, `[task, update, ...]`."""
-    if saved is not None:
-        saved = SavedContexts(jax.tree.map(lambda x: x[slots], saved.context), saved.updates)
-    state = learner.init(_task_keys(seed, _START, slots), saved)
+) -> Any:
+    """Return curves of both purposes and contexts of some tasks, `[task, update, ...]`."""
+    state = learner.init(_task_keys(seed, _START, slots))
 
     def play(plays: Collector, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
         try:
@@ -147,10 +138,7 @@ def _adapt_chunk(
         columns.append(jax.tree.map(np.asarray, (column, fresh, learner.adapted(state))))
         if update < updates[-1]:
             state = learner.update(state, explored)
-    stacked: tuple[AdaptationCurves, AdaptationCurves | None, Any] = jax.tree.map(
-        lambda *xs: np.stack(xs, axis=1), *columns
-    )
-    return stacked
+    return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 
 @jax.jit
@@ -182,14 +170,13 @@ def as_rows(outcome: AdaptationOutcome) -> Iterator[dict[str, Any]]:
         if curves is None:
             continue
         measures = {name: np.asarray(values, np.float32) for name, values in vars(curves).items()}
-        for task, column in np.ndindex(curves.mean_return.shape):
-            update = outcome.first_update + column
-            if np.isnan(measures["mean_return"][task, column]):
+        for task, update in np.ndindex(curves.mean_return.shape):
+            if np.isnan(measures["mean_return"][task, update]):
                 continue  # not judged
             yield {
                 "task": task,
                 "update": update,
                 "episodes": update * outcome.episodes_per_update,
                 "purpose": purpose,
-                **{name: values[task, column] for name, values in measures.items()},
+                **{name: values[task, update] for name, values in measures.items()},
             }

@@ -2,19 +2,18 @@
 
 import dataclasses
 from collections.abc import Sequence, Sized
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 
 from maesn.envs import AnyEnv, RewardKind
+from maesn.evaluation.arguments import AnyRule, AnyWrappers
 from maesn.learners import AbstractFastLearner
 from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule, written_out
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
 from maesn.worlds import EngineName
-
-CHUNK_SIZE = 25  # tasks that advance together; 50 episodes each of 200 steps take about 100 MB
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,9 +27,11 @@ class Evaluation:
     """The first so many of them; None: all."""
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
-    rule: Annotated[AbstractRule | None, tyro.conf.Suppress] = None
-    """What happens in a new task; None: what the method prescribes."""
-    wrappers: Annotated[tuple[AbstractWrapper, ...], tyro.conf.Suppress] = ()
+    rule: AnyRule = None
+    """What happens in a new task: gradient, search, best_of, cross_entropy, cma_es, memory or none,
+    or `module:name` of your own; behind it its settings, as in `--rule gradient step_scale=2`.
+    None: what the method prescribes. `maesn list` has all settings."""
+    wrappers: AnyWrappers = ()
     """What is added to the rule, such as fine-tuning or a bonus."""
     episodes: int | None = None
     """Episodes of each task that are learned from; None: as many as the rule usually has, 500, or
@@ -53,8 +54,9 @@ class Evaluation:
     """Engine that moves the world, native or mjx; None: the run's own."""
     num_threads: int | None = None
     """Threads of the physics engine, 0 for one for each CPU; None: as the run's settings say."""
-    tasks_at_once: int = CHUNK_SIZE
-    """Tasks that advance together. Memory grows with it; what is played does not depend on it."""
+    tasks_at_once: int = 25
+    """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
+    about 100 MB. What is played does not depend on it."""
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
@@ -88,17 +90,13 @@ class Evaluation:
 
     def changed(self, **settings: Any) -> "Evaluation":
         """Return the evaluation with some settings changed; `RunError` if they cannot be."""
-        known = [field.name for field in dataclasses.fields(self)]
-        for name in settings:
-            if name not in known:
-                raise RunError(f"an evaluation has no setting `{name}`; it has {', '.join(known)}.")
         with refusals():
             return dataclasses.replace(self, **settings)
 
     @property
     def budget(self) -> Budget:
         """The numbers of episodes, with those that the rule usually has where none are given."""
-        usual = AbstractRule.budget if self.rule is None else self.rule.budget
+        usual = (self.rule or AbstractRule).budget
         given = (self.episodes, self.episodes_per_update, self.deploy_episodes)
         return Budget(*(u if g is None else g for u, g in zip(usual, given, strict=True)))
 
@@ -132,28 +130,24 @@ class Evaluation:
 
     def fast_learner(self, trained: Trained, method: str, env: AnyEnv) -> AbstractFastLearner[Any]:
         """Return what learns in new tasks; `RunError` if `method`, rule and budgets do not fit."""
+        budget = self.budget
         try:
-            rule = default_rule(trained) if self.rule is None else self.rule
-            learner = rule.fast_learner(trained, env)
+            learner = (self.rule or default_rule(trained)).fast_learner(trained, env)
             for wrapper in self.wrappers:
                 learner = wrapper.wrap(learner, env)
-            self._check_fit(learner)
+            if budget.episodes:
+                learner.capabilities.check_episodes(budget.per_update)
         except ValueError as error:
             raise RunError(f"`{method}` cannot be adapted like this: {error}") from error
-        return learner
-
-    def _check_fit(self, learner: AbstractFastLearner[Any]) -> None:
-        """Refuse budgets that the learner can do nothing with."""
-        capabilities, budget = learner.capabilities, self.budget
-        if budget.episodes:
-            capabilities.check_episodes(budget.per_update)
-        trials = capabilities.trial_episodes is not None
-        if trials and budget.deploy not in (0, budget.per_update):
-            raise ValueError(
+        is_trial = learner.capabilities.trial_episodes is not None
+        if is_trial and budget.deploy not in (0, budget.per_update):
+            raise RunError(
                 "`deploy_episodes` must be 0 or equal `episodes_per_update` for a policy that "
-                f"remembers earlier episodes, got {budget.deploy} and {budget.per_update}: each "
-                "trial goes on with an episode of its own."
+                f"remembers earlier episodes, got {budget.deploy} and {budget.per_update}."
             )
+        return learner
 
 
 USUAL = Evaluation()
+AnyEvaluation: TypeAlias = Annotated[Evaluation, tyro.conf.arg(name="")]
+"""An evaluation, whose settings are options on the command line."""

@@ -103,8 +103,7 @@ def record_exploration(run: Run, path: Path) -> None:
         prior_latents=prior_latents,
     )
     # What a family or a method lacks is None, or has no elements.
-    held = vars(recorded).items()
-    arrays = {name: array for name, array in held if array is not None and np.size(array)}
+    arrays = {name: one for name, one in vars(recorded).items() if one is not None and np.size(one)}
     write_arrays(path, arrays)
 
 

@@ -16,9 +16,9 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
-from maesn.evaluation.arguments import AnyEvaluation, AnyFamily, AnyRun, OptionalPath
+from maesn.evaluation.arguments import AnyFamily, AnyRun, OptionalPath
 from maesn.evaluation.evaluate import adapt
-from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.evaluation.evaluation import USUAL, AnyEvaluation, Evaluation
 from maesn.evaluation.running import adaptation_file, new_tasks, open_run
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
@@ -133,7 +133,7 @@ def record_adaptation(
 
     episodes = (max(after) + shown - 1) // each * each
     collect = Collector(world, each, keep)
-    adapt(learner, collect, episodes=episodes, seed=evaluation.seed, tasks=[task])
+    adapt(learner, collect, Evaluation(seed=evaluation.seed), episodes=episodes, tasks=[task])
     return {before: filmed[:shown] for before, filmed in played.items()}
 
 

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,7 +18,7 @@ from maesn.envs import NAMED_SETS, describe_env
 from maesn.evaluation.arguments import AnyFamily, AnyRun
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import AbstractFastLearner, SavedContexts
+from maesn.learners import AbstractFastLearner
 from maesn.reporting.reading import LATENTS, RECORD, TableName
 from maesn.reporting.runs import Latents, read_record
 from maesn.rules import Trained
@@ -28,11 +27,12 @@ from maesn.runs.run import Run
 from maesn.runs.serialization import digest
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
+from maesn.settings import check_number
 from maesn.storage import (
     RunError,
-    explained,
     read_arrays,
-    refuse_links,
+    read_json,
+    refusals,
     write_arrays,
     write_json,
     write_rows,
@@ -43,9 +43,7 @@ from maesn.worlds.collector import Collector
 
 def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
     """Open a run whose directory will be written to; of a policy with the library, a copy."""
-    opened = run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
-    refuse_links(opened.directory)
-    return opened
+    return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
 
 
 @contextmanager
@@ -68,15 +66,15 @@ def new_tasks(
 
 
 def evaluate(
-    run: Run, evaluation: Evaluation, start: Path | None = None, tasks: Sequence[int] | None = None
+    run: Run, evaluation: Evaluation, tasks: Sequence[int] | None = None
 ) -> tuple[AdaptationOutcome, dict[str, Any]]:
     """Adapt a run to new tasks as `maesn.adapt` says; return the outcome, and its record.
 
     `tasks` are indices of some of them; None for all that `evaluation` says.
     """
+    budget = evaluation.budget
     with new_tasks(run, evaluation) as (world, learner):
-        saved = None if start is None else _saved_contexts(start, learner, len(world.tasks))
-        outcome = play(world, learner, evaluation, saved, tasks)
+        outcome = adapt(learner, Collector(world, budget.per_update), evaluation, tasks=tasks)
     return outcome, {
         **identity_of_run(run),
         "rule": evaluation.rule_text,
@@ -84,37 +82,14 @@ def evaluate(
         "world": describe_env(world.env),
         "engine": engine_of(world.env, evaluation.engine or run.settings.engine),
         "task_digest": world.tasks.digest(),
-        "episodes_per_update": evaluation.budget.per_update,
-        "deploy_episodes": evaluation.budget.deploy,
+        "episodes_per_update": budget.per_update,
+        "deploy_episodes": budget.deploy,
         "deploy_after": list(evaluation.deploy_after),
         "seed": evaluation.seed,
         "num_tasks": evaluation.count(world.tasks),
-        "episodes": evaluation.budget.episodes,
-        "first_update": outcome.first_update,
+        "episodes": budget.episodes,
         "trial_episodes": outcome.trial_episodes,
     }
-
-
-def play(
-    world: AbstractWorld,
-    learner: AbstractFastLearner[Any],
-    evaluation: Evaluation,
-    saved: SavedContexts | None = None,
-    tasks: Sequence[int] | None = None,
-) -> AdaptationOutcome:
-    """Adapt a fast learner in a world, with the budgets of an evaluation; see `evaluate`."""
-    budget = evaluation.budget
-    return adapt(
-        learner,
-        Collector(world, budget.per_update),
-        episodes=budget.episodes,
-        deploy=Collector(world, budget.deploy) if budget.deploy else None,
-        deploy_after=evaluation.deploy_after,
-        seed=evaluation.seed,
-        chunk_size=evaluation.tasks_at_once,
-        saved=saved,
-        tasks=range(evaluation.count(world.tasks)) if tasks is None else tasks,
-    )
 
 
 def identity_of_run(run: Run) -> dict[str, str]:
@@ -123,45 +98,24 @@ def identity_of_run(run: Run) -> dict[str, str]:
     return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 
-def _saved_contexts(path: Path, learner: AbstractFastLearner[Any], num_tasks: int) -> SavedContexts:
-    # A start at the prior has no use for keys.
-    state = learner.init(jax.random.split(jax.random.key(0), num_tasks))
-    wanted = learner.agents(state).context
-    if not (learner.capabilities.resumes and isinstance(wanted, Latent)):
-        raise RunError(
-            f"`{path}` cannot be a start: the latents in it are not all that this method learns in "
-            "a task."
-        )
-    latents, updates = read_latents(path)
-    if latents.mean.shape != wanted.mean.shape:
-        raise RunError(
-            f"`{path}` holds latents of the shape [task, z] = {list(latents.mean.shape)}, but "
-            f"{list(wanted.mean.shape)} are to be adapted: give the task set and the run of before."
-        )
-    return SavedContexts(latents, updates)
+def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
+    """Return where a table of adaptation curves goes by default, `DIR/adaptation/TASKS-REWARD.csv`.
 
-
-def adaptation_file(directory: Path, evaluation: Evaluation, first_update: int = 0) -> Path:
-    """Return where a table of adaptation curves goes by default.
-
-    `DIR/adaptation/TASKS-REWARD.csv`, where TASKS is the name of a set, or `file-STEM-DIGEST` for a
-    user's own file with a digest of the tasks in it. Before it stands `from-UPDATE-` if an earlier
-    adaptation goes on; behind it number of tasks, sparse radius and engine, each where it is not
-    the usual one, so that what cannot be compared never shares a figure. Behind the reward stand
-    rule and wrappers.
+    TASKS is the name of a set, or `file-STEM-DIGEST` for a user's own file. Behind it stand number
+    of tasks, sparse radius and engine where they are not the usual ones, and behind the reward rule
+    and wrappers: what cannot be compared never shares a figure.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
         held = read_arrays(Path(name), "give an .npz file of tasks")
         name = f"file-{Path(name).stem}-{digest_of_arrays(held)[:6]}"
-    parts = {
-        f"from-{first_update}-{name}" if first_update else name: True,
-        f"-first-{evaluation.num_tasks}": evaluation.num_tasks,
-        f"-radius-{evaluation.sparse_radius}": evaluation.sparse_radius,
-        f"-on-{evaluation.engine}": evaluation.engine,
-    }
-    tasks = "".join(part for part, given in parts.items() if given)
-    return TableName(tasks, evaluation.reward, evaluation.suffix).path(directory)
+    if evaluation.num_tasks:
+        name += f"-first-{evaluation.num_tasks}"
+    if evaluation.sparse_radius:
+        name += f"-radius-{evaluation.sparse_radius}"
+    if evaluation.engine:
+        name += f"-on-{evaluation.engine}"
+    return TableName(name, evaluation.reward, evaluation.suffix).path(directory)
 
 
 class Adapted(NamedTuple):
@@ -182,8 +136,7 @@ class Adapted(NamedTuple):
 def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
     """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
     # In this order: a record never stands beside curves that it does not belong to.
-    with explained("replace", table.with_suffix(RECORD)):
-        table.with_suffix(RECORD).unlink(missing_ok=True)
+    table.with_suffix(RECORD).unlink(missing_ok=True)
     write_rows(table, as_rows(outcome))
     write_json(table.with_suffix(RECORD), dict(record))
     held = held_latents(outcome)
@@ -198,14 +151,23 @@ def held_latents(outcome: AdaptationOutcome) -> Latents | None:
     if not isinstance(outcome.contexts, Latent):
         return None
     mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
-    return Latents(mean, log_std, outcome.first_update)
+    return Latents(mean, log_std, first_update=0)
 
 
-def read_latents(path: Path) -> tuple[Latent, int]:
-    """Read the last latents of an adaptation, `[task, z]`, and the number of updates behind them.
+def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
+    """Return the latent `[z]` that an adaptation found for a task, and the updates behind it.
 
-    A file that cannot be read or is something else is a `RunError`.
+    Raises:
+        RunError: the file is no latents, or of other weights than the run's, or lacks the task.
     """
+    record = path.with_suffix("").with_suffix(RECORD)
+    if record.exists() and read_json(record).get("weights") != identity_of_run(run)["weights"]:
+        raise RunError(
+            f"`{path}` was adapted with other weights than the latest checkpoint of "
+            f"`{run.directory}` has: adapt this run, and give the latents that this writes."
+        )
     read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
-    mean, log_std = (jnp.asarray(x[:, -1], jnp.float32) for x in (read.mean, read.log_std))
+    with refusals():
+        check_number("task", task, 0, len(read.mean) - 1)
+    mean, log_std = (jnp.asarray(x[task, -1], jnp.float32) for x in (read.mean, read.log_std))
     return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

@@ -4,7 +4,6 @@ from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
 from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners.base import Capabilities as Capabilities
 from maesn.learners.base import Purpose as Purpose
-from maesn.learners.base import SavedContexts as SavedContexts
 from maesn.learners.gradient.fast_learner import GradientFastLearner as GradientFastLearner
 from maesn.learners.gradient.fast_learner import GradientFastState as GradientFastState
 from maesn.learners.gradient.info import GradientInfo as GradientInfo

@@ -41,8 +41,6 @@ class Capabilities(NamedTuple):
     oracle do not."""
     has_bonus: bool = False
     """Whether a bonus is added to the rewards before updates see them."""
-    resumes: bool = False
-    """Whether `init` can go on from saved contexts: they are all that the learner changes."""
     least_episodes: int = 1
     """Episodes of a task that an update needs at least."""
 
@@ -60,29 +58,16 @@ class Capabilities(NamedTuple):
             )
 
 
-class SavedContexts(NamedTuple):
-    """The contexts at the end of an earlier adaptation."""
-
-    context: AbstractContext
-    """One context per task, stacked."""
-    updates: int
-    """Number of updates that led to it."""
-
-
 class AbstractFastLearner(eqx.Module, Generic[FastState]):
     """Acts and improves in new tasks, all of them at once."""
 
     @abstractmethod
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> FastState:
-        """Return the initial state, or that of an earlier adaptation.
+    def init(self, keys: TaskKeys) -> FastState:
+        """Return the state before any experience.
 
         Args:
             keys: one key per task slot. All that is random in slot i, now and in later updates,
                 comes from `keys[i]`, so it does not depend on how many slots there are.
-            saved: contexts to continue from, one per key; None to start anew.
-
-        Raises:
-            ValueError: this learner cannot go on from contexts (`capabilities.resumes`).
         """
 
     @abstractmethod
@@ -110,19 +95,6 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
     def capabilities(self) -> Capabilities:
         """The abilities and needs of this learner."""
         return Capabilities()
-
-
-def refuse_saved(learner: AbstractFastLearner[Any], saved: SavedContexts | None) -> None:
-    """Refuse saved contexts for a learner that changes more than contexts, or nothing at all.
-
-    Raises:
-        ValueError: there are some, and the learner cannot go on from them.
-    """
-    if saved is not None and not learner.capabilities.resumes:
-        raise ValueError(
-            f"`saved` must be None for `{type(learner).__name__}`, which cannot go on from "
-            "contexts: they are not all that it learns in a task. Begin anew."
-        )
 
 
 class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):

@@ -8,14 +8,7 @@ from maesn.context import Latent
 from maesn.envs import AnyEnv
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import (
-    AbstractFastLearner,
-    Capabilities,
-    GradientFastLearner,
-    Purpose,
-    SavedContexts,
-    inside,
-)
+from maesn.learners import AbstractFastLearner, Capabilities, GradientFastLearner, Purpose, inside
 from maesn.rules.base import AbstractRule, Trained
 from maesn.settings import check_number, check_positive
 
@@ -112,8 +105,8 @@ class FixedAgents(AbstractFastLearner[Any]):
     def capabilities(self) -> Capabilities:
         return Capabilities(learns_from_reward=False)
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> Any:
-        return self.learner.init(keys, saved)
+    def init(self, keys: TaskKeys) -> Any:
+        return self.learner.init(keys)
 
     def agents(self, state: Any, purpose: Purpose = "explore") -> Agents:
         return self.learner.agents(state, purpose)

@@ -10,8 +10,7 @@ from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
-from maesn.learners.base import refuse_saved
+from maesn.learners import AbstractFastLearner, Purpose
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 from maesn.runtime.return_model import Reading, ReturnModel
@@ -37,8 +36,7 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     model: ReturnModel
     settings: SearchSettings
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> SearchState:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> SearchState:
         generators = task_generators(keys)
         start = LatentSearch.start(self.model, self.settings)
         return _propose([start] * len(generators), generators)

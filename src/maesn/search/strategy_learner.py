@@ -11,8 +11,7 @@ from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Purpose, SavedContexts
-from maesn.learners.base import refuse_saved
+from maesn.learners import AbstractFastLearner, Purpose
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 from maesn.runtime.arrays import FloatArray
@@ -36,8 +35,7 @@ class StrategyFastLearner(AbstractFastLearner[StrategyState]):
     statistics: ObservationStatistics | None
     start: AbstractStrategy
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> StrategyState:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> StrategyState:
         generators = task_generators(keys)
         return _propose([self.start] * len(generators), generators)
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.evaluation.arguments import AnyEvaluation, AnyPath, AnyRun, OptionalPath
-from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.evaluation.arguments import AnyPath, AnyRun, OptionalPath
+from maesn.evaluation.evaluation import USUAL, AnyEvaluation, Evaluation
 from maesn.learners import SCRATCH
 from maesn.reporting.runs import read_run
 from maesn.reporting.series import group_series

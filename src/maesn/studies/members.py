@@ -14,9 +14,9 @@ import numpy as np
 from maesn import learners
 from maesn.envs import AnyEnv
 from maesn.envs.sources import find_tasks, imported, resolve_family
-from maesn.evaluation.evaluate import AdaptationOutcome
+from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import evaluate, identity_of_run, play
+from maesn.evaluation.running import evaluate, identity_of_run
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner
 from maesn.policies import USUAL
 from maesn.rules import Trained, written_out
@@ -28,6 +28,7 @@ from maesn.storage import refusals
 from maesn.studies.reading import Place
 from maesn.studies.spec import RunSpec, ScratchSpec, StudySpec
 from maesn.worlds import check_policy, make_world
+from maesn.worlds.collector import Collector
 
 RUN = "run"  # in the directory of a job that trains
 
@@ -122,7 +123,8 @@ class Untrained(AbstractMember):
         with refusals():
             world = make_world(self.env(asked), new, self.world.num_threads, self.world.engine)
         with closing(world):
-            return play(world, self.learner, asked, tasks=tasks)
+            collect = Collector(world, asked.budget.per_update)
+            return adapt(self.learner, collect, asked, tasks=tasks)
 
 
 def baselines(world: RunSettings) -> dict[str, Untrained]:

@@ -8,6 +8,7 @@ from scripts import load_script
 
 from maesn.envs import Bandit, TaskSet
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import RecurrentFastLearner
 
 
@@ -28,8 +29,8 @@ def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
     outcome = adapt(
         RecurrentFastLearner(policy, 1),
         benchmark.make_collect(test, env),
+        Evaluation(tasks_at_once=10000),
         episodes=0,
-        chunk_size=10000,
     )
     optimum = benchmark.bayes_optimal_return(2, 5)
     assert optimum == pytest.approx(26 / 9)

@@ -12,13 +12,7 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import (
-    AbstractFastLearner,
-    Capabilities,
-    Purpose,
-    SavedContexts,
-    refuse_saved,
-)
+from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
 
@@ -50,14 +44,11 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     start_std: float = 1.0
     """Multiplies the standard deviation of the latents that new tasks start from."""
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> GradientFastState:
-        """See `AbstractFastLearner.init`. Nothing is random. Step sizes follow `saved.updates`."""
-        refuse_saved(self, saved)
-        if saved is None:
-            start = self.context.start_new(self.context_table, keys.shape[0])
-            saved = SavedContexts(start.widened(self.start_std), 0)
-        agents = Agents(self.policy, saved.context, shares_policy=True, statistics=self.statistics)
-        return GradientFastState(agents, jnp.asarray(saved.updates))
+    def init(self, keys: TaskKeys) -> GradientFastState:
+        """See `AbstractFastLearner.init`. Nothing is random."""
+        start = self.context.start_new(self.context_table, keys.shape[0]).widened(self.start_std)
+        agents = Agents(self.policy, start, shares_policy=True, statistics=self.statistics)
+        return GradientFastState(agents, jnp.asarray(0))
 
     def agents(self, state: GradientFastState, purpose: Purpose = "explore") -> Agents:
         """Return the adapted agents; to be judged, they play the means of their latents."""
@@ -69,7 +60,6 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         return Capabilities(
             is_recurrent=self.policy.initial_recurrent_state() is not None,
             learns_from_reward=policy is not None or context is not None,
-            resumes=policy is None and context is not None,
             least_episodes=self.adaptation.least_episodes(self.context),
         )
 

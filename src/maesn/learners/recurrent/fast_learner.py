@@ -7,13 +7,7 @@ from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
-from maesn.learners.base import (
-    AbstractFastLearner,
-    Capabilities,
-    Purpose,
-    SavedContexts,
-    refuse_saved,
-)
+from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy
 
 
@@ -35,9 +29,8 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
     trained_episodes: int
     """Episodes of a trial in meta-training."""
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> RecurrentFastState:
+    def init(self, keys: TaskKeys) -> RecurrentFastState:
         """See `AbstractFastLearner.init`. Trials begin; nothing is random."""
-        refuse_saved(self, saved)
         return RecurrentFastState(None)
 
     def agents(self, state: RecurrentFastState, purpose: Purpose = "explore") -> Agents:

@@ -13,13 +13,7 @@ from maesn.axes import ActionKind, TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners.base import (
-    AbstractFastLearner,
-    Capabilities,
-    Purpose,
-    SavedContexts,
-    refuse_saved,
-)
+from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, CategoricalMLP, GaussianMLP
 from maesn.policies.heads import MINIMUM_STD
 
@@ -29,8 +23,8 @@ class FixedPolicy(AbstractFastLearner[None]):
 
     policy: AbstractPolicy
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> None:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> None:
+        """Remember nothing."""
 
     def agents(self, state: None, purpose: Purpose = "explore") -> Agents:
         return Agents(self.policy, Nothing(), shares_policy=True)

@@ -18,7 +18,7 @@ from maesn.context import Nothing
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
-from maesn.learners.base import AbstractFastLearner, Purpose, SavedContexts, refuse_saved
+from maesn.learners.base import AbstractFastLearner, Purpose
 from maesn.learners.policy_steps import AbstractPolicyStep, GradientStep, TrustRegionStep
 from maesn.learners.trials import trials_of
 from maesn.learners.wrappers.bonus import BonusFastLearner
@@ -109,8 +109,7 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     def __check_init__(self) -> None:
         refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> PolicyGradientState:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> PolicyGradientState:
         split = jax.vmap(jax.random.split)(keys)
         policy = map_tasks(
             lambda key: self.policy.init(key, self.observation_size, self.action_size, 0),

@@ -13,13 +13,7 @@ from maesn.axes import Key, TaskKeys
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import check_observed
-from maesn.learners.base import (
-    AbstractFastLearner,
-    Capabilities,
-    Purpose,
-    SavedContexts,
-    refuse_saved,
-)
+from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 from maesn.numerics.tasks import map_tasks
 
@@ -64,8 +58,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
             raise ValueError("`learner` must not have a bonus already: it would be added twice.")
         check_observed(self.observation_size)
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> BonusFastState:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> BonusFastState:
         learner_keys, model_keys, keys = jnp.moveaxis(
             jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0
         )
@@ -78,7 +71,7 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
 
     @property
     def capabilities(self) -> Capabilities:
-        return self.learner.capabilities._replace(has_bonus=True, resumes=False)
+        return self.learner.capabilities._replace(has_bonus=True)
 
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
         """Learn from reward and bonus, then let the models learn from the transitions."""

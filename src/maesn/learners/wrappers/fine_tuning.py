@@ -14,14 +14,7 @@ from jaxtyping import Array, Int
 from maesn.axes import TaskKeys
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners.base import (
-    AbstractFastLearner,
-    Capabilities,
-    FastState,
-    Purpose,
-    SavedContexts,
-    refuse_saved,
-)
+from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
     PolicyImprovement,
@@ -67,8 +60,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
                 "fine-tune the learner inside of the bonus, by `learners.inside`."
             )
 
-    def init(self, keys: TaskKeys, saved: SavedContexts | None = None) -> FineTuningState[Any]:
-        refuse_saved(self, saved)
+    def init(self, keys: TaskKeys) -> FineTuningState[Any]:
         return self._next(self.learner.init(keys), keys, jnp.zeros((), int))
 
     def agents(self, state: FineTuningState[Any], purpose: Purpose = "explore") -> Agents:
@@ -88,7 +80,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
 
     @property
     def capabilities(self) -> Capabilities:
-        return self.learner.capabilities._replace(learns_from_reward=True, resumes=False)
+        return self.learner.capabilities._replace(learns_from_reward=True)
 
     def _next(self, learned: Any, keys: TaskKeys, count: Int[Array, ""]) -> FineTuningState[Any]:
         """Return the state after an update of the learner. After its last one, tuning begins."""

@@ -1,17 +1,47 @@
-"""`maesn list`: methods, rules, families of tasks, and policies that come with the library."""
+"""What there is: `maesn list` and `maesn doctor`."""
 
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import distributions
 from typing import Any
 
+import jax
+
+from maesn._version import __version__
 from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import evaluate
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.rules import KNOWN
-from maesn.runs.config import read_config
+from maesn.runs.compilation import cache_directory
+from maesn.runs.config import installed_versions, read_config
+from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
 from maesn.settings import leaves
+
+# Packages that extras of the installation bring.
+_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "cmaes", "plotly")
+
+
+@command
+def doctor() -> None:
+    """Show versions, engine, cores, graphics card, cache and policies; let a robot drive."""
+    packages = {"maesn": __version__} | installed_versions("mujoco.batch")
+    facts: dict[str, Sequence[object]] = {
+        "versions": [f"{name} {number}" for name, number in packages.items()],
+        "extras": [name for name in _EXTRAS if any(distributions(name=name))],
+        "cores": [len(os.sched_getaffinity(0))],
+        "JAX runs on": jax.devices(),
+        "cache": [cache_directory() or "off"],
+        "policies": policy_names(),
+    }
+    for name, found in facts.items():
+        print(f"{name:12s} {', '.join(map(str, found)) or 'none'}")
+    evaluate(Run.open("wheeled"), Evaluation(num_tasks=2, episodes=20, episodes_per_update=10))
+    print(f"{'self test':12s} `wheeled` drove in two tasks; all is well")
 
 
 @command
