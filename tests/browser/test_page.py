@@ -19,7 +19,7 @@ from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
 from maesn.reporting.runs import EXPLORATION
 from maesn.runs.run import Run
-from maesn.studies.reading import Place, study_of_table
+from maesn.studies.reading import study_of_table
 from maesn.studies.study import Study
 
 HOSTILE = "<img src=x onerror=window.hacked=1>"
@@ -52,7 +52,7 @@ def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "scratch": {"trpo": {"label": HOSTILE}, "reinforce": {}},
         "evaluations": {"few": {"num_tasks": 4, "episodes": 6, "episodes_per_update": 3}},
     }
-    Study(study_of_table(table, "small", Place("small"))).run(folder, workers=1)
+    Study(study_of_table(table, "small", "small")).run(folder, workers=1)
     write_page(folder / PAGE, study_page(folder / "small"))
     return folder / PAGE
 

@@ -8,9 +8,11 @@ import signal
 import threading
 import time
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import pytest
+from inline_executor import Here
 from scripts import load_script
 
 from maesn.evaluation import exploration
@@ -19,8 +21,8 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting.study import report_studies
 from maesn.storage import LOCK, RunError, read_json
-from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
-from maesn.studies.jobs import AbstractJob
+from maesn.studies.execution import AbstractExecutor, Failure, LocalPool, Ray
+from maesn.studies.jobs import Job
 from maesn.studies.spec import (
     RECORDED,
     EvaluationSpec,
@@ -70,7 +72,7 @@ class Watched(AbstractExecutor):
     def __post_init__(self) -> None:
         self.started: list[str] = []
 
-    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
         self.started.append(job.name)
         kind = job.name.partition("-")[0]
         if self.failing.get(kind, 0) == 0:
@@ -230,7 +232,7 @@ class Killing(AbstractExecutor):
     def slots(self) -> int:  # type: ignore[override]
         return self.executor.slots
 
-    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
         if not self.killed and job.name.startswith("train"):
             threading.Thread(target=self.kill, args=(jobs / job.name / "run",)).start()
         return self.executor.submit(job, jobs)
@@ -265,16 +267,11 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     assert files(done.directory) == files(whole.directory)
 
 
-@dataclasses.dataclass(frozen=True)
-class Ending(AbstractJob):
-    """Says which process computes it, and may end that a little later."""
-
-    after: float = 0.0
-
-    def compute(self, directory: Path) -> dict[str, int]:
-        if self.after:
-            threading.Timer(self.after, os.kill, (os.getpid(), signal.SIGKILL)).start()
-        return {"process": os.getpid()}
+def ending(after: float, directory: Path) -> dict[str, int]:
+    """Say which process computes a job, and perhaps end that a little later."""
+    if after:
+        threading.Timer(after, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    return {"process": os.getpid()}
 
 
 @pytest.mark.long
@@ -282,7 +279,7 @@ def test_a_worker_that_dies_while_it_waits_is_replaced(tmp_path: Path) -> None:
     pool, processes = LocalPool(1, 1), []
     with contextlib.closing(pool):
         for name, after in {"first": 0.5, "second": 0.0, "third": 0.0}.items():
-            assert pool.submit(Ending(name, (), 0, after), tmp_path).result() is None
+            assert pool.submit(Job(name, (), 0, partial(ending, after)), tmp_path).result() is None
             processes.append(read_json(tmp_path / name / "done.json")["process"])
             if after:
                 while Path(f"/proc/{processes[0]}").exists():

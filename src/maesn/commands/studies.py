@@ -11,7 +11,7 @@ from maesn.evaluation.arguments import Flag
 from maesn.reporting.tables import TextTable, print_tables
 from maesn.storage import RunError
 from maesn.studies.comparison import compare as compare_runs
-from maesn.studies.executors import ExecutorName
+from maesn.studies.execution import ExecutorName
 from maesn.studies.reading import shipped_studies
 from maesn.studies.study import Results, Study
 

@@ -1,21 +1,20 @@
 """Comparisons of runs that exist: a study in memory."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from maesn.evaluation.arguments import AnyEvaluation, AnyPath, AnyRun, OptionalPath
-from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.evaluation.evaluation import USUAL
 from maesn.learners import SCRATCH
 from maesn.reporting.runs import read_run
 from maesn.reporting.series import group_series
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.storage import RunError
-from maesn.studies.execution import Say
-from maesn.studies.executors import AbstractExecutor, ExecutorName
+from maesn.storage import RunError, refusals
+from maesn.studies.execution import AbstractExecutor, ExecutorName, Say
 from maesn.studies.members import trained_run
 from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Results, Study
@@ -53,41 +52,41 @@ def compare(
     Raises:
         RunError: a setting, a run or a directory cannot be used.
     """
-    opened = [Run.open(one, family) for one in runs]
-    by_path = {run.directory: run for run in opened}
-    grouped = group_series([read_run(path) for path in by_path])
-    specs = {
-        one.name: RunSpec(label=one.label, directories=tuple(str(run.path) for run in one.runs))
-        for one in grouped
-    }
-    evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
-    lines = [LineSpec(run=name, evaluation=("usual",)) for name in specs]
-    if evaluation.rule is not None or evaluation.wrappers:
-        evaluations["more"] = EvaluationSpec(evaluation)
-        lines += [
-            LineSpec(run=one.name, evaluation=("more",))
-            for one in grouped
-            if _can(one.name, by_path[one.runs[0].path], evaluation, say)
-        ]
-    from_scratch = dict(map(_scratch, scratch))
-    if len(from_scratch) < len(scratch):
-        raise RunError(
-            f"`scratch` must name each method once, got {' '.join(scratch)} (`vpg` is `reinforce`)."
-        )
-    lines += [LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch]
-    if not lines:
+    if not (runs or scratch):
         raise RunError("name at least one run directory, or a method with --scratch.")
-    if oracle is not None:
-        specs["oracle"] = RunSpec(directories=(str(_oracle(oracle, family, opened)),))
+    opened = {run.directory: run for run in [Run.open(one, family) for one in runs]}
     if family is None and not opened:
         raise RunError("`family` must be given where no run says it: --family NAME.")
+    evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
+    specs, lines, more = {}, [], []
+    for one in group_series([read_run(path) for path in opened]):
+        paths = [run.path for run in one.runs]
+        specs[one.name] = RunSpec(label=one.label, directories=tuple(map(str, paths)))
+        lines.append(LineSpec(run=one.name, evaluation=("usual",)))
+        if evaluation.rule is not None or evaluation.wrappers:
+            evaluations["more"] = EvaluationSpec(evaluation)
+            try:
+                trained_run(opened[paths[0]]).trial_episodes(evaluation)
+                more.append(LineSpec(run=one.name, evaluation=("more",)))
+            except RunError as error:
+                say(f"{one.name} takes part as it is: {error}")
+    from_scratch = dict(map(_scratch, scratch))
+    lines += [*more, *(LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch)]
+    if oracle is not None:
+        method = Run.open(oracle, family).settings.method
+        if method != "oracle" or "oracle" in specs:
+            raise RunError(
+                f"`oracle` must be a run of `maesn train oracle`, and the only one: `{oracle}` is "
+                f"one of `{method}`, the others are {', '.join(specs)}."
+            )
+        specs["oracle"] = RunSpec(directories=(str(oracle),))
     spec = StudySpec(
         name="comparison",
         file="compare",
-        families=(family or _common("family", opened),),
+        families=(family or _common("family", opened.values()),),
         seeds=(evaluation.seed,),
-        variant=_common("variant", opened),
-        engine=evaluation.engine or _common("engine", opened),
+        variant=_common("variant", opened.values()),
+        engine=evaluation.engine or _common("engine", opened.values()),
         evaluation_seed=evaluation.seed,
         threads=evaluation.num_threads or 1,
         oracle="" if oracle is None else "oracle",
@@ -99,53 +98,22 @@ def compare(
     return Study(spec).run(out, executor=executor, workers=workers, say=say)
 
 
-def _common(name: str, runs: Sequence[Run]) -> Any:
+def _common(name: str, runs: Iterable[Run]) -> Any:
     """Return a setting of the world that all runs must have in common."""
     found = {getattr(run.settings, name) for run in runs}
     if len(found) > 1:
-        raise RunError(
-            f"the runs must agree in `{name}` to be compared, got {' and '.join(sorted(found))}: "
-            "compare fewer runs."
-        )
+        raise RunError(f"the runs must agree in `{name}`, got {' and '.join(sorted(found))}.")
     return next(iter(found), getattr(RunSettings(), name))
 
 
 def _scratch(text: str) -> tuple[str, ScratchSpec]:
     """Read NAME or NAME:COUNT."""
-    name, colon, count = text.partition(":")
-    if name not in SCRATCH:
+    name, _, count = text.partition(":")
+    if name not in SCRATCH or not (count or "1").isdecimal():
         raise RunError(
-            f"there is no method `{name}` that begins from scratch: known are {', '.join(SCRATCH)}."
-        )
-    if colon and not (count.isdecimal() and int(count)):
-        raise RunError(
-            f"the number of tasks in `{text}` must be a positive integer, as in `{name}:30`."
+            f"`scratch` must be one of {', '.join(SCRATCH)}, or with a number of tasks as in "
+            f"vime:30, got `{text}`."
         )
     method = SCRATCH[name].__name__
-    return method, ScratchSpec(method, num_tasks=int(count) if colon else None)
-
-
-def _can(name: str, run: Run, evaluation: Evaluation, say: Say) -> bool:
-    """Whether a run can be given the additions of an evaluation."""
-    try:
-        trained_run(run).trial_episodes(evaluation)
-    except RunError as error:
-        say(f"{name} takes part as it is: {error}")
-        return False
-    return True
-
-
-def _oracle(directory: str | Path, family: str | None, runs: Sequence[Run]) -> Path:
-    """Return the directory of a run whose policy is given the task."""
-    run = Run.open(directory, family)
-    if run.settings.method != "oracle":
-        raise RunError(
-            f"`{run.directory}` must be a run of `oracle`, which is given the task, to be the "
-            f"upper end of a score, but is one of `{run.settings.method}`: train one with `maesn "
-            "train oracle`."
-        )
-    if any(one.settings.method == "oracle" for one in runs):
-        raise RunError(
-            "an oracle is among the runs, and --oracle names one as well: give one of the two."
-        )
-    return run.directory
+    with refusals():
+        return method, ScratchSpec(method, num_tasks=int(count) if count else None)

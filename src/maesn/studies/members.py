@@ -23,10 +23,10 @@ from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
-from maesn.settings import leaves
+from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.reading import Place
-from maesn.studies.spec import RunSpec, ScratchSpec, StudySpec
+from maesn.studies.spec import ScratchSpec, StudySpec
 from maesn.worlds import check_policy, make_world
 
 RUN = "run"  # in the directory of a job that trains
@@ -44,6 +44,7 @@ class AbstractMember(ABC):
     seed: int
     method: str = ""
     """By which it is drawn; empty for a baseline."""
+    label: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """By their path."""
     identity: str
@@ -136,8 +137,9 @@ def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untra
     """Return the seeds of a method from scratch; `RunError` if it cannot learn in a family."""
     spec, world = study.scratch[name], study.world(family)
     spec = dataclasses.replace(spec, method=spec.method or name)
-    learner = scratch_learner(spec, make_env(resolve_family(family), world))
-    own = {"method": spec.method, "settings": fields_to_json(spec)}
+    with (Place(study.file) / "scratch" / name).refusing():
+        learner = scratch_learner(spec, make_env(resolve_family(family), world))
+    own = {"method": spec.method, "label": spec.label, "settings": fields_to_json(spec)}
     return [_untrained(world, learner, seed, **own) for seed in spec.seeds or study.seeds]
 
 
@@ -148,9 +150,8 @@ def scratch_learner(spec: ScratchSpec, env: AnyEnv) -> AbstractFastLearner[Any]:
     given = {"max_kl": spec.max_kl, "step_size": spec.step_size, "curiosity": bonus}
     known = inspect.signature(make).parameters
     chosen = {name: one for name, one in given.items() if one is not None and name in known}
-    with refusals(f"`{spec.method}` cannot learn in `{env.name}`: "):
-        policy = USUAL[env.action_kind]
-        return make(env.observation_size, env.action_size, policy=policy, **chosen)
+    policy = USUAL[env.action_kind]
+    return make(env.observation_size, env.action_size, policy=policy, **chosen)
 
 
 def _untrained(
@@ -166,12 +167,13 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
     Raises:
         RunError: a setting cannot be, or a run that exists cannot be read.
     """
-    spec, place = study.runs[name], Place(study.file) / "runs" / name
+    spec = study.runs[name]
     if family not in (spec.families or [family]):
         return []
-    if spec.directories:
-        return [_existing(one, study, family, place) for one in spec.directories]
-    return [_to_train(study, name, family, seed, place) for seed in spec.seeds or study.seeds]
+    with (Place(study.file) / "runs" / name).refusing():
+        if spec.directories:
+            return [_existing(one, spec.label, study, family) for one in spec.directories]
+        return [_to_train(study, name, family, seed) for seed in spec.seeds or study.seeds]
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
@@ -187,45 +189,46 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
     )
 
 
-def _existing(directory: str, study: StudySpec, family: str, place: Place) -> TrainedRun:
+def _existing(directory: str, label: str, study: StudySpec, family: str) -> TrainedRun:
     own_family = family if ":" in family else None
     run = Run.open(directory, own_family)
     wanted = (resolve_family(family).name, study.variant)
     found = (run.config.family, run.env().variant)
     if found != wanted:
-        place.refuse(
-            f"`{run.directory}` must be a run on {' of variant '.join(wanted)}, got one on "
-            f"{' of variant '.join(found)}."
-        )
-    steps = run.latest().environment_steps
-    return trained_run(run, directory=directory, family=own_family, training_steps=steps)
+        raise ValueError(f"expected a run on {' '.join(wanted)}, got {' '.join(found)}.")
+    return trained_run(
+        run,
+        label=label,
+        directory=directory,
+        family=own_family,
+        training_steps=run.latest().environment_steps,
+    )
 
 
-def _to_train(study: StudySpec, name: str, family: str, seed: int, place: Place) -> TrainedRun:
+def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
     """Return a run that is to be trained; all is checked that can be before."""
     init_from, resolved = study.runs[name].init_from, resolve_family(family)
-    learner, settings = _settings(study, name, family, seed, place)
-    with place.refusing():
-        learner = learner.for_actions(make_env(resolved, settings).action_kind)
-        learner.check_batch(settings.episodes_per_task)
-        tasks = find_tasks(settings.tasks, resolved)
-        run = Run(Path(name), new_config(settings, learner, resolved, tasks), resolved, tasks)
-        check_policy(learner.player(_blank_state(run)), run.env())
+    learner, settings = _settings(study, name, family, seed)
+    learner = learner.for_actions(make_env(resolved, settings).action_kind)
+    learner.check_batch(settings.episodes_per_task)
+    tasks = find_tasks(settings.tasks, resolved)
+    run = Run(Path(name), new_config(settings, learner, resolved, tasks), resolved, tasks)
+    check_policy(learner.player(_blank_state(run)), run.env())
     document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
     del document["settings"]["checkpoint_every"]
     started = identity_of_run(Run.open(init_from)) if init_from else ""
     digest = digest_of_document(document | {"init_from": started})
     job = f"train-{resolved.name}-{name}-seed-{seed}-{digest}"
-    return trained_run(run, job, job=job, init_from=init_from, family=settings.own_family)
+    where = {"label": study.runs[name].label, "init_from": init_from}
+    return trained_run(run, job, job=job, family=settings.own_family, **where)
 
 
 def _settings(
-    study: StudySpec, name: str, family: str, seed: int, place: Place
+    study: StudySpec, name: str, family: str, seed: int
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
-    """Return learner and settings of a run that is to be trained; `RunError` with the wrong key."""
+    """Return learner and settings of a run that is to be trained."""
     spec = study.runs[name]
-    preset = spec.preset or name
-    usual: dict[str, Any] = {}
+    preset, usual = spec.preset or name, {}
     if ":" in preset:
         learner = imported(preset, "preset")()
     elif spec.source == "reference":
@@ -233,22 +236,17 @@ def _settings(
     else:
         learner = learners.recommended(preset, family)
         usual = learners.recommended_run(preset, family)
-    with place.refusing():
-        settings = dataclasses.replace(study.world(family), seed=seed, **usual)
-    names = [one for one in fields_to_json(settings) if one not in _NOT_OF_A_RUN]
-    on_family = leaves(spec.on.get(family, {}))
-    for path, value in {**leaves(spec.changes), **on_family}.items():
-        here = place / "on" / family / path if path in on_family else place / path
-        try:
-            if path in names:
-                settings = replaced(settings, {path: value})
-            else:
-                learner = replaced(learner, {path: value})
-        except KeyError:
-            own = [one.name for one in dataclasses.fields(RunSpec) if one.name != "changes"]
-            here.unknown(path, [*names, *leaves(fields_to_json(learner)), *own], "setting")
-        except ValueError as error:
-            here.refuse(error)
+    settings = dataclasses.replace(study.world(family), seed=seed, **usual)
+    names = fields_to_json(settings).keys() - _NOT_OF_A_RUN
+    changes = leaves(spec.changes) | leaves(spec.on.get(family, {}))
+    own = {path: value for path, value in changes.items() if path in names}
+    others = {path: value for path, value in changes.items() if path not in names}
+    try:
+        settings, learner = replaced(settings, own), replaced(learner, others)
+    except KeyError as error:
+        (path,) = error.args
+        known = [*vars(spec), *names, *leaves(fields_to_json(learner))]
+        raise ValueError(f"there is no setting `{path}`.{suggestion(path, known)}") from error
     return learner, dataclasses.replace(settings, method=learners.method_name(learner))
 
 

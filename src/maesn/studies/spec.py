@@ -92,8 +92,6 @@ class LineSpec:
     scratch: str = ""
     evaluation: tuple[str, ...] = ()
     """None: all."""
-    label: str = ""
-    """Before what rule and wrappers add; empty: that of the run or the method."""
     families: tuple[str, ...] = ()
     """None: all that the run is trained on."""
 

@@ -3,14 +3,13 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from maesn.reporting.reading import latents_beside, read_rows
-from maesn.reporting.runs import Latents, read_record
 from maesn.reporting.study import MANIFEST, RESULTS, report_study
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import installed_versions
@@ -19,6 +18,7 @@ from maesn.settings import check_number
 from maesn.storage import (
     explained,
     locked,
+    read_arrays,
     read_json,
     refusals,
     write_arrays,
@@ -26,15 +26,20 @@ from maesn.storage import (
     write_rows,
     write_whole,
 )
-from maesn.studies.execution import Execution, Say
-from maesn.studies.executors import AbstractExecutor, ExecutorName, LocalPool, Ray
-from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS, is_done
+from maesn.studies.execution import (
+    AbstractExecutor,
+    Execution,
+    ExecutorName,
+    LocalPool,
+    Ray,
+    Say,
+)
+from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
 from maesn.studies.plan import Entry, make_plan
 from maesn.studies.reading import read_study
 from maesn.studies.spec import StudySpec
 
 JOBS = "jobs"
-_KINDS = ("lines", "baselines", "oracle")  # of lines, in a comparison
 
 
 class Results(NamedTuple):
@@ -117,7 +122,7 @@ class Study:
                 execution.run(executor, say)
             if only is not None:
                 return Results(directory, [], execution.failed)
-            self.write_results(Path(out))
+            self.write_results(execution, directory)
             tables = report_study(directory, lambda path: say(str(path)))
             return Results(directory, tables, execution.failed)
 
@@ -125,66 +130,63 @@ class Study:
         """Return the jobs and their state in a directory."""
         return Execution(self.plan.jobs, Path(out) / JOBS, retries)
 
-    def write_results(self, out: Path) -> None:
+    def write_results(self, execution: Execution, directory: Path) -> None:
         """Write what is done: a table for each line and seed, and the manifest that names them.
 
         `maesn.reporting.study` reads these files, and nothing else.
         """
         document = {
             "study": self.spec.name,
-            "comparisons": [
-                one
-                | {kind: self._done(one[kind], one["name"], out) for kind in _KINDS}
-                | {"recorded": self._recorded(one["recorded"], one["name"], out)}
-                for one in self.plan.comparisons
-            ],
+            "comparisons": [_collect(one, execution, directory) for one in self.plan.comparisons],
             "figures": [dataclasses.asdict(one) for one in self.spec.figures],
             "jobs": sorted(self.plan.jobs),
             "versions": installed_versions("mujoco.batch"),
         }
-        write_json(out / self.spec.name / MANIFEST, document)
-
-    def _recorded(self, made: Mapping[str, str], comparison: str, out: Path) -> dict[str, str]:
-        """Keep what was recorded of runs; return the files by the runs' names."""
-        jobs, directory, found = out / JOBS, out / self.spec.name, {}
-        for name, job in made.items():
-            if is_done(job, jobs):
-                found[name] = f"recorded/{comparison}/{name}.npz"
-                if (jobs / job / EXPLORATION).exists():
-                    write_whole(directory / found[name], (jobs / job / EXPLORATION).read_bytes())
-        return found
-
-    def _done(self, lines: list[Entry], comparison: str, out: Path) -> list[Entry]:
-        """Return the lines with those seeds that are done, each with a table of all its tasks."""
-        jobs, directory, found = out / JOBS, out / self.spec.name, []
-        for line in lines:
-            seeds = []
-            for member, parts in line["seeds"]:
-                if all(is_done(job, jobs) for job in parts):
-                    table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
-                    # A study that was pruned has its tables alone.
-                    if all((jobs / job / ROWS).exists() for job in parts):
-                        rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
-                        write_rows(directory / table, rows)
-                        _join_latents([jobs / job for job in parts], directory / table)
-                    steps = member.training_steps
-                    if member.job:
-                        steps = read_json(jobs / member.job / DONE)["environment_steps"]
-                    seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
-            found += [line | {"seeds": seeds}] if seeds else []
-        return found
+        write_json(directory / MANIFEST, document)
 
 
-def _join_latents(jobs: Sequence[Path], table: Path) -> None:
-    """Put the adapted latents of all tasks beside their table, where jobs have kept them."""
-    path = latents_beside(table)
-    if not all((job / LATENTS).exists() for job in jobs):
-        with explained("remove", path):
-            path.unlink(missing_ok=True)  # what the line had before its evaluation was changed
+def _collect(comparison: Entry, execution: Execution, directory: Path) -> Entry:
+    """Write the tables of a comparison; return it with those lines and seeds that are done.
+
+    A study that was pruned has the files of jobs no more: its tables stay as they are.
+    """
+    recorded = {}
+    for name, job in comparison["recorded"].items():
+        if execution.is_done(job):
+            recorded[name] = f"recorded/{comparison['name']}/{name}.npz"
+            path = execution.directory / job / EXPLORATION
+            if path.exists():
+                write_whole(directory / recorded[name], path.read_bytes())
+    found = comparison | {"recorded": recorded}
+    for kind in ("lines", "baselines", "oracle"):
+        lines = [_line(line, comparison["name"], execution, directory) for line in comparison[kind]]
+        found[kind] = [line for line in lines if line["seeds"]]
+    return found
+
+
+def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -> Entry:
+    """Return a line with the seeds that are done, each with a table of all its tasks."""
+    jobs, seeds = execution.directory, []
+    for member, parts in line["seeds"]:
+        if all(map(execution.is_done, parts)):
+            table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
+            _join([jobs / job for job in parts], directory / table)
+            steps = member.training_steps
+            if member.job:
+                steps = read_json(jobs / member.job / DONE)["environment_steps"]
+            seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
+    return line | {"seeds": seeds}
+
+
+def _join(jobs: Sequence[Path], table: Path) -> None:
+    """Write a table of all tasks; beside it the adapted latents, where jobs have kept them."""
+    if not all((job / ROWS).exists() for job in jobs):
         return
-    parts = [read_record(Latents, job / LATENTS, "compute it again") for job in jobs]
-    mean, log_std = (
-        np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
-        for name in ("mean", "log_std")
-    )
-    write_arrays(path, vars(Latents(mean, log_std, parts[0].first_update)))
+    write_rows(table, [row for job in jobs for row in read_rows(job / ROWS)])
+    latents = latents_beside(table)
+    if all((job / LATENTS).exists() for job in jobs):
+        parts = [read_arrays(job / LATENTS, "compute it again") for job in jobs]
+        joined = {x: np.concatenate([part[x] for part in parts]) for x in ("mean", "log_std")}
+        write_arrays(latents, parts[0] | joined)
+    else:
+        latents.unlink(missing_ok=True)  # what the line had before its evaluation was changed
