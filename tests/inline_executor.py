@@ -3,8 +3,8 @@
 from concurrent.futures import Future
 from pathlib import Path
 
-from maesn.studies.execution import AbstractExecutor, Failure, computed
-from maesn.studies.jobs import Job
+from maesn.studies.execution import AbstractExecutor
+from maesn.studies.jobs import Job, computed
 
 
 class Here(AbstractExecutor):
@@ -12,7 +12,7 @@ class Here(AbstractExecutor):
 
     slots = 1
 
-    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
-        future: Future[Failure | None] = Future()
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
+        future: Future[str | None] = Future()
         future.set_result(computed(job, jobs))
         return future

@@ -15,9 +15,9 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.rules import GradientRule, ThenTrpo
 from maesn.storage import read_json
-from maesn.studies.comparison import compare
 from maesn.studies.members import scratch_learner
 from maesn.studies.spec import ScratchSpec
+from maesn.studies.study import compare
 
 FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
@@ -116,7 +116,7 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
         ("--scratch trpo --out {0}", "`family` must be given"),
         ("--out {0}", "name at least one run directory, or a method with --scratch"),
         ("--family point --scratch sac --out {0}", "`scratch` must be one of reinforce, vpg, trpo"),
-        ("--family point --scratch trpo:x --out {0}", "with a number of tasks as in vime:30"),
+        ("--family point --scratch trpo:x --out {0}", "perhaps as in vime:30, got `trpo:x`"),
         ("--family point --scratch trpo:0 --out {0}", "`num_tasks` must be at least 1, got 0"),
         ("{1} --family wheeled --out {0}", "family is `point`, but `wheeled` was given"),
         ("{1} --episodes 75 --out {0}", "`episodes` must be a multiple of `episodes_per_update`"),

@@ -10,10 +10,10 @@ from maesn.commands.options import command
 from maesn.evaluation.arguments import Flag
 from maesn.reporting.tables import TextTable, print_tables
 from maesn.storage import RunError
-from maesn.studies.comparison import compare as compare_runs
 from maesn.studies.execution import ExecutorName
 from maesn.studies.reading import shipped_studies
 from maesn.studies.study import Results, Study
+from maesn.studies.study import compare as compare_runs
 
 
 def _run(
@@ -22,7 +22,6 @@ def _run(
     out: Path = Path("studies"),
     executor: ExecutorName = "local",
     workers: int | None = None,
-    retries: int = 2,
     only: str | None = None,
     dry_run: Flag = False,
 ) -> None:
@@ -33,16 +32,15 @@ def _run(
         out: Directory of jobs and results; studies there share jobs.
         executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
         workers: Jobs at a time; None: as many as there are CPUs for.
-        retries: How often a job that failed by accident is tried again.
         only: The one job to compute, as a job of an array does.
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
     study = Study.load(file)
     if not dry_run:
-        where = {"executor": executor, "workers": workers, "retries": retries, "only": only}
+        where = {"executor": executor, "workers": workers, "only": only}
         _show(study.run(out, **where, say=print))  # type: ignore[arg-type]
         return
-    jobs = study.plan.jobs.values()
+    jobs = study.jobs.values()
     rows = [(job.name, f"{job.steps:,}") for job in jobs]
     rows.append(("all", f"{sum(job.steps for job in jobs):,}"))
     left = study.execution(out).left(workers or 1)

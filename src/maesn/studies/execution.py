@@ -17,28 +17,19 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from maesn.physics import EngineError
 from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.signals import ending_by_signals
 from maesn.storage import LOCK, RunError, read_json, write_json
-from maesn.studies.jobs import DONE, Job, run_job
+from maesn.studies.jobs import DONE, Job, computed
 from maesn.worlds.budget import STEPS_PER_SECOND
 
 ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
-Status: TypeAlias = Literal["done", "running", "waiting", "failed"]
 
 FAILED = "failed.json"
-
-
-class Failure(NamedTuple):
-    """Why a job is not done."""
-
-    error: str
-    is_final: bool = False
-    """Whether the same would happen again: a setting, not an accident."""
+ATTEMPTS = 3  # at a job, which may have failed because its process was killed
 
 
 class AbstractExecutor(ABC):
@@ -48,15 +39,14 @@ class AbstractExecutor(ABC):
     """Jobs that may run at a time."""
 
     @abstractmethod
-    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
         """Begin a job in the directory of all jobs. There is a slot for it.
 
-        What is returned will hold None, or how the job has failed. It raises if the job is lost,
-        with its process or its machine.
+        The future returns its error, or None. It raises if the process or the machine is lost.
         """
 
     def close(self) -> None:
-        """Stop all jobs; what they are at is saved as far as they can."""
+        """Stop all jobs; the same jobs go on later."""
         return
 
 
@@ -66,8 +56,6 @@ class Execution:
 
     jobs: Mapping[str, Job]
     directory: Path
-    retries: int = 2
-    """How often a job that failed by accident is tried again."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
     """Job -> its error."""
 
@@ -78,7 +66,7 @@ class Execution:
         total, done = len(self.jobs), len(self.jobs) - len(waiting)
         if done:
             say(f"{done} of {total} jobs were done before")
-        running: dict[Future[Failure | None], Job] = {}
+        running: dict[Future[str | None], Job] = {}
         attempts: Counter[str] = Counter()
         while waiting or running:
             ready = [job for job in waiting if all(map(self.is_done, job.needs))]
@@ -88,18 +76,18 @@ class Execution:
                 running[executor.submit(job, self.directory)] = job
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
-                failure = Failure(f"it was lost ({lost!r})") if lost else future.result()
-                if failure is None:
+                error = f"it was lost ({lost!r})" if lost else future.result()
+                if error is None:
                     done += 1
                     (self.directory / job.name / FAILED).unlink(missing_ok=True)
                     say(f"{done}/{total} {job.name}")
-                elif not failure.is_final and attempts[job.name] <= self.retries:
-                    say(f"again: {job.name}, because {failure.error}")
+                elif attempts[job.name] < ATTEMPTS:
+                    say(f"again: {job.name}, because {error}")
                     waiting.insert(0, job)
                 else:
-                    self.failed[job.name] = failure.error
-                    write_json(self.directory / job.name / FAILED, {"error": failure.error})
-                    say(f"failed: {job.name}: {failure.error}")
+                    self.failed[job.name] = error
+                    write_json(self.directory / job.name / FAILED, {"error": error})
+                    say(f"failed: {job.name}: {error}")
                     waiting = [one for one in waiting if not self._is_lost(one)]
 
     def only(self, name: str) -> None:
@@ -119,8 +107,8 @@ class Execution:
         """Whether a job needs one that failed."""
         return any(name in self.failed or self._is_lost(self.jobs[name]) for name in job.needs)
 
-    def status(self, job: Job) -> tuple[Status, str]:
-        """Return how a job is, and a remark: its progress, or its error."""
+    def status(self, job: Job) -> tuple[str, str]:
+        """Return whether a job is done, running, failed or waiting, and a remark."""
         folder = self.directory / job.name
         if self.is_done(job.name):
             return "done", f"{read_json(folder / DONE)['seconds']:.0f} s"
@@ -128,8 +116,7 @@ class Execution:
             return "running", f"{job.progress(folder):.0%}"
         if (folder / FAILED).exists():
             return "failed", str(read_json(folder / FAILED)["error"])
-        lost = [name for name in job.needs if not self.is_done(name)]
-        return "waiting", f"for {lost[0]}" if lost else ""
+        return "waiting", ""
 
     def left(self, workers: int) -> str:
         """Return a sentence on the time until all is done, by the speed of what is done."""
@@ -145,17 +132,6 @@ class Execution:
         return f"About {minutes:,.0f} minutes left with {workers} at a time."
 
 
-def computed(job: Job, jobs: Path) -> Failure | None:
-    """Compute a job; return how it has failed, None if it is done."""
-    try:
-        run_job(job, jobs)
-    except (RunError, EngineError) as error:
-        return Failure(str(error), is_final=True)
-    except (MemoryError, OSError, RuntimeError) as error:
-        return Failure(f"{type(error).__name__}: {error}")
-    return None
-
-
 class LocalPool(AbstractExecutor):
     """Processes of this machine. Each is a pool of its own: one that dies costs its job alone."""
 
@@ -164,21 +140,17 @@ class LocalPool(AbstractExecutor):
         self._before = dict(os.environ)
         os.environ.update(thread_variables(threads))  # of the processes that begin from now on
         self._context = multiprocessing.get_context("spawn")
-        # Workers wait at the one end of a pipe until the other one is closed, by `close` or by the
-        # end of this process.
+        # Workers wait until its end here is closed, by `close` or because this process ends.
         self._parent, self._alive = self._context.Pipe(duplex=False)
-        self._last: dict[ProcessPoolExecutor, Future[Failure | None]] = {}
+        self._last: dict[ProcessPoolExecutor, Future[str | None]] = {}
 
-    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
         idle = [pool for pool, last in self._last.items() if last.done()]
-        # First those that lost a job, perhaps this one: nobody else can begin it before they end.
-        idle.sort(key=lambda pool: self._last[pool].exception() is None)
-        new = (1, self._context, _begin, (self._parent,))
-        pool = idle[0] if idle else ProcessPoolExecutor(*new)
+        pool = idle[0] if idle else ProcessPoolExecutor(1, self._context, _begin, (self._parent,))
         try:
             self._last[pool] = pool.submit(_compute, job, jobs)
         except BrokenProcessPool:
-            pool.shutdown()  # waits until its process, and with it the lock of a job, is gone
+            pool.shutdown()
             del self._last[pool]
             return self.submit(job, jobs)
         return self._last[pool]
@@ -205,7 +177,7 @@ def _begin(parent: Connection) -> None:
     threading.Thread(target=end, daemon=True).start()
 
 
-def _compute(job: Job, jobs: Path) -> Failure | None:
+def _compute(job: Job, jobs: Path) -> str | None:
     """Compute a job in a worker, which ends by SIGTERM when it has saved what there is."""
     try:
         with ending_by_signals():
@@ -215,10 +187,7 @@ def _compute(job: Job, jobs: Path) -> Failure | None:
 
 
 class Ray(AbstractExecutor):
-    """A Ray cluster: that of `RAY_ADDRESS`, else one on this machine.
-
-    Its machines must see the study's directory at the same path.
-    """
+    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine."""
 
     def __init__(self, workers: int, threads: int, jobs: Path) -> None:
         try:
@@ -226,30 +195,24 @@ class Ray(AbstractExecutor):
         except ImportError as error:
             raise RunError("the executor `ray` needs Ray: pip install 'maesn[ray]'.") from error
         local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
-        if not self._ray.is_initialized():
-            self._ray.init(log_to_driver=False, include_dashboard=False, **local)
+        self._ray.init(
+            log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local
+        )
         path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         variables = path | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
             num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
         )
         self.slots = workers  # what the cluster has no CPUs for waits there
-        self._references: dict[Future[Failure | None], Any] = {}
         with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
             if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
                 raise RunError(f"the cluster must see `{jobs.resolve()}`: give a shared --out.")
 
-    def submit(self, job: Job, jobs: Path) -> Future[Failure | None]:
-        reference = self._remote.remote(computed, job, jobs.resolve())
-        future: Future[Failure | None] = reference.future()
-        self._references[future] = reference
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
+        future: Future[str | None] = self._remote.remote(computed, job, jobs.resolve()).future()
         return future
 
     def close(self) -> None:
-        running = [one for future, one in self._references.items() if not future.done()]
-        for one in running:
-            self._ray.cancel(one)  # as Ctrl-C: training saves
-        self._ray.wait(running, num_returns=len(running), timeout=30)
         self._ray.shutdown()
 
 

@@ -11,24 +11,18 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from maesn import storage
 from maesn.evaluation.evaluate import as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.running import held_latents
 from maesn.learners import AbstractMetaLearner
+from maesn.physics import EngineError
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.log import METRICS
 from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.search.stored import prior_file, run_prior
-from maesn.storage import (
-    explained,
-    locked,
-    read_json_lines,
-    write_arrays,
-    write_json,
-    write_rows,
-)
 from maesn.studies.members import RUN, AbstractMember, TrainedRun
 
 DONE, ROWS, LATENTS, EXPLORATION = "done.json", "rows.csv", "latents.npz", "exploration.npz"
@@ -45,46 +39,43 @@ class Job:
     steps: int
     """Environment steps that it plays, about: for estimates of time."""
     compute: Callable[[Path], dict[str, Any]]
-    """Writes the result into the job's directory, perhaps in another process; returns what else is
-    to be known of it."""
+    """Writes into the job's directory, and returns what else is to be known of the result."""
     iterations: int = 0
     """Of training."""
 
     def progress(self, directory: Path) -> float:
         """Return which share is done of a job that is being computed."""
         log = directory / RUN / METRICS
-        done = len(read_json_lines(log)) if log.exists() else 0
+        done = len(storage.read_json_lines(log)) if log.exists() else 0
         return done / max(self.iterations, 1)
 
 
-def run_job(job: Job, jobs: Path) -> None:
-    """Compute a job unless it is done; those that it needs are.
-
-    Raises:
-        RunError: something cannot be written, or another process computes the job.
-        EpisodeError: an episode went wrong.
-    """
+def computed(job: Job, jobs: Path) -> str | None:
+    """Compute a job unless it is done; return its error, None if there is none."""
     directory = jobs / job.name
-    with explained("make", directory):
-        directory.mkdir(parents=True, exist_ok=True)
-    with locked(directory):
-        if (directory / DONE).exists():
-            return
-        start = time.perf_counter()
-        found = job.compute(directory)
-        seconds = round(time.perf_counter() - start, 1)
-        write_json(directory / DONE, {"steps": job.steps, "seconds": seconds, **found})
+    try:
+        directory.mkdir(exist_ok=True)
+        with storage.locked(directory):
+            if not (directory / DONE).exists():
+                start = time.perf_counter()
+                found = job.compute(directory)
+                seconds = round(time.perf_counter() - start, 1)
+                done = {"steps": job.steps, "seconds": seconds, **found}
+                storage.write_json(directory / DONE, done)
+    except (storage.RunError, EngineError, MemoryError, OSError, RuntimeError) as error:
+        return str(error) or repr(error)
+    return None
 
 
 def train_run(
-    learner: AbstractMetaLearner[Any, Any], settings: RunSettings, init_from: str, directory: Path
+    learner: AbstractMetaLearner[Any, Any], settings: RunSettings, directory: Path
 ) -> dict[str, Any]:
     """Train a run, which goes on where it was interrupted."""
     path = directory / RUN
     if (path / CONFIG).exists():
         run = Run.open(path, settings.own_family)
     else:
-        run = Run.create(path, learner, settings, init_from=init_from or None)
+        run = Run.create(path, learner, settings)
     with closing(train(run)) as iterations:
         for _ in iterations:
             pass
@@ -104,16 +95,13 @@ def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[s
 def adapt_member(
     member: AbstractMember, asked: Evaluation, tasks: range, directory: Path
 ) -> dict[str, Any]:
-    """Adapt to some tasks; write a table with one row per task and update.
-
-    Where the method's own rule adapts a latent, the adapted latents go beside it.
-    """
+    """Adapt to some tasks; write a row per task and update, and the adapted latents if any."""
     outcome = member.play(asked, tasks, directory.parent)
     rows = ({**row, "task": tasks[row["task"]]} for row in as_rows(outcome))
-    write_rows(directory / ROWS, rows)
+    storage.write_rows(directory / ROWS, rows)
     latents = held_latents(outcome)
     if latents is not None and not asked.label:  # by the method's own rule
-        write_arrays(directory / LATENTS, vars(latents))
+        storage.write_arrays(directory / LATENTS, vars(latents))
     return {}
 
 

@@ -23,6 +23,7 @@ from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
+from maesn.search import latent_learner
 from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.reading import Place
@@ -33,8 +34,6 @@ RUN = "run"  # in the directory of a job that trains
 
 # What all runs of a study have in common, or what each has of its own, is not a run's to say.
 _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
-# What decides no number of a run.
-_IMMATERIAL = ("versions", "provenance", "changes")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,8 +48,8 @@ class AbstractMember(ABC):
     """By their path."""
     identity: str
     """What decides how it acts, besides the seed."""
-    job: str = ""
-    """Name of the job that trains it, if there is one."""
+    needs: tuple[str, ...] = ()
+    """The job that trains it, if there is one."""
     training_steps: int | None = None
     """Environment steps of earlier training."""
 
@@ -73,8 +72,6 @@ class TrainedRun(AbstractMember):
 
     run: Run = dataclasses.field(compare=False, repr=False)
     """Read, or as it will be created: for plans alone. Jobs open it."""
-    init_from: str = ""
-    """What its training starts from."""
     directory: str = ""
     """Of one that exists."""
     family: str | None = None
@@ -88,16 +85,17 @@ class TrainedRun(AbstractMember):
         return self.run.env(asked.reward, asked.sparse_radius)
 
     def trial_episodes(self, asked: Evaluation) -> int | None:
-        trained = Trained(self.run.learner, _blank_state(self.run), _no_prior)
-        try:
-            learner = asked.fast_learner(trained, self.method, self.env(asked))
-        except _PriorIsAsked:
+        trained = Trained(self.run.learner, _blank_state(self.run))
+        if asked.rule is not None and asked.rule.needs_return_prior:  # which is made later
+            with refusals(f"`{self.method}` cannot be adapted like this: "):
+                latent_learner(trained.fast_learner())
             return None
+        learner = asked.fast_learner(trained, self.method, self.env(asked))
         return learner.capabilities.trial_episodes
 
     def open(self, jobs: Path) -> Run:
         """Open the run, once it is trained."""
-        return Run.open(jobs / self.job / RUN if self.job else self.directory, self.family)
+        return Run.open(jobs / self.needs[0] / RUN if self.needs else self.directory, self.family)
 
     def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
         return evaluate(self.open(jobs), asked, tasks=tasks)[0]
@@ -162,18 +160,15 @@ def _untrained(
 
 
 def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]:
-    """Return the seeds of a run on one family; none if it is not to be on that one.
-
-    Raises:
-        RunError: a setting cannot be, or a run that exists cannot be read.
-    """
+    """Return the seeds of a run on one family; none if it is not to be on that one."""
     spec = study.runs[name]
     if family not in (spec.families or [family]):
         return []
     with (Place(study.file) / "runs" / name).refusing():
-        if spec.directories:
-            return [_existing(one, spec.label, study, family) for one in spec.directories]
-        return [_to_train(study, name, family, seed) for seed in spec.seeds or study.seeds]
+        members = [_existing(one, study, family) for one in spec.directories] or [
+            _to_train(study, name, family, seed) for seed in spec.seeds or study.seeds
+        ]
+    return [dataclasses.replace(one, label=spec.label) for one in members]
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
@@ -185,42 +180,34 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
         settings=leaves({**config["settings"], "learner": config["learner"]}),
         identity=identity or " ".join(identity_of_run(run).values()),
         run=run,
+        family=run.own_family,
         **where,
     )
 
 
-def _existing(directory: str, label: str, study: StudySpec, family: str) -> TrainedRun:
-    own_family = family if ":" in family else None
-    run = Run.open(directory, own_family)
-    wanted = (resolve_family(family).name, study.variant)
-    found = (run.config.family, run.env().variant)
-    if found != wanted:
-        raise ValueError(f"expected a run on {' '.join(wanted)}, got {' '.join(found)}.")
-    return trained_run(
-        run,
-        label=label,
-        directory=directory,
-        family=own_family,
-        training_steps=run.latest().environment_steps,
-    )
+def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
+    run = Run.open(directory, family)
+    if run.env().variant != study.variant:
+        raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
+    return trained_run(run, directory=directory, training_steps=run.latest().environment_steps)
 
 
 def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
     """Return a run that is to be trained; all is checked that can be before."""
-    init_from, resolved = study.runs[name].init_from, resolve_family(family)
+    resolved = resolve_family(family)
     learner, settings = _settings(study, name, family, seed)
     learner = learner.for_actions(make_env(resolved, settings).action_kind)
     learner.check_batch(settings.episodes_per_task)
     tasks = find_tasks(settings.tasks, resolved)
-    run = Run(Path(name), new_config(settings, learner, resolved, tasks), resolved, tasks)
+    config = new_config(settings, learner, resolved, tasks)
+    run = Run(Path(name), config, resolved, tasks, settings.own_family)
     check_policy(learner.player(_blank_state(run)), run.env())
-    document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
+    document = config.document() | {"init_from": ""}
+    for immaterial in ("versions", "provenance", "changes"):
+        del document[immaterial]
     del document["settings"]["checkpoint_every"]
-    started = identity_of_run(Run.open(init_from)) if init_from else ""
-    digest = digest_of_document(document | {"init_from": started})
-    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest}"
-    where = {"label": study.runs[name].label, "init_from": init_from}
-    return trained_run(run, job, job=job, family=settings.own_family, **where)
+    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest_of_document(document)}"
+    return trained_run(run, job, needs=(job,))
 
 
 def _settings(
@@ -239,10 +226,9 @@ def _settings(
     settings = dataclasses.replace(study.world(family), seed=seed, **usual)
     names = fields_to_json(settings).keys() - _NOT_OF_A_RUN
     changes = leaves(spec.changes) | leaves(spec.on.get(family, {}))
-    own = {path: value for path, value in changes.items() if path in names}
-    others = {path: value for path, value in changes.items() if path not in names}
+    own = {path: changes.pop(path) for path in names & changes.keys()}
     try:
-        settings, learner = replaced(settings, own), replaced(learner, others)
+        settings, learner = replaced(settings, own), replaced(learner, changes)
     except KeyError as error:
         (path,) = error.args
         known = [*vars(spec), *names, *leaves(fields_to_json(learner))]
@@ -253,11 +239,3 @@ def _settings(
 def _blank_state(run: Run) -> Any:
     """Return a state of zeros, for checks that do not depend on what was learned."""
     return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), run.structure())
-
-
-class _PriorIsAsked(Exception):
-    """Everything else of a search fits."""
-
-
-def _no_prior(*_: Any) -> Any:
-    raise _PriorIsAsked

@@ -2,10 +2,10 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
 from maesn.learners import BonusMetaLearner, RecurrentMetaLearner
 from maesn.reporting.style import METHOD_STYLES
+from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run
@@ -34,19 +35,14 @@ Entry: TypeAlias = dict[str, Any]
 """Of the manifest: a comparison, or one of its lines, whose `seeds` are members and their jobs."""
 
 
-class Plan(NamedTuple):
-    """What a study computes, and what for."""
+def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[Entry]]:
+    """Return what a study computes and what for: jobs by name, and comparisons.
 
-    jobs: Mapping[str, Job]
-    """By name, each behind those that it needs."""
-    comparisons: Sequence[Entry]
-
-
-def make_plan(study: StudySpec) -> Plan:
-    """Return the plan of a study; `RunError` with the place in its file of what cannot be."""
+    Each job is behind those that it needs. `RunError` with the place in its file of what cannot be.
+    """
     jobs: dict[str, Job] = {}
     planned = [_Planner(study, family, jobs).compare() for family in study.families]
-    return Plan(jobs, [one for comparisons in planned for one in comparisons])
+    return jobs, [one for comparisons in planned for one in comparisons]
 
 
 @dataclasses.dataclass
@@ -64,11 +60,9 @@ class _Planner:
         worlds = defaultdict(list)
         for number, spec in enumerate(self.study.all_lines, start=1):
             if self.family in (spec.families or [self.family]):
-                members = (
-                    self.run(spec.run)
-                    if spec.run
-                    else members_from_scratch(self.study, spec.scratch, self.family)
-                )
+                members: Sequence[AbstractMember] = self.run(spec.run) if spec.run else ()
+                if spec.scratch:
+                    members = members_from_scratch(self.study, spec.scratch, self.family)
                 with (Place(self.study.file) / "lines" / number).refusing():
                     for asked, line in self.lines(spec, members):
                         world = asked.tasks, asked.reward, asked.sparse_radius
@@ -86,10 +80,10 @@ class _Planner:
         if name not in self.runs:
             self.runs[name] = members_of_run(self.study, name, self.family)
             for one in self.runs[name]:
-                if one.job:
-                    settings = one.run.settings
-                    work = partial(train_run, one.run.learner, settings, one.init_from)
-                    self.add(one.job, (), _steps_of_training(one), work, settings.iterations)
+                for job in one.needs:
+                    work = partial(train_run, one.run.learner, one.run.settings)
+                    iterations = one.run.settings.iterations
+                    self.add(job, (), _steps_of_training(one.run), work, iterations)
         return self.runs[name]
 
     def lines(
@@ -100,15 +94,16 @@ class _Planner:
         names = spec.evaluation or tuple(study.evaluations)
         rivals = [one for one in study.all_lines if source == (one.run or one.scratch)]
         for evaluation in names if members else ():
-            asked = study.evaluations[evaluation].on_family(self.family)
+            chosen = study.evaluations[evaluation]
+            asked = chosen.on.get(self.family, chosen.usual)
             if spec.scratch:
                 if asked.rule is not None or asked.wrappers:
                     if spec.evaluation:
                         raise ValueError(f"`{source}` has no rule: leave out `{evaluation}`.")
                     continue
-                counts = [study.scratch[source].num_tasks, asked.num_tasks]
-                least = min((one for one in counts if one is not None), default=None)
-                asked = dataclasses.replace(asked, num_tasks=least)
+                most = study.scratch[source].num_tasks or asked.num_tasks
+                if most is not None:
+                    asked = dataclasses.replace(asked, num_tasks=min(most, asked.num_tasks or most))
             name = f"{source}-{evaluation}" if len(names) > 1 or len(rivals) > 1 else source
             yield self.line(name, source, members, asked)
 
@@ -183,14 +178,14 @@ class _Planner:
                 if drawn and env.planar:
                     digest = _digest(member, env)
                     job = f"record-{env.name}-{member.method}-seed-{member.seed}-{digest}"
-                    needs, steps = _training(member), RECORDED_EPISODES * env.horizon
-                    yield name, self.add(job, needs, steps, partial(record_run, member))
+                    steps = RECORDED_EPISODES * env.horizon
+                    yield name, self.add(job, member.needs, steps, partial(record_run, member))
 
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
         tasks = find_tasks(asked.tasks, resolve_family(self.family))
         budget, env = asked.budget, member.env(asked)
-        needs = _training(member)
+        needs = member.needs
         who = f"{env.name}-{name}-seed-{member.seed}"
         is_search = asked.rule is not None and asked.rule.needs_return_prior
         if is_search and isinstance(member, TrainedRun):
@@ -224,25 +219,18 @@ class _Planner:
         return name
 
 
-def _training(member: AbstractMember) -> tuple[str, ...]:
-    """Return the job that trains a member, if there is one."""
-    return (member.job,) if member.job else ()
-
-
 def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
     """Return a digest of all that decides a result of a member in a world."""
     return digest_of_document({"of": member.identity, "world": describe_env(env), **more})
 
 
-def _steps_of_training(member: TrainedRun) -> int:
+def _steps_of_training(run: Run) -> int:
     """Return the steps of a training, as if all episodes ended in time."""
-    run, learner = member.run, member.run.learner
-    inner: Any = learner.learner if isinstance(learner, BonusMetaLearner) else learner
-    rounds = (
-        inner.trial_episodes
-        if isinstance(inner, RecurrentMetaLearner)
-        else inner.inner_updates + inner.outer_batches
-    )
+    inner: Any = run.learner
+    if isinstance(inner, BonusMetaLearner):
+        inner = inner.learner
+    is_recurrent = isinstance(inner, RecurrentMetaLearner)
+    rounds = inner.trial_episodes if is_recurrent else inner.inner_updates + inner.outer_batches
     episodes = run.settings.iterations * inner.meta_batch_size * run.settings.episodes_per_task
     return episodes * rounds * run.env().horizon
 
@@ -252,10 +240,9 @@ def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:
     labels = []
     for asked, line in planned:
         rivals = {one["source"] for _, one in planned if one["method"] == line["method"]}
-        is_alone = line["method"] in METHOD_STYLES and len(rivals) == 1
-        usual = (
-            METHOD_STYLES[line["method"]].label if is_alone else line["source"].replace("_", " ")
-        )
+        usual = line["source"].replace("_", " ")
+        if line["method"] in METHOD_STYLES and len(rivals) == 1:
+            usual = METHOD_STYLES[line["method"]].label
         labels.append((line["label"] or usual) + (f" ({asked.label})" if asked.label else ""))
     return [
         line | {"label": label if labels.count(label) == 1 else f"{label} [{line['name']}]"}

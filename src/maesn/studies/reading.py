@@ -14,7 +14,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
 from maesn.settings import suggestion
-from maesn.storage import RunError, explained
+from maesn.storage import RunError
 from maesn.studies.spec import EvaluationSpec, RunSpec, StudySpec
 
 
@@ -53,29 +53,21 @@ def shipped_studies() -> dict[str, Path]:
 def read_study(source: str | Path) -> StudySpec:
     """Read a study: a path, else the name of one that comes with the library.
 
-    Raises:
-        RunError: there is none, or something in it cannot be; with its key.
+    It is a `RunError` if there is none, or if something in it cannot be, with its key.
     """
     path = Path(source)
     path = path if path.exists() else shipped_studies().get(str(source), path)
     if not path.is_file():
         known = ", ".join(shipped_studies())
         raise RunError(f"there is no study `{source}`: give a .toml file, or one of {known}.")
-    with explained("read", path):
-        content = path.read_bytes()
     try:
-        table = tomllib.loads(content.decode())
-    except (ValueError, RecursionError) as error:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
         raise RunError(f"`{path}` is not TOML: {error}.") from error
-    return study_of_table(table, path.stem, str(source))
-
-
-def study_of_table(table: Mapping[str, Any], name: str, file: str) -> StudySpec:
-    """Return the study that a table says; `RunError` with the key of what cannot be."""
-    values, place = dict(table), Place(file)
-    if "families" not in values:
-        values["families"] = values.pop("family", [])
-    study: StudySpec = _object(StudySpec, values, place, name=name, file=file)
+    if "families" not in table:
+        table["families"] = table.pop("family", [])
+    place = Place(str(source))
+    study: StudySpec = _object(StudySpec, table, place, name=path.stem, file=place.file)
     with place.refusing():
         if not study.families:
             raise ValueError('a study needs families, as in `family = "wheeled"`.')
@@ -144,8 +136,8 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
 
 def _check_names(study: StudySpec, place: Place) -> None:
     """Refuse names that nothing has."""
-    for family in study.families:
-        with (place / "families").refusing():
+    with (place / "families").refusing():
+        for family in study.families:
             resolve_family(family)
     (place / "oracle").check(study.oracle, study.runs)
     for name, run in study.runs.items():
@@ -162,13 +154,9 @@ def _check_names(study: StudySpec, place: Place) -> None:
         "evaluation": study.evaluations,
         "lines": [*study.runs, *study.scratch],
     }
-    parts: dict[str, Mapping[Any, Any]] = {
-        "runs": study.runs,
-        "evaluations": study.evaluations,
-        "lines": dict(enumerate(study.lines, start=1)),
-        "figures": dict(enumerate(study.figures, start=1)),
-    }
-    for key, specs in parts.items():
-        for name, spec in specs.items():
-            for field, names in known.items():
-                (place / key / name / field).check(getattr(spec, field, ()), names)
+    for key in ("runs", "evaluations", "lines", "figures"):
+        specs = getattr(study, key)
+        named = specs.items() if isinstance(specs, Mapping) else enumerate(specs, start=1)
+        for which, spec in named:
+            for field in known.keys() & vars(spec):
+                (place / key / which / field).check(getattr(spec, field), known[field])
