@@ -119,7 +119,7 @@ def test_every_study_can_be_understood(tmp_path: Path) -> None:
     assert len(blocks) >= 2
     for code in blocks:
         (tmp_path / "mine.toml").write_text(code)
-        assert maesn.Study.load(tmp_path / "mine.toml").plan.jobs
+        assert maesn.Study.load(tmp_path / "mine.toml").jobs
 
 
 def test_settings_of_the_site_describe_every_method() -> None:

@@ -15,11 +15,12 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from synthetic_runs import write_run
 
 from maesn import GradientRule, SearchRule, adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
 from maesn.reporting.runs import EXPLORATION
 from maesn.runs.run import Run
-from maesn.studies.reading import Place, study_of_table
+from maesn.studies.spec import EvaluationSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Study
 
 HOSTILE = "<img src=x onerror=window.hacked=1>"
@@ -47,12 +48,14 @@ def of_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study")
-    table = {
-        "family": "point",
-        "scratch": {"trpo": {"label": HOSTILE}, "reinforce": {}},
-        "evaluations": {"few": {"num_tasks": 4, "episodes": 6, "episodes_per_update": 3}},
-    }
-    Study(study_of_table(table, "small", Place("small"))).run(folder, workers=1)
+    few = Evaluation(num_tasks=4, episodes=6, episodes_per_update=3)
+    spec = StudySpec(
+        "small",
+        ("point",),
+        scratch={"trpo": ScratchSpec(label=HOSTILE), "reinforce": ScratchSpec()},
+        evaluations={"few": EvaluationSpec(few)},
+    )
+    Study(spec).run(folder, workers=1)
     write_page(folder / PAGE, study_page(folder / "small"))
     return folder / PAGE
 

@@ -22,7 +22,7 @@ assert maesn.__file__.startswith(sys.prefix), maesn.__file__
 assert policy_names() == ["ant", "blockpush", "wheeled"]
 assert {"ablation", "few_episodes", "paper", "quick"} <= set(shipped_studies())
 for name in shipped_studies():
-    assert maesn.Study.load(name).plan.jobs
+    assert maesn.Study.load(name).jobs
 for name in policy_names():
     family = maesn.find_family(name)
     maesn.make_world(family.make_env(), family.task_set("test", size=1)).close()

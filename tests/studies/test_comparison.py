@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import pytest
+from inline_executor import Here
 from small_runs import create, finish, tiny_maesn
 
 from maesn import cli
@@ -14,10 +15,9 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.rules import GradientRule, ThenTrpo
 from maesn.storage import read_json
-from maesn.studies.comparison import compare
-from maesn.studies.executors import Here
 from maesn.studies.members import scratch_learner
 from maesn.studies.spec import ScratchSpec
+from maesn.studies.study import compare
 
 FEW = Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2)
 SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
@@ -115,17 +115,17 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
     [
         ("--scratch trpo --out {0}", "`family` must be given"),
         ("--out {0}", "name at least one run directory, or a method with --scratch"),
-        ("--family point --scratch sac --out {0}", "no method `sac` that begins from scratch"),
-        ("--family point --scratch trpo:x --out {0}", "must be a positive integer"),
+        ("--family point --scratch sac --out {0}", "`scratch` must be one of reinforce, vpg, trpo"),
+        ("--family point --scratch trpo:x --out {0}", "perhaps as in vime:30, got `trpo:x`"),
+        ("--family point --scratch trpo:0 --out {0}", "`num_tasks` must be at least 1, got 0"),
         ("{1} --family wheeled --out {0}", "family is `point`, but `wheeled` was given"),
         ("{1} --episodes 75 --out {0}", "`episodes` must be a multiple of `episodes_per_update`"),
         ("{1} --episodes -50 --out {0}", "`episodes` must be at least 0, got -50"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
-        ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is given the task"),
-        ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
+        ("{1} --oracle {1} --out {0}", "`oracle` must be a run of `maesn train oracle`"),
+        ("{2} --oracle {2} --out {0}", "and the only one"),
         ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
         ("{1} --seed 4294967296 --out {0}", "`seed` must be at most 4294967295"),
-        ("{1} --scratch reinforce vpg --out {0}", "must name each method once, got reinforce vpg"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_in_a_sentence(

@@ -8,9 +8,11 @@ import signal
 import threading
 import time
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import pytest
+from inline_executor import Here
 from scripts import load_script
 
 from maesn.evaluation import exploration
@@ -19,8 +21,8 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting.study import report_studies
 from maesn.storage import LOCK, RunError, read_json
-from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
-from maesn.studies.jobs import AbstractJob
+from maesn.studies.execution import AbstractExecutor, LocalPool, Ray
+from maesn.studies.jobs import Job
 from maesn.studies.spec import (
     RECORDED,
     EvaluationSpec,
@@ -64,20 +66,19 @@ class Watched(AbstractExecutor):
     """This process, with a note of what is computed; some jobs fail a number of times."""
 
     failing: dict[str, int] = dataclasses.field(default_factory=dict)
-    final: bool = False
     slots = 1
 
     def __post_init__(self) -> None:
         self.started: list[str] = []
 
-    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
         self.started.append(job.name)
         kind = job.name.partition("-")[0]
         if self.failing.get(kind, 0) == 0:
             return Here().submit(job, jobs)
         self.failing[kind] -= 1
-        failed: Future[Failure | None] = Future()
-        failed.set_result(Failure("an accident", self.final))
+        failed: Future[str | None] = Future()
+        failed.set_result("an accident")
         return failed
 
     def close(self) -> None:
@@ -106,7 +107,7 @@ def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     kinds = [name.partition("-")[0] for name in executor.started]
     assert kinds == ["train", *["adapt"] * 6] or kinds.count("adapt") == 6
     assert done.failed == {}
-    path = done.csv
+    path = done.directory / "results.csv"
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["method"] for row in rows} == {"mine", "zero_action", "random_actions"}
@@ -133,7 +134,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
         monkeypatch.setattr(exploration, name, number)
     figures = tuple(FigureSpec(f"figure-{kind}", kind) for kind in RECORDED)
     study = Study(dataclasses.replace(SMALL, figures=figures))
-    recorded = [name for name in study.plan.jobs if name.startswith("record-")]
+    recorded = [name for name in study.jobs if name.startswith("record-")]
     assert len(recorded) == 1  # of one run, whatever the number of figures
     done = study.run(tmp_path, executor=Here())
     assert not done.failed
@@ -169,8 +170,8 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     runs = dict.fromkeys(("mine", "other"), SMALL.runs["mine"])
     lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
     study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
-    assert not [name for name in study.plan.jobs if "other" in name]
-    assert [one["recorded"].keys() for one in study.plan.comparisons] == [{"mine"}]
+    assert not [name for name in study.jobs if "other" in name]
+    assert [one["recorded"].keys() for one in study.comparisons] == [{"mine"}]
 
 
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
@@ -184,20 +185,20 @@ def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
 
 def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     spec = dataclasses.replace(SMALL, scratch={"reinforce": ScratchSpec("reinforce")})
-    study, executor = Study(spec), Watched({"train": 1}, final=True)
+    study, executor = Study(spec), Watched({"train": 3})
     done = study.run(tmp_path, executor=executor)
     (name,) = done.failed
     assert name.startswith("train")
-    assert sum("mine" in name for name in executor.started) == 1
+    assert sum("mine" in name for name in executor.started) == 3
     states = status(study, tmp_path)
     assert {states[name] for name in states if "mine" in name and "adapt" in name} == {"waiting"}
-    assert done.csv.exists()  # of the others
+    assert (done.directory / "results.csv").exists()  # of the others
     assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
 
 
 def test_one_job_of_an_array(tmp_path: Path) -> None:
     study = Study(SMALL)
-    train, *others = study.plan.jobs
+    train, *others = study.jobs
     with pytest.raises(RunError, match=f"needs `{train}` to be done before"):
         study.run(tmp_path, executor=Here(), only=others[0])
     with pytest.raises(RunError, match="no job `nothing`: `--dry-run` lists them"):
@@ -208,7 +209,7 @@ def test_one_job_of_an_array(tmp_path: Path) -> None:
 
 def test_names_of_jobs_say_what_decides_their_numbers() -> None:
     def names(**changed: object) -> set[str]:
-        return set(Study(dataclasses.replace(SMALL, **changed)).plan.jobs)
+        return set(Study(dataclasses.replace(SMALL, **changed)).jobs)
 
     usual = names()
     assert names(name="another", figures=()) == usual
@@ -230,7 +231,7 @@ class Killing(AbstractExecutor):
     def slots(self) -> int:  # type: ignore[override]
         return self.executor.slots
 
-    def submit(self, job: AbstractJob, jobs: Path) -> Future[Failure | None]:
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
         if not self.killed and job.name.startswith("train"):
             threading.Thread(target=self.kill, args=(jobs / job.name / "run",)).start()
         return self.executor.submit(job, jobs)
@@ -265,16 +266,11 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     assert files(done.directory) == files(whole.directory)
 
 
-@dataclasses.dataclass(frozen=True)
-class Ending(AbstractJob):
-    """Says which process computes it, and may end that a little later."""
-
-    after: float = 0.0
-
-    def compute(self, directory: Path) -> dict[str, int]:
-        if self.after:
-            threading.Timer(self.after, os.kill, (os.getpid(), signal.SIGKILL)).start()
-        return {"process": os.getpid()}
+def ending(after: float, directory: Path) -> dict[str, int]:
+    """Say which process computes a job, and perhaps end that a little later."""
+    if after:
+        threading.Timer(after, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    return {"process": os.getpid()}
 
 
 @pytest.mark.long
@@ -282,7 +278,7 @@ def test_a_worker_that_dies_while_it_waits_is_replaced(tmp_path: Path) -> None:
     pool, processes = LocalPool(1, 1), []
     with contextlib.closing(pool):
         for name, after in {"first": 0.5, "second": 0.0, "third": 0.0}.items():
-            assert pool.submit(Ending(name, (), 0, after), tmp_path).result() is None
+            assert pool.submit(Job(name, (), 0, partial(ending, after)), tmp_path).result() is None
             processes.append(read_json(tmp_path / name / "done.json")["process"])
             if after:
                 while Path(f"/proc/{processes[0]}").exists():

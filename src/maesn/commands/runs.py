@@ -18,9 +18,9 @@ from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError, refusals
-from maesn.studies.comparison import compare as compare_runs
-from maesn.studies.executors import ExecutorName
+from maesn.studies.execution import ExecutorName
 from maesn.studies.study import Results, Study
+from maesn.studies.study import compare as compare_runs
 
 
 def say_what_is_next(run: Run) -> None:
@@ -90,7 +90,6 @@ def study(
     out: Path = Path("studies"),
     executor: ExecutorName = "local",
     workers: int | None = None,
-    retries: int = 2,
     only: str | None = None,
     dry_run: Flag = False,
 ) -> None:
@@ -102,13 +101,12 @@ def study(
         out: Directory of jobs and results; studies there share jobs.
         executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
         workers: Jobs at a time; None: as many as there are CPUs for.
-        retries: How often a job that failed by accident is tried again.
         only: The one job to compute, as a job of an array does.
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
     asked = Study.load(file)
     if action == "run" and not dry_run:
-        where = {"executor": executor, "workers": workers, "retries": retries, "only": only}
+        where = {"executor": executor, "workers": workers, "only": only}
         _say_results(asked.run(out, **where, say=print))  # type: ignore[arg-type]
         return
     execution = asked.execution(out)

@@ -1,140 +1,232 @@
-"""Computing the jobs of a plan: in an order that suits, again where one was lost, all or what can.
+"""Computing the jobs of a plan: in an order that suits, here or on a cluster, again where lost.
 
 What is done is on disk; nothing else is remembered. So a study that was killed goes on.
 """
 
 import dataclasses
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import threading
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
-
+from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.signals import ending_by_signals
 from maesn.storage import LOCK, RunError, read_json, write_json
-from maesn.studies.executors import AbstractExecutor, Failure, accident
-from maesn.studies.jobs import DONE, AbstractJob, is_done
+from maesn.studies.jobs import DONE, Job, computed
 from maesn.worlds.budget import STEPS_PER_SECOND
 
+ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
-Status: TypeAlias = Literal["done", "running", "waiting", "failed"]
 
 FAILED = "failed.json"
-_SHOWN = 20  # lines of a terminal
+ATTEMPTS = 3  # at a job, which may have failed because its process was killed
+
+
+class AbstractExecutor(ABC):
+    """Computes jobs, each with a fixed number of threads."""
+
+    slots: int
+    """Jobs that may run at a time."""
+
+    @abstractmethod
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
+        """Begin a job in the directory of all jobs. There is a slot for it.
+
+        The future returns its error, or None. It raises if the process or the machine is lost.
+        """
+
+    def close(self) -> None:
+        """Stop all jobs; the same jobs go on later."""
+        return
 
 
 @dataclasses.dataclass
 class Execution:
     """The jobs of a plan, in the directory in which they are computed."""
 
-    jobs: Mapping[str, AbstractJob]
+    jobs: Mapping[str, Job]
     directory: Path
-    retries: int = 2
-    """How often a job that failed by accident is tried again."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
     """Job -> its error."""
 
-    def __post_init__(self) -> None:
-        self._running: dict[Future[Failure | None], AbstractJob] = {}
-        self._attempts: Counter[str] = Counter()
-
     def run(self, executor: AbstractExecutor, say: Say) -> None:
         """Compute all that can be computed; what fails is in `failed` then."""
-        waiting = [job for job in self.jobs.values() if not self._has(job.name)]
+        waiting = [job for job in self.jobs.values() if not self.is_done(job.name)]
+        waiting.sort(key=lambda job: -job.steps)  # the longest decide when all is done
         total, done = len(self.jobs), len(self.jobs) - len(waiting)
         if done:
             say(f"{done} of {total} jobs were done before")
-        console = Console(stderr=True)
-        with Live(
-            console=console,
-            get_renderable=self._shown,
-            auto_refresh=console.is_terminal,
-            refresh_per_second=1,
-            transient=True,
-        ):
-            while waiting or self._running:
-                for job in self._ready(waiting)[: executor.slots - len(self._running)]:
-                    waiting.remove(job)
-                    self._attempts[job.name] += 1
-                    self._running[executor.submit(job, self.directory)] = job
-                for future in wait(self._running, return_when=FIRST_COMPLETED).done:
-                    job, error = self._running.pop(future), future.exception()
-                    failure = accident(error) if error else future.result()
-                    if failure is None:
-                        done += 1
-                        (self.directory / job.name / FAILED).unlink(missing_ok=True)
-                        say(f"{done}/{total} {job.name}")
-                    elif not failure.is_final and self._attempts[job.name] <= self.retries:
-                        say(f"again: {job.name}, because {failure.error}")
-                        waiting.insert(0, job)
-                    else:
-                        self._fail(job.name, failure.error, say)
-                        waiting = [one for one in waiting if not self._is_lost(one)]
+        running: dict[Future[str | None], Job] = {}
+        attempts: Counter[str] = Counter()
+        while waiting or running:
+            ready = [job for job in waiting if all(map(self.is_done, job.needs))]
+            for job in ready[: executor.slots - len(running)]:
+                waiting.remove(job)
+                attempts[job.name] += 1
+                running[executor.submit(job, self.directory)] = job
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job, lost = running.pop(future), future.exception()
+                error = f"it was lost ({lost!r})" if lost else future.result()
+                if error is None:
+                    done += 1
+                    (self.directory / job.name / FAILED).unlink(missing_ok=True)
+                    say(f"{done}/{total} {job.name}")
+                elif attempts[job.name] < ATTEMPTS:
+                    say(f"again: {job.name}, because {error}")
+                    waiting.insert(0, job)
+                else:
+                    self.failed[job.name] = error
+                    write_json(self.directory / job.name / FAILED, {"error": error})
+                    say(f"failed: {job.name}: {error}")
+                    waiting = [one for one in waiting if not self._is_lost(one)]
 
     def only(self, name: str) -> None:
-        """Leave one job, of which those that it needs must be done.
-
-        Raises:
-            RunError: there is no such job, or they are not.
-        """
+        """Leave one job, of which those that it needs must be done; else it is a `RunError`."""
         if name not in self.jobs:
             raise RunError(f"the study has no job `{name}`: `--dry-run` lists them.")
-        missing = [need for need in self.jobs[name].needs if not self._has(need)]
+        missing = [need for need in self.jobs[name].needs if not self.is_done(need)]
         if missing:
             raise RunError(f"the job `{name}` needs `{missing[0]}` to be done before.")
         self.jobs = {name: self.jobs[name]}
 
-    def _ready(self, waiting: list[AbstractJob]) -> list[AbstractJob]:
-        """Return the jobs that can begin, the longest first: they decide when all is done."""
-        ready = [job for job in waiting if all(map(self._has, job.needs))]
-        return sorted(ready, key=lambda job: -job.steps)
+    def is_done(self, name: str) -> bool:
+        """Whether the result of a job is there."""
+        return (self.directory / name / DONE).exists()
 
-    def _has(self, name: str) -> bool:
-        return is_done(name, self.directory)
-
-    def _is_lost(self, job: AbstractJob) -> bool:
+    def _is_lost(self, job: Job) -> bool:
         """Whether a job needs one that failed."""
         return any(name in self.failed or self._is_lost(self.jobs[name]) for name in job.needs)
 
-    def _fail(self, job: str, error: str, say: Say) -> None:
-        self.failed[job] = error
-        if (self.directory / job).is_dir():
-            write_json(self.directory / job / FAILED, {"error": error})
-        say(f"failed: {job}: {error}")
-
-    def _shown(self) -> Table:
-        """Return what a terminal shows: the jobs that run, a line each."""
-        rows = Table.grid(padding=(0, 2))
-        for job in list(self._running.values())[:_SHOWN]:
-            attempt = self._attempts[job.name]
-            again = f"attempt {attempt}" if attempt > 1 else ""
-            rows.add_row(job.name, f"{job.progress(self.directory / job.name):.0%}", again)
-        return rows
-
-    def status(self, job: AbstractJob) -> tuple[Status, str]:
-        """Return how a job is, and a remark: its progress, or its error."""
+    def status(self, job: Job) -> tuple[str, str]:
+        """Return whether a job is done, running, failed or waiting, and a remark."""
         folder = self.directory / job.name
-        if self._has(job.name):
+        if self.is_done(job.name):
             return "done", f"{read_json(folder / DONE)['seconds']:.0f} s"
         if (folder / LOCK).exists():
             return "running", f"{job.progress(folder):.0%}"
         if (folder / FAILED).exists():
             return "failed", str(read_json(folder / FAILED)["error"])
-        lost = [name for name in job.needs if not self._has(name)]
-        return "waiting", f"for {lost[0]}" if lost else ""
+        return "waiting", ""
 
     def left(self, workers: int) -> str:
         """Return a sentence on the time until all is done, by the speed of what is done."""
-        done = [read_json(self.directory / name / DONE) for name in self.jobs if self._has(name)]
+        done = [read_json(self.directory / name / DONE) for name in self.jobs if self.is_done(name)]
         steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
         speed = steps / seconds if seconds else STEPS_PER_SECOND / 2
         missing = sum(
             job.steps * (1 - job.progress(self.directory / job.name))
             for job in self.jobs.values()
-            if not self._has(job.name)
+            if not self.is_done(job.name)
         )
         minutes = missing / speed / workers / 60
         return f"About {minutes:,.0f} minutes left with {workers} at a time."
+
+
+class LocalPool(AbstractExecutor):
+    """Processes of this machine. Each is a pool of its own: one that dies costs its job alone."""
+
+    def __init__(self, workers: int, threads: int) -> None:
+        self.slots = workers
+        self._before = dict(os.environ)
+        os.environ.update(thread_variables(threads))  # of the processes that begin from now on
+        self._context = multiprocessing.get_context("spawn")
+        # Workers wait until its end here is closed, by `close` or because this process ends.
+        self._parent, self._alive = self._context.Pipe(duplex=False)
+        self._last: dict[ProcessPoolExecutor, Future[str | None]] = {}
+
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
+        idle = [pool for pool, last in self._last.items() if last.done()]
+        pool = idle[0] if idle else ProcessPoolExecutor(1, self._context, _begin, (self._parent,))
+        try:
+            self._last[pool] = pool.submit(_compute, job, jobs)
+        except BrokenProcessPool:
+            pool.shutdown()
+            del self._last[pool]
+            return self.submit(job, jobs)
+        return self._last[pool]
+
+    def close(self) -> None:
+        self._alive.close()
+        for pool in self._last:
+            pool.shutdown()
+        self._parent.close()
+        os.environ.clear()
+        os.environ.update(self._before)
+
+
+def _begin(parent: Connection) -> None:
+    """Prepare a worker: it has SIGTERM when the parent has closed its end of a pipe, or is gone."""
+
+    def end() -> None:
+        parent.poll(None)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    # Ctrl-C in a terminal reaches all processes; what it means is the parent's to say.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    enable_compilation_cache()
+    threading.Thread(target=end, daemon=True).start()
+
+
+def _compute(job: Job, jobs: Path) -> str | None:
+    """Compute a job in a worker, which ends by SIGTERM when it has saved what there is."""
+    try:
+        with ending_by_signals():
+            return computed(job, jobs)
+    except SystemExit:
+        os._exit(1)  # the pool would catch it, and wait for jobs of a parent that may be gone
+
+
+class Ray(AbstractExecutor):
+    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine."""
+
+    def __init__(self, workers: int, threads: int, jobs: Path) -> None:
+        try:
+            self._ray: Any = __import__("ray")
+        except ImportError as error:
+            raise RunError("the executor `ray` needs Ray: pip install 'maesn[ray]'.") from error
+        local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
+        self._ray.init(
+            log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local
+        )
+        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        variables = path | thread_variables(threads)
+        self._remote = self._ray.remote(_on_cluster).options(
+            num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
+        )
+        self.slots = workers  # what the cluster has no CPUs for waits there
+        with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
+            if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
+                raise RunError(f"the cluster must see `{jobs.resolve()}`: give a shared --out.")
+
+    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
+        future: Future[str | None] = self._remote.remote(computed, job, jobs.resolve()).future()
+        return future
+
+    def close(self) -> None:
+        self._ray.shutdown()
+
+
+def _on_cluster(function: Any, *arguments: Any) -> Any:
+    enable_compilation_cache()
+    return function(*arguments)
+
+
+def thread_variables(threads: int) -> dict[str, str]:
+    """Return variables with which a process computes in so many threads, XLA's included."""
+    eigen = "" if threads > 1 else " --xla_cpu_multi_thread_eigen=false"
+    return {
+        "OMP_NUM_THREADS": str(threads),
+        "OPENBLAS_NUM_THREADS": str(threads),
+        "NPROC": str(threads),  # of XLA's pool
+        "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + eigen,
+    }

@@ -23,10 +23,11 @@ from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
-from maesn.settings import leaves
+from maesn.search import latent_learner
+from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.reading import Place
-from maesn.studies.spec import RunSpec, ScratchSpec, StudySpec
+from maesn.studies.spec import ScratchSpec, StudySpec
 from maesn.worlds import check_policy, make_world
 from maesn.worlds.collector import Collector
 
@@ -34,8 +35,6 @@ RUN = "run"  # in the directory of a job that trains
 
 # What all runs of a study have in common, or what each has of its own, is not a run's to say.
 _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
-# What decides no number of a run.
-_IMMATERIAL = ("versions", "provenance", "changes")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,12 +44,13 @@ class AbstractMember(ABC):
     seed: int
     method: str = ""
     """By which it is drawn; empty for a baseline."""
+    label: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """By their path."""
     identity: str
     """What decides how it acts, besides the seed."""
-    job: str = ""
-    """Name of the job that trains it, if there is one."""
+    needs: tuple[str, ...] = ()
+    """The job that trains it, if there is one."""
     training_steps: int | None = None
     """Environment steps of earlier training."""
 
@@ -73,8 +73,6 @@ class TrainedRun(AbstractMember):
 
     run: Run = dataclasses.field(compare=False, repr=False)
     """Read, or as it will be created: for plans alone. Jobs open it."""
-    init_from: str = ""
-    """What its training starts from."""
     directory: str = ""
     """Of one that exists."""
     family: str | None = None
@@ -88,16 +86,17 @@ class TrainedRun(AbstractMember):
         return self.run.env(asked.reward, asked.sparse_radius)
 
     def trial_episodes(self, asked: Evaluation) -> int | None:
-        trained = Trained(self.run.learner, _blank_state(self.run), _no_prior)
-        try:
-            learner = asked.fast_learner(trained, self.method, self.env(asked))
-        except _PriorIsAsked:
+        trained = Trained(self.run.learner, _blank_state(self.run))
+        if asked.rule is not None and asked.rule.needs_return_prior:  # which is made later
+            with refusals(f"`{self.method}` cannot be adapted like this: "):
+                latent_learner(trained.fast_learner())
             return None
+        learner = asked.fast_learner(trained, self.method, self.env(asked))
         return learner.capabilities.trial_episodes
 
     def open(self, jobs: Path) -> Run:
         """Open the run, once it is trained."""
-        return Run.open(jobs / self.job / RUN if self.job else self.directory, self.family)
+        return Run.open(jobs / self.needs[0] / RUN if self.needs else self.directory, self.family)
 
     def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
         return evaluate(self.open(jobs), asked, tasks=tasks)[0]
@@ -138,8 +137,9 @@ def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untra
     """Return the seeds of a method from scratch; `RunError` if it cannot learn in a family."""
     spec, world = study.scratch[name], study.world(family)
     spec = dataclasses.replace(spec, method=spec.method or name)
-    learner = scratch_learner(spec, make_env(resolve_family(family), world))
-    own = {"method": spec.method, "settings": fields_to_json(spec)}
+    with (Place(study.file) / "scratch" / name).refusing():
+        learner = scratch_learner(spec, make_env(resolve_family(family), world))
+    own = {"method": spec.method, "label": spec.label, "settings": fields_to_json(spec)}
     return [_untrained(world, learner, seed, **own) for seed in spec.seeds or study.seeds]
 
 
@@ -150,9 +150,8 @@ def scratch_learner(spec: ScratchSpec, env: AnyEnv) -> AbstractFastLearner[Any]:
     given = {"max_kl": spec.max_kl, "step_size": spec.step_size, "curiosity": bonus}
     known = inspect.signature(make).parameters
     chosen = {name: one for name, one in given.items() if one is not None and name in known}
-    with refusals(f"`{spec.method}` cannot learn in `{env.name}`: "):
-        policy = USUAL[env.action_kind]
-        return make(env.observation_size, env.action_size, policy=policy, **chosen)
+    policy = USUAL[env.action_kind]
+    return make(env.observation_size, env.action_size, policy=policy, **chosen)
 
 
 def _untrained(
@@ -163,17 +162,15 @@ def _untrained(
 
 
 def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]:
-    """Return the seeds of a run on one family; none if it is not to be on that one.
-
-    Raises:
-        RunError: a setting cannot be, or a run that exists cannot be read.
-    """
-    spec, place = study.runs[name], Place(study.file) / "runs" / name
+    """Return the seeds of a run on one family; none if it is not to be on that one."""
+    spec = study.runs[name]
     if family not in (spec.families or [family]):
         return []
-    if spec.directories:
-        return [_existing(one, study, family, place) for one in spec.directories]
-    return [_to_train(study, name, family, seed, place) for seed in spec.seeds or study.seeds]
+    with (Place(study.file) / "runs" / name).refusing():
+        members = [_existing(one, study, family) for one in spec.directories] or [
+            _to_train(study, name, family, seed) for seed in spec.seeds or study.seeds
+        ]
+    return [dataclasses.replace(one, label=spec.label) for one in members]
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
@@ -185,49 +182,42 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
         settings=leaves({**config["settings"], "learner": config["learner"]}),
         identity=identity or " ".join(identity_of_run(run).values()),
         run=run,
+        family=run.own_family,
         **where,
     )
 
 
-def _existing(directory: str, study: StudySpec, family: str, place: Place) -> TrainedRun:
-    own_family = family if ":" in family else None
-    run = Run.open(directory, own_family)
-    wanted = (resolve_family(family).name, study.variant)
-    found = (run.config.family, run.env().variant)
-    if found != wanted:
-        place.refuse(
-            f"`{run.directory}` must be a run on {' of variant '.join(wanted)}, got one on "
-            f"{' of variant '.join(found)}."
-        )
-    steps = run.latest().environment_steps
-    return trained_run(run, directory=directory, family=own_family, training_steps=steps)
+def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
+    run = Run.open(directory, family)
+    if run.env().variant != study.variant:
+        raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
+    return trained_run(run, directory=directory, training_steps=run.latest().environment_steps)
 
 
-def _to_train(study: StudySpec, name: str, family: str, seed: int, place: Place) -> TrainedRun:
+def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
     """Return a run that is to be trained; all is checked that can be before."""
-    init_from, resolved = study.runs[name].init_from, resolve_family(family)
-    learner, settings = _settings(study, name, family, seed, place)
-    with place.refusing():
-        learner = learner.for_actions(make_env(resolved, settings).action_kind)
-        learner.check_batch(settings.episodes_per_task)
-        tasks = find_tasks(settings.tasks, resolved)
-        run = Run(Path(name), new_config(settings, learner, resolved, tasks), resolved, tasks)
-        check_policy(learner.player(_blank_state(run)), run.env())
-    document = {k: v for k, v in run.config.document().items() if k not in _IMMATERIAL}
+    resolved = resolve_family(family)
+    learner, settings = _settings(study, name, family, seed)
+    learner = learner.for_actions(make_env(resolved, settings).action_kind)
+    learner.check_batch(settings.episodes_per_task)
+    tasks = find_tasks(settings.tasks, resolved)
+    config = new_config(settings, learner, resolved, tasks)
+    run = Run(Path(name), config, resolved, tasks, settings.own_family)
+    check_policy(learner.player(_blank_state(run)), run.env())
+    document = config.document() | {"init_from": ""}
+    for immaterial in ("versions", "provenance", "changes"):
+        del document[immaterial]
     del document["settings"]["checkpoint_every"]
-    started = identity_of_run(Run.open(init_from)) if init_from else ""
-    digest = digest_of_document(document | {"init_from": started})
-    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest}"
-    return trained_run(run, job, job=job, init_from=init_from, family=settings.own_family)
+    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest_of_document(document)}"
+    return trained_run(run, job, needs=(job,))
 
 
 def _settings(
-    study: StudySpec, name: str, family: str, seed: int, place: Place
+    study: StudySpec, name: str, family: str, seed: int
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
-    """Return learner and settings of a run that is to be trained; `RunError` with the wrong key."""
+    """Return learner and settings of a run that is to be trained."""
     spec = study.runs[name]
-    preset = spec.preset or name
-    usual: dict[str, Any] = {}
+    preset, usual = spec.preset or name, {}
     if ":" in preset:
         learner = imported(preset, "preset")()
     elif spec.source == "reference":
@@ -235,33 +225,19 @@ def _settings(
     else:
         learner = learners.recommended(preset, family)
         usual = learners.recommended_run(preset, family)
-    with place.refusing():
-        settings = dataclasses.replace(study.world(family), seed=seed, **usual)
-    names = [one for one in fields_to_json(settings) if one not in _NOT_OF_A_RUN]
-    on_family = leaves(spec.on.get(family, {}))
-    for path, value in {**leaves(spec.changes), **on_family}.items():
-        here = place / "on" / family / path if path in on_family else place / path
-        try:
-            if path in names:
-                settings = replaced(settings, {path: value})
-            else:
-                learner = replaced(learner, {path: value})
-        except KeyError:
-            own = [one.name for one in dataclasses.fields(RunSpec) if one.name != "changes"]
-            here.unknown(path, [*names, *leaves(fields_to_json(learner)), *own], "setting")
-        except ValueError as error:
-            here.refuse(error)
+    settings = dataclasses.replace(study.world(family), seed=seed, **usual)
+    names = fields_to_json(settings).keys() - _NOT_OF_A_RUN
+    changes = leaves(spec.changes) | leaves(spec.on.get(family, {}))
+    own = {path: changes.pop(path) for path in names & changes.keys()}
+    try:
+        settings, learner = replaced(settings, own), replaced(learner, changes)
+    except KeyError as error:
+        (path,) = error.args
+        known = [*vars(spec), *names, *leaves(fields_to_json(learner))]
+        raise ValueError(f"there is no setting `{path}`.{suggestion(path, known)}") from error
     return learner, dataclasses.replace(settings, method=learners.method_name(learner))
 
 
 def _blank_state(run: Run) -> Any:
     """Return a state of zeros, for checks that do not depend on what was learned."""
     return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), run.structure())
-
-
-class _PriorIsAsked(Exception):
-    """Everything else of a search fits."""
-
-
-def _no_prior(*_: Any) -> Any:
-    raise _PriorIsAsked

@@ -2,19 +2,23 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from maesn.envs import AnyEnv, TaskSet, describe_env
+from maesn.envs import AnyEnv, describe_env
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.exploration import RECORDED_EPISODES
+from maesn.learners import BonusMetaLearner, RecurrentMetaLearner
 from maesn.reporting.style import METHOD_STYLES
+from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import USUAL as USUAL_PRIOR
-from maesn.studies.jobs import AbstractJob, EvaluateJob, PriorJob, record_job, train_job
+from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run
 from maesn.studies.members import (
     AbstractMember,
     TrainedRun,
@@ -31,19 +35,14 @@ Entry: TypeAlias = dict[str, Any]
 """Of the manifest: a comparison, or one of its lines, whose `seeds` are members and their jobs."""
 
 
-class Plan(NamedTuple):
-    """What a study computes, and what for."""
+def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[Entry]]:
+    """Return what a study computes and what for: jobs by name, and comparisons.
 
-    jobs: Mapping[str, AbstractJob]
-    """By name, each behind those that it needs."""
-    comparisons: Sequence[Entry]
-
-
-def make_plan(study: StudySpec) -> Plan:
-    """Return the plan of a study; `RunError` with the place in its file of what cannot be."""
-    jobs: dict[str, AbstractJob] = {}
-    planners = [_Planner(study, family, jobs) for family in study.families]
-    return Plan(jobs, [one for planner in planners for one in planner.compare()])
+    Each job is behind those that it needs. `RunError` with the place in its file of what cannot be.
+    """
+    jobs: dict[str, Job] = {}
+    planned = [_Planner(study, family, jobs).compare() for family in study.families]
+    return jobs, [one for comparisons in planned for one in comparisons]
 
 
 @dataclasses.dataclass
@@ -52,19 +51,22 @@ class _Planner:
 
     study: StudySpec
     family: str
-    jobs: dict[str, AbstractJob]
+    jobs: dict[str, Job]
     """Those of the families before, and what is planned here."""
     runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
-    task_sets: dict[str, TaskSet] = dataclasses.field(default_factory=dict)
 
     def compare(self) -> Iterator[Entry]:
         """Yield what is compared: lines in the same tasks, under the same reward."""
         worlds = defaultdict(list)
         for number, spec in enumerate(self.study.all_lines, start=1):
             if self.family in (spec.families or [self.family]):
-                for asked, line in self.lines(spec, Place(self.study.file, ("lines", str(number)))):
-                    world = asked.tasks, asked.reward, asked.sparse_radius
-                    worlds[world].append((asked, line))
+                members: Sequence[AbstractMember] = self.run(spec.run) if spec.run else ()
+                if spec.scratch:
+                    members = members_from_scratch(self.study, spec.scratch, self.family)
+                with (Place(self.study.file) / "lines" / number).refusing():
+                    for asked, line in self.lines(spec, members):
+                        world = asked.tasks, asked.reward, asked.sparse_radius
+                        worlds[world].append((asked, line))
         # The name of a comparison is that of the family, and what tells it from others there.
         differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
         for world, lines in worlds.items():
@@ -73,59 +75,61 @@ class _Planner:
             name = "-".join([self.family.rpartition(":")[2], *told])
             yield self.comparison(name, lines)
 
-    def lines(self, spec: LineSpec, place: Place) -> Iterator[tuple[Evaluation, Entry]]:
-        """Yield a line with each of its evaluations; none where the run is not of this family."""
+    def run(self, name: str) -> Sequence[TrainedRun]:
+        """Return the seeds of a run, none if it is not of this family, and plan their training."""
+        if name not in self.runs:
+            self.runs[name] = members_of_run(self.study, name, self.family)
+            for one in self.runs[name]:
+                for job in one.needs:
+                    work = partial(train_run, one.run.learner, one.run.settings)
+                    iterations = one.run.settings.iterations
+                    self.add(job, (), _steps_of_training(one.run), work, iterations)
+        return self.runs[name]
+
+    def lines(
+        self, spec: LineSpec, members: Sequence[AbstractMember]
+    ) -> Iterator[tuple[Evaluation, Entry]]:
+        """Yield a line with each of its evaluations."""
         study, source = self.study, spec.run or spec.scratch
-        members: Sequence[AbstractMember]
-        if spec.run:
-            members, label, most = self.run(source), study.runs[source].label, None
-        else:
-            with place.refusing():
-                members = members_from_scratch(study, source, self.family)
-            label, most = study.scratch[source].label, study.scratch[source].num_tasks
         names = spec.evaluation or tuple(study.evaluations)
         rivals = [one for one in study.all_lines if source == (one.run or one.scratch)]
         for evaluation in names if members else ():
-            asked = study.evaluations[evaluation].on_family(self.family)
-            if spec.scratch and (asked.rule is not None or asked.wrappers):
-                if spec.evaluation:
-                    place.refuse(
-                        f"`{source}` begins from scratch, and has no rule of `{evaluation}`."
-                    )
-                continue
+            chosen = study.evaluations[evaluation]
+            asked = chosen.on.get(self.family, chosen.usual)
+            if spec.scratch:
+                if asked.rule is not None or asked.wrappers:
+                    if spec.evaluation:
+                        raise ValueError(f"`{source}` has no rule: leave out `{evaluation}`.")
+                    continue
+                most = study.scratch[source].num_tasks or asked.num_tasks
+                if most is not None:
+                    asked = dataclasses.replace(asked, num_tasks=min(most, asked.num_tasks or most))
             name = f"{source}-{evaluation}" if len(names) > 1 or len(rivals) > 1 else source
-            if most is not None:
-                asked = dataclasses.replace(asked, num_tasks=min(most, asked.num_tasks or most))
-            yield self.line((name, source, spec.label or label), members, asked, place)
+            yield self.line(name, source, members, asked)
 
     def line(
-        self,
-        names: tuple[str, str, str],
-        members: Sequence[AbstractMember],
-        asked: Evaluation,
-        place: Place,
+        self, name: str, source: str, members: Sequence[AbstractMember], asked: Evaluation
     ) -> tuple[Evaluation, Entry]:
-        """Return a line, called by name, source and label, of members that adapt alike."""
-        (name, source, label), study = names, self.study
-        with place.refusing():
-            asked = dataclasses.replace(
-                asked,
-                # It is said because runs may have been trained with another one.
-                sparse_radius=members[0].env(asked).sparse_radius or None,
-                seed=study.evaluation_seed,
-                engine=study.engine,
-                num_threads=study.threads,
-            )
-            trials = [member.trial_episodes(asked) for member in members]
-        num_tasks = asked.count(self.tasks(asked.tasks))
+        """Return a line of members that adapt alike, with its evaluation in full."""
+        study, first = self.study, members[0]
+        asked = dataclasses.replace(
+            asked,
+            # It is said because runs may have been trained with another one.
+            sparse_radius=first.env(asked).sparse_radius or None,
+            seed=study.evaluation_seed,
+            engine=study.engine,
+            num_threads=study.threads,
+        )
+        trials = [member.trial_episodes(asked) for member in members]
+        num_tasks = asked.count(find_tasks(asked.tasks, resolve_family(self.family)))
         budget = {**asked.budget._asdict(), "num_tasks": num_tasks, "seed": asked.seed}
         return asked, {
             "name": name,
             "source": source,
-            "method": members[0].method,
-            "label": label,
+            "method": first.method,
+            "label": first.label,
             "addition": bool(asked.wrappers),
-            "settings": members[0].settings,
+            "settings": first.settings,
             "evaluation": {"rule": asked.rule_text, **budget},
             "trial_episodes": trials[0],
             "seeds": [(one, list(self.evaluate(name, one, asked))) for one in members],
@@ -134,21 +138,18 @@ class _Planner:
     def comparison(self, name: str, planned: Sequence[tuple[Evaluation, Entry]]) -> Entry:
         """Return a comparison, with agents that learn nothing below, and the oracle above."""
         first, lines = planned[0][0], [line for _, line in planned]
-        asked = dataclasses.replace(
-            first,
+        asked = Evaluation(
+            tasks=first.tasks,
             num_tasks=max(line["evaluation"]["num_tasks"] for line in lines),
-            rule=None,
-            wrappers=(),
-            deploy_after=(),
+            reward=first.reward,
             episodes=0,
-            episodes_per_update=None,
-            deploy_episodes=None,
+            sparse_radius=first.sparse_radius,
+            tasks_at_once=first.tasks_at_once,
         )
-        study, place = self.study, Place(self.study.file)
-        still = baselines(study.world(self.family))
-        below = [self.line((name, name, ""), [one], asked, place) for name, one in still.items()]
-        members = self.run(study.oracle) if study.oracle else []
-        above = [self.line(("oracle", study.oracle, ""), members, asked, place)] if members else []
+        study, still = self.study, baselines(self.study.world(self.family))
+        below = [self.line(name, name, [one], asked) for name, one in still.items()]
+        best = self.run(study.oracle) if study.oracle else ()
+        above = [self.line("oracle", study.oracle, best, asked)] if best else []
         return {
             "name": name,
             "family": self.family,
@@ -160,42 +161,44 @@ class _Planner:
             "lines": _labelled(planned),
             "baselines": _labelled(below),
             "oracle": _labelled(above),
-            "recorded": self.recorded(dict.fromkeys(line["source"] for line in lines)),
+            "recorded": dict(self.record(dict.fromkeys(line["source"] for line in lines))),
         }
 
-    def recorded(self, sources: Collection[str]) -> dict[str, str]:
-        """Plan what figures of runs need to have recorded; return the jobs by the runs' names.
+    def record(self, sources: Iterable[str]) -> Iterator[tuple[str, str]]:
+        """Plan what figures of runs need to have recorded; yield names of runs and jobs.
 
         `sources` are the runs and methods that the comparison has lines of.
         """
-        drawn = {
-            name
-            for figure in self.study.figures
-            if figure.kind in RECORDED and self.family in (figure.families or [self.family])
-            for name in figure.lines or sources
-        }
-        jobs = {
-            name: record_job(first)
-            for name in sources
-            for first in self.runs.get(name, ())[:1]
-            if name in drawn and first.run.env().planar
-        }
-        self.jobs.update({job.name: job for job in jobs.values()})
-        return {name: job.name for name, job in jobs.items()}
+        figures = [one for one in self.study.figures if one.kind in RECORDED]
+        here = [one for one in figures if self.family in (one.families or [self.family])]
+        for name in sources:
+            drawn = any(name in one.lines or not one.lines for one in here)
+            for member in self.runs.get(name, ())[:1]:
+                env = member.run.env()
+                if drawn and env.planar:
+                    digest = _digest(member, env)
+                    job = f"record-{env.name}-{member.method}-seed-{member.seed}-{digest}"
+                    steps = RECORDED_EPISODES * env.horizon
+                    yield name, self.add(job, member.needs, steps, partial(record_run, member))
 
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
-        tasks, budget, env = self.tasks(asked.tasks), asked.budget, member.env(asked)
-        needs = self.needs(name, member, asked, env)
+        tasks = find_tasks(asked.tasks, resolve_family(self.family))
+        budget, env = asked.budget, member.env(asked)
+        needs = member.needs
+        who = f"{env.name}-{name}-seed-{member.seed}"
+        is_search = asked.rule is not None and asked.rule.needs_return_prior
+        if is_search and isinstance(member, TrainedRun):
+            steps = USUAL_PRIOR.steps(env, member.run.training_tasks)
+            prior = f"prior-{who}-{_digest(member, env)}"
+            needs += (self.add(prior, needs, steps, partial(make_prior, member, asked)),)
         if isinstance(member, Untrained) and member.method:
             # From scratch, the seed is that of fresh policies and of the episodes.
             asked = dataclasses.replace(asked, seed=member.seed)
         columns = len(asked.deploy_after) or budget.episodes // budget.per_update + 1
         of_task = (budget.episodes + budget.per_update + budget.deploy * columns) * env.horizon
         document = {
-            "of": member.identity,
             "rule": asked.rule_text,
-            "world": describe_env(env),
             "engine": engine_of(env, self.study.engine),
             "tasks": tasks.digest(),
             "budget": [*budget, *asked.deploy_after],
@@ -205,38 +208,31 @@ class _Planner:
         number = asked.count(tasks)
         for part in np.array_split(np.arange(number), -(-number // asked.tasks_at_once)):
             first, count = int(part[0]), len(part)
-            digest = digest_of_document(document | {"part": [first, count]})
-            job = f"adapt-{env.name}-{name}-seed-{member.seed}-from-{first}-{digest}"
-            some = range(first, first + count)
-            self.jobs.setdefault(job, EvaluateJob(job, needs, of_task * count, member, asked, some))
-            yield job
+            digest = _digest(member, env, **document, part=[first, count])
+            job = f"adapt-{who}-from-{first}-{digest}"
+            work = partial(adapt_member, member, asked, range(first, first + count))
+            yield self.add(job, needs, of_task * count, work)
 
-    def needs(
-        self, name: str, member: AbstractMember, asked: Evaluation, env: AnyEnv
-    ) -> tuple[str, ...]:
-        """Return the jobs before an evaluation: training and, planned here, a search's prior."""
-        training = (member.job,) if member.job else ()
-        is_search = asked.rule is not None and asked.rule.needs_return_prior
-        if not (is_search and isinstance(member, TrainedRun)):
-            return training
-        digest = digest_of_document({"of": member.identity, "world": describe_env(env)})
-        prior = f"prior-{env.name}-{name}-seed-{member.seed}-{digest}"
-        steps = USUAL_PRIOR.steps(env, member.run.training_tasks)
-        self.jobs.setdefault(prior, PriorJob(prior, training, steps, member, asked))
-        return (*training, prior)
+    def add(self, name: str, *fields: Any) -> str:
+        """Plan a job, unless it is planned already; return its name."""
+        self.jobs.setdefault(name, Job(name, *fields))
+        return name
 
-    def run(self, name: str) -> Sequence[TrainedRun]:
-        """Return the seeds of a run, none if it is not of this family, and plan their training."""
-        if name not in self.runs:
-            self.runs[name] = members_of_run(self.study, name, self.family)
-            self.jobs.update({one.job: train_job(one) for one in self.runs[name] if one.job})
-        return self.runs[name]
 
-    def tasks(self, name: str) -> TaskSet:
-        """Return a task set, read once."""
-        if name not in self.task_sets:
-            self.task_sets[name] = find_tasks(name, resolve_family(self.family))
-        return self.task_sets[name]
+def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
+    """Return a digest of all that decides a result of a member in a world."""
+    return digest_of_document({"of": member.identity, "world": describe_env(env), **more})
+
+
+def _steps_of_training(run: Run) -> int:
+    """Return the steps of a training, as if all episodes ended in time."""
+    inner: Any = run.learner
+    if isinstance(inner, BonusMetaLearner):
+        inner = inner.learner
+    is_recurrent = isinstance(inner, RecurrentMetaLearner)
+    rounds = inner.trial_episodes if is_recurrent else inner.inner_updates + inner.outer_batches
+    episodes = run.settings.iterations * inner.meta_batch_size * run.settings.episodes_per_task
+    return episodes * rounds * run.env().horizon
 
 
 def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:
@@ -244,10 +240,9 @@ def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:
     labels = []
     for asked, line in planned:
         rivals = {one["source"] for _, one in planned if one["method"] == line["method"]}
-        is_alone = line["method"] in METHOD_STYLES and len(rivals) == 1
-        usual = (
-            METHOD_STYLES[line["method"]].label if is_alone else line["source"].replace("_", " ")
-        )
+        usual = line["source"].replace("_", " ")
+        if line["method"] in METHOD_STYLES and len(rivals) == 1:
+            usual = METHOD_STYLES[line["method"]].label
         labels.append((line["label"] or usual) + (f" ({asked.label})" if asked.label else ""))
     return [
         line | {"label": label if labels.count(label) == 1 else f"{label} [{line['name']}]"}

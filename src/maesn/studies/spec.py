@@ -22,7 +22,7 @@ RECORDED: tuple[FigureKind, ...] = ("tasks", "exploration", "noise", "latents")
 
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
-    """`[runs.NAME]`: what is trained, on each family with each seed.
+    """`[runs.NAME]`: what is trained, on each family with each seed; none: on those of the study.
 
     All other keys are settings of the run or of the learner, as in `maesn train`. Those in
     `[runs.NAME.on.FAMILY]` hold on one family.
@@ -35,11 +35,7 @@ class RunSpec:
     source: Literal["recommended", "reference"] = "recommended"
     """Defaults: what was found to work on the family, or the published settings."""
     seeds: tuple[int, ...] = ()
-    """None: those of the study."""
     families: tuple[str, ...] = ()
-    """None: those of the study."""
-    init_from: str = ""
-    """Directory of a run, or name of a policy that comes with the library, to start from."""
     directories: tuple[str, ...] = ()
     """Runs that exist, of one family; they take part as they are, and nothing is trained."""
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -55,19 +51,14 @@ class EvaluationSpec:
     usual: Evaluation = USUAL
     on: Mapping[str, Evaluation] = dataclasses.field(default_factory=dict)
 
-    def on_family(self, family: str) -> Evaluation:
-        """Return the evaluation on one family."""
-        return self.on.get(family, self.usual)
-
 
 @dataclasses.dataclass(frozen=True)
 class ScratchSpec:
-    """`[scratch.NAME]`: a method that begins anew in every task."""
+    """`[scratch.NAME]`: a method that begins anew in every task; `label` is as of a run."""
 
     method: str = ""
     """trpo, reinforce (alias vpg) or vime; empty: NAME."""
     label: str = ""
-    """In figures and tables; empty: that of the method."""
     seeds: tuple[int, ...] = ()
     """Of fresh policies and of the episodes. None: those of the study."""
     num_tasks: int | None = None
@@ -86,16 +77,15 @@ class ScratchSpec:
 
 @dataclasses.dataclass(frozen=True)
 class LineSpec:
-    """`[[lines]]`: a run or a method from scratch, with its evaluations; one line for each."""
+    """`[[lines]]`: a run or a method from scratch, one line for each of its evaluations.
+
+    No evaluations, or no families: all.
+    """
 
     run: str = ""
     scratch: str = ""
     evaluation: tuple[str, ...] = ()
-    """None: all."""
-    label: str = ""
-    """Before what rule and wrappers add; empty: that of the run or the method."""
     families: tuple[str, ...] = ()
-    """None: all that the run is trained on."""
 
     def __post_init__(self) -> None:
         if bool(self.run) == bool(self.scratch):
@@ -104,7 +94,7 @@ class LineSpec:
 
 @dataclasses.dataclass(frozen=True)
 class FigureSpec:
-    """`[[figures]]`: some lines in a figure of their own, for each family."""
+    """`[[figures]]`: some lines in a figure of their own, for some families, or for each."""
 
     name: str = "figure"
     """Of the file; that of the family is added."""
@@ -116,7 +106,6 @@ class FigureSpec:
     lines: tuple[str, ...] = ()
     """Names of runs and methods; none: all."""
     families: tuple[str, ...] = ()
-    """None: all of the study."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,56 +1,55 @@
-"""A study: any comparison, from what a file says to figures and tables."""
+"""Studies: any comparison, from what a file says to figures and tables; those of runs in memory."""
 
 import contextlib
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import tyro
 
+from maesn import storage
+from maesn.evaluation.arguments import AnyPath, AnyRun, OptionalPath
+from maesn.evaluation.evaluation import USUAL, AnyEvaluation
+from maesn.learners import SCRATCH
 from maesn.reporting.reading import latents_beside, read_rows
-from maesn.reporting.runs import Latents, read_record
-from maesn.reporting.study import MANIFEST, RESULTS, report_study
+from maesn.reporting.runs import read_run
+from maesn.reporting.series import group_series
+from maesn.reporting.study import MANIFEST, report_study
 from maesn.reporting.tables import TextTable
-from maesn.runs.config import installed_versions
+from maesn.runs.config import RunSettings, installed_versions
+from maesn.runs.run import Run
 from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
-from maesn.storage import (
-    explained,
-    locked,
-    read_json,
-    refusals,
-    write_arrays,
-    write_json,
-    write_rows,
-    write_whole,
+from maesn.storage import RunError
+from maesn.studies.execution import (
+    AbstractExecutor,
+    Execution,
+    ExecutorName,
+    LocalPool,
+    Ray,
+    Say,
 )
-from maesn.studies.execution import Execution, Say
-from maesn.studies.executors import AbstractExecutor, ExecutorName, LocalPool, Ray
-from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS, is_done
+from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
+from maesn.studies.members import trained_run
 from maesn.studies.plan import Entry, make_plan
 from maesn.studies.reading import read_study
-from maesn.studies.spec import StudySpec
+from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
 
 JOBS = "jobs"
-_KINDS = ("lines", "baselines", "oracle")  # of lines, in a comparison
 
 
 class Results(NamedTuple):
     """What a study has computed."""
 
     directory: Path
-    """Of manifest, tables and figures."""
+    """Of manifest, figures and tables; `results.csv` holds all results."""
     tables: list[TextTable]
     """Where each method ends, and who beats whom."""
     failed: dict[str, str]
     """Job -> its error."""
-
-    @property
-    def csv(self) -> Path:
-        """The table of all results, a row per method, seed, task and update: for pandas."""
-        return self.directory / RESULTS
 
 
 class Study:
@@ -59,15 +58,11 @@ class Study:
     def __init__(self, spec: StudySpec) -> None:
         """Plan it; `RunError` if something in it cannot be, before anything has run."""
         self.spec = spec
-        self.plan = make_plan(spec)
+        self.jobs, self.comparisons = make_plan(spec)
 
     @classmethod
     def load(cls, source: str | Path) -> "Study":
-        """Read a study: a path, else the name of one that comes with the library.
-
-        Raises:
-            RunError: it cannot be read, or something in it cannot be, with its key.
-        """
+        """Read a study, as `read_study` does, and plan it."""
         return cls(read_study(source))
 
     def run(
@@ -76,38 +71,32 @@ class Study:
         *,
         executor: ExecutorName | AbstractExecutor = "local",
         workers: int | None = None,
-        retries: int = 2,
         only: str | None = None,
         say: Say = lambda sentence: None,
     ) -> Results:
         """Compute what is not done yet, and write figures and tables.
 
         What another study has computed in `out` is not repeated. A study that was interrupted in
-        any way goes on with the same call.
+        any way goes on with the same call. It is a `RunError` if `out` cannot be used.
 
         Args:
             out: directory of jobs and results.
             executor: where jobs are computed.
             workers: jobs at a time; None: as many as there are CPUs for.
-            retries: how often a job that failed by accident is tried again.
             only: name of the one job to compute, if those that it needs are done.
             say: receives messages of progress.
-
-        Raises:
-            RunError: the directory cannot be used, or there is no such job.
         """
-        with refusals():
+        with storage.refusals():
             check_number("workers", workers, 1)
-            check_number("retries", retries, 0)
-        execution, directory = self.execution(out, retries), Path(out) / self.spec.name
+        execution, directory = self.execution(out), Path(out) / self.spec.name
         for folder in (execution.directory, directory):
-            with explained("make", folder):
+            with storage.explained("make", folder):
                 folder.mkdir(parents=True, exist_ok=True)
         if only is not None:
             execution.only(only)
         threads = self.spec.threads
         at_once = workers or max(1, len(os.sched_getaffinity(0)) // threads)
-        with contextlib.nullcontext() if only else locked(directory), ending_by_signals():
+        with contextlib.nullcontext() if only else storage.locked(directory), ending_by_signals():
             if executor == "local":
                 executor = LocalPool(at_once, threads)
             elif executor == "ray":
@@ -117,74 +106,159 @@ class Study:
                 execution.run(executor, say)
             if only is not None:
                 return Results(directory, [], execution.failed)
-            self.write_results(Path(out))
+            document = {
+                "study": self.spec.name,
+                "comparisons": [_collect(one, execution, directory) for one in self.comparisons],
+                "figures": [dataclasses.asdict(one) for one in self.spec.figures],
+                "jobs": sorted(self.jobs),
+                "versions": installed_versions("mujoco.batch"),
+            }
+            storage.write_json(directory / MANIFEST, document)
             tables = report_study(directory, lambda path: say(str(path)))
             return Results(directory, tables, execution.failed)
 
-    def execution(self, out: str | Path, retries: int = 2) -> Execution:
+    def execution(self, out: str | Path) -> Execution:
         """Return the jobs and their state in a directory."""
-        return Execution(self.plan.jobs, Path(out) / JOBS, retries)
-
-    def write_results(self, out: Path) -> None:
-        """Write what is done: a table for each line and seed, and the manifest that names them.
-
-        `maesn.reporting.study` reads these files, and nothing else.
-        """
-        document = {
-            "study": self.spec.name,
-            "comparisons": [
-                one
-                | {kind: self._done(one[kind], one["name"], out) for kind in _KINDS}
-                | {"recorded": self._recorded(one["recorded"], one["name"], out)}
-                for one in self.plan.comparisons
-            ],
-            "figures": [dataclasses.asdict(one) for one in self.spec.figures],
-            "jobs": sorted(self.plan.jobs),
-            "versions": installed_versions("mujoco.batch"),
-        }
-        write_json(out / self.spec.name / MANIFEST, document)
-
-    def _recorded(self, made: Mapping[str, str], comparison: str, out: Path) -> dict[str, str]:
-        """Keep what was recorded of runs; return the files by the runs' names."""
-        jobs, directory, found = out / JOBS, out / self.spec.name, {}
-        for name, job in made.items():
-            if is_done(job, jobs):
-                found[name] = f"recorded/{comparison}/{name}.npz"
-                if (jobs / job / EXPLORATION).exists():
-                    write_whole(directory / found[name], (jobs / job / EXPLORATION).read_bytes())
-        return found
-
-    def _done(self, lines: list[Entry], comparison: str, out: Path) -> list[Entry]:
-        """Return the lines with those seeds that are done, each with a table of all its tasks."""
-        jobs, directory, found = out / JOBS, out / self.spec.name, []
-        for line in lines:
-            seeds = []
-            for member, parts in line["seeds"]:
-                if all(is_done(job, jobs) for job in parts):
-                    table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
-                    # A study that was pruned has its tables alone.
-                    if all((jobs / job / ROWS).exists() for job in parts):
-                        rows = [row for job in parts for row in read_rows(jobs / job / ROWS)]
-                        write_rows(directory / table, rows)
-                        _join_latents([jobs / job for job in parts], directory / table)
-                    steps = member.training_steps
-                    if member.job:
-                        steps = read_json(jobs / member.job / DONE)["environment_steps"]
-                    seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
-            found += [line | {"seeds": seeds}] if seeds else []
-        return found
+        return Execution(self.jobs, Path(out) / JOBS)
 
 
-def _join_latents(jobs: Sequence[Path], table: Path) -> None:
-    """Put the adapted latents of all tasks beside their table, where jobs have kept them."""
-    path = latents_beside(table)
-    if not all((job / LATENTS).exists() for job in jobs):
-        with explained("remove", path):
-            path.unlink(missing_ok=True)  # what the line had before its evaluation was changed
+def _collect(comparison: Entry, execution: Execution, directory: Path) -> Entry:
+    """Write the tables of a comparison; return it with those lines and seeds that are done.
+
+    A study that was pruned has the files of jobs no more: its tables stay as they are.
+    """
+    recorded = {}
+    for name, job in comparison["recorded"].items():
+        if execution.is_done(job):
+            recorded[name] = f"recorded/{comparison['name']}/{name}.npz"
+            path = execution.directory / job / EXPLORATION
+            if path.exists():
+                storage.write_whole(directory / recorded[name], path.read_bytes())
+    found = comparison | {"recorded": recorded}
+    for kind in ("lines", "baselines", "oracle"):
+        lines = [_line(line, comparison["name"], execution, directory) for line in comparison[kind]]
+        found[kind] = [line for line in lines if line["seeds"]]
+    return found
+
+
+def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -> Entry:
+    """Return a line with the seeds that are done, each with a table of all its tasks."""
+    jobs, seeds = execution.directory, []
+    for member, parts in line["seeds"]:
+        if all(map(execution.is_done, parts)):
+            table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
+            _join([jobs / job for job in parts], directory / table)
+            steps = member.training_steps
+            for job in member.needs:
+                steps = storage.read_json(jobs / job / DONE)["environment_steps"]
+            seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
+    return line | {"seeds": seeds}
+
+
+def _join(jobs: Sequence[Path], table: Path) -> None:
+    """Write a table of all tasks; beside it the adapted latents, where jobs have kept them."""
+    if not all((job / ROWS).exists() for job in jobs):
         return
-    parts = [read_record(Latents, job / LATENTS, "compute it again") for job in jobs]
-    mean, log_std = (
-        np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
-        for name in ("mean", "log_std")
+    storage.write_rows(table, [row for job in jobs for row in read_rows(job / ROWS)])
+    latents = latents_beside(table)
+    if all((job / LATENTS).exists() for job in jobs):
+        parts = [storage.read_arrays(job / LATENTS, "compute it again") for job in jobs]
+        joined = {x: np.concatenate([part[x] for part in parts]) for x in ("mean", "log_std")}
+        storage.write_arrays(latents, parts[0] | joined)
+    else:
+        latents.unlink(missing_ok=True)  # what the line had before its evaluation was changed
+
+
+def compare(
+    runs: tyro.conf.Positional[Sequence[AnyRun]] = (),
+    *,
+    out: AnyPath = Path("comparison"),
+    scratch: Sequence[str] = (),
+    oracle: OptionalPath = None,
+    family: str | None = None,
+    workers: int | None = None,
+    evaluation: AnyEvaluation = USUAL,
+    executor: Annotated[ExecutorName | AbstractExecutor, tyro.conf.Suppress] = "local",
+    say: Annotated[Say, tyro.conf.Suppress] = lambda sentence: None,
+) -> Results:
+    """Adapt trained runs and methods from scratch to the same tasks, and compare them.
+
+    With `--rule`, `--then` or `--bonus`, every run that can be given it takes part a second time
+    with it. For anything else write a study (`maesn study run`).
+
+    Args:
+        runs: Directories of trained runs; those that differ in their seed alone become one line.
+        out: Directory of figure, tables and jobs; what was interrupted goes on there.
+        scratch: Methods that begin anew in every task: trpo, reinforce (alias vpg), vime.
+            NAME:COUNT adapts to the first COUNT tasks alone, as in vime:30.
+        oracle: Directory of a run of the preset `oracle`, the upper end of the score.
+        family: Of the tasks, where there are no runs; or `module:name` of the runs' own.
+        workers: Tasks at a time, in chunks; None: as many as there are CPUs for.
+        evaluation: of all lines; its seed is also that of methods from scratch.
+        executor: where it is computed; see `Study.run`.
+        say: receives messages of progress.
+
+    Raises:
+        RunError: a setting, a run or a directory cannot be used.
+    """
+    if not (runs or scratch):
+        raise RunError("name at least one run directory, or a method with --scratch.")
+    opened = {run.directory: run for run in [Run.open(one, family) for one in runs]}
+    if family is None and not opened:
+        raise RunError("`family` must be given where no run says it: --family NAME.")
+    evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
+    specs, lines, more = {}, [], []
+    for one in group_series([read_run(path) for path in opened]):
+        paths = [run.path for run in one.runs]
+        specs[one.name] = RunSpec(label=one.label, directories=tuple(map(str, paths)))
+        lines.append(LineSpec(run=one.name, evaluation=("usual",)))
+        if evaluation.rule is not None or evaluation.wrappers:
+            evaluations["more"] = EvaluationSpec(evaluation)
+            try:
+                trained_run(opened[paths[0]]).trial_episodes(evaluation)
+                more.append(LineSpec(run=one.name, evaluation=("more",)))
+            except RunError as error:
+                say(f"{one.name} takes part as it is: {error}")
+    from_scratch = dict(map(_scratch, scratch))
+    lines += [*more, *(LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch)]
+    if oracle is not None:
+        method = Run.open(oracle, family).settings.method
+        if method != "oracle" or "oracle" in specs:
+            wanted = "a run of `maesn train oracle`, and the only one"
+            raise RunError(f"`oracle` must be {wanted}, got one of `{method}`.")
+        specs["oracle"] = RunSpec(directories=(str(oracle),))
+    spec = StudySpec(
+        name="comparison",
+        file="compare",
+        families=(family or _common("family", opened.values()),),
+        seeds=(evaluation.seed,),
+        variant=_common("variant", opened.values()),
+        engine=evaluation.engine or _common("engine", opened.values()),
+        evaluation_seed=evaluation.seed,
+        threads=evaluation.num_threads or 1,
+        oracle="" if oracle is None else "oracle",
+        runs=specs,
+        evaluations=evaluations,
+        scratch=from_scratch,
+        lines=tuple(lines),
     )
-    write_arrays(path, vars(Latents(mean, log_std, parts[0].first_update)))
+    return Study(spec).run(out, executor=executor, workers=workers, say=say)
+
+
+def _common(name: str, runs: Iterable[Run]) -> Any:
+    """Return a setting of the world that all runs must have in common."""
+    found = {getattr(run.settings, name) for run in runs}
+    if len(found) > 1:
+        raise RunError(f"the runs must agree in `{name}`, got {' and '.join(sorted(found))}.")
+    return next(iter(found), getattr(RunSettings(), name))
+
+
+def _scratch(text: str) -> tuple[str, ScratchSpec]:
+    """Read NAME or NAME:COUNT."""
+    name, _, count = text.partition(":")
+    if name not in SCRATCH or not (count or "1").isdecimal():
+        known = ", ".join(SCRATCH)
+        raise RunError(f"`scratch` must be one of {known}, perhaps as in vime:30, got `{text}`.")
+    method = SCRATCH[name].__name__
+    with storage.refusals():
+        return method, ScratchSpec(method, num_tasks=int(count) if count else None)
