@@ -3,7 +3,8 @@
     python results/prune.py results
 
 Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; of
-every other job that is done, only that it is. A search makes the prior of a run again, in seconds.
+all other jobs that are done, a line in one file. A search makes the prior of a run again, in
+seconds.
 """
 
 import shutil
@@ -16,7 +17,9 @@ from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
+from maesn.storage import read_json, write_json
+from maesn.studies.execution import FINISHED
+from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS
 
@@ -25,13 +28,16 @@ LINES = 20  # of the metrics
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
     """Remove what is not needed from the jobs that are done."""
-    for job in sorted((directory / JOBS).iterdir()):
-        if not (job / DONE).exists():
-            continue
-        for name in (ROWS, LATENTS, EXPLORATION):
-            (job / name).unlink(missing_ok=True)
-        if (job / RUN / CONFIG).exists():
-            prune_run(job / RUN)
+    path = directory / JOBS / FINISHED
+    finished = read_json(path) if path.exists() else {}
+    for done in sorted((directory / JOBS).glob(f"*/{DONE}")):
+        if (done.parent / RUN / CONFIG).exists():
+            prune_run(done.parent / RUN)
+        else:
+            finished[done.parent.name] = read_json(done)
+    write_json(path, dict(sorted(finished.items())))
+    for name in finished:
+        shutil.rmtree(directory / JOBS / name, ignore_errors=True)
 
 
 def prune_run(run: Path) -> None:

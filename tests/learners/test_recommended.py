@@ -1,6 +1,7 @@
 """Settings that suit a family: what they change, and where the command line uses them."""
 
 import dataclasses
+from operator import attrgetter
 from typing import Any
 
 import pytest
@@ -19,9 +20,12 @@ SUITED = [(method, family) for family in RECOMMENDED for method in RECOMMENDED[f
 
 @pytest.mark.parametrize(("method", "family"), SUITED)
 def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> None:
-    wanted = {path: found.value for path, found in RECOMMENDED[family][method].items()}
-    learner = maesn.recommended(method, family)
-    assert differing(learner, METHODS[method]()) == wanted
+    table = {path: found.value for path, found in RECOMMENDED[family][method].items()}
+    learner, usual = maesn.recommended(method, family), METHODS[method]()
+    for path, value in table.items():
+        assert attrgetter(path)(learner) == value != attrgetter(path)(usual)
+    for path in differing(learner, usual):
+        assert any(f"{path}.".startswith(f"{one}.") for one in table)
     assert method_name(learner) == method
     curious = maesn.recommended(f"{method}+curiosity", family)
     assert curious == with_setting(METHODS[f"{method}+curiosity"](), "learner", learner)
@@ -48,7 +52,7 @@ def test_elsewhere_the_preset_is_what_there_is() -> None:
     ("words", "learner", "episodes"),
     [
         ("--family blockpush", maesn.recommended("maesn", "blockpush"), 50),
-        ("--family=ant", METHODS["maesn"](), 50),
+        ("--family=ant", maesn.recommended("maesn", "ant"), 50),
         ("", maesn.recommended("maesn", "wheeled"), 20),
         ("--family blockpush --settings reference", METHODS["maesn"](), 20),
         (
@@ -62,6 +66,20 @@ def test_the_command_begins_with_what_suits(words: str, learner: Any, episodes: 
     options = read_options("maesn", words.split())
     assert options.learner == learner
     assert options.run_settings.episodes_per_task == episodes
+
+
+def test_the_command_says_so_in_one_line(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    few = ["--family", "wheeled", "--iterations", "0", "--policy.hidden-sizes", "4"]
+    assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "a")]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if "that suit" in line]
+    assert said == [
+        "settings that suit `wheeled`: context.initial_spread 0.0 (--settings reference for the "
+        "published ones)"
+    ]
+    overridden = [*few, "--context.initial-spread", "1", "--run", str(tmp_path / "b")]
+    assert cli.run(["train", "maesn", *overridden]) == 0
+    assert "that suit" not in capsys.readouterr().out
+    assert maesn.Run.open(tmp_path / "a").learner.context.initial_spread == 0
 
 
 def test_help_shows_the_familys_own_defaults(capsys: pytest.CaptureFixture[str]) -> None:

@@ -170,3 +170,13 @@ def test_zero_has_no_minus() -> None:
     assert UNITS["mean_return"].number(-0.04) == "0.0"
     assert UNITS["mean_return"].number(-0.04, sign="+") == "+0.0"
     assert UNITS["mean_return"].number(-0.06) == "-0.1"
+
+
+def test_each_of_few_tasks_has_a_row(tmp_path: Path) -> None:
+    table = adaptation_table(num_tasks=10)
+    output = printed(tmp_path, table)
+    assert "Each task, before and after 3 updates" in output
+    for task in range(10):
+        ends = [f"{table.mean_return[task, k]:.1f}" for k in (0, -1)]
+        rates = [f"{100 * table.success_rate[task, k]:.1f}" for k in (0, -1)]
+        assert " ".join([str(task), *ends, *rates]) in output

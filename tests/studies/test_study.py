@@ -120,11 +120,12 @@ def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     Study(dataclasses.replace(SMALL, name="small")).run(tmp_path, executor=again)
     assert again.started == []
     assert files(done.directory) == before
-    # Another study shares what it has in common, and its name is part of no job's.
+    # Another study shares what it has in common, whatever it calls itself and its runs.
     other = Watched()
-    more = dataclasses.replace(SMALL, name="other", scratch={"vpg": ScratchSpec("reinforce")})
+    runs, scratch = {"yours": SMALL.runs["mine"]}, {"vpg": ScratchSpec("reinforce")}
+    more = dataclasses.replace(SMALL, name="other", runs=runs, scratch=scratch)
     Study(more).run(tmp_path, executor=other)
-    assert [name.split("-")[2] for name in other.started] == ["vpg", "vpg"]
+    assert [name.split("-")[2] for name in other.started] == ["reinforce", "reinforce"]
 
 
 def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
@@ -167,10 +168,11 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
 
 
 def test_figures_train_no_run_that_is_not_compared() -> None:
-    runs = dict.fromkeys(("mine", "other"), SMALL.runs["mine"])
+    mine = SMALL.runs["mine"]
+    runs = {"mine": mine, "other": dataclasses.replace(mine, seeds=(7,))}
     lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
     study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
-    assert not [name for name in study.jobs if "other" in name]
+    assert not [name for name in study.jobs if "seed-7" in name]
     assert [one["recorded"].keys() for one in study.comparisons] == [{"mine"}]
 
 
@@ -189,9 +191,9 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     done = study.run(tmp_path, executor=executor)
     (name,) = done.failed
     assert name.startswith("train")
-    assert sum("mine" in name for name in executor.started) == 3
+    assert sum("maesn" in name for name in executor.started) == 3
     states = status(study, tmp_path)
-    assert {states[name] for name in states if "mine" in name and "adapt" in name} == {"waiting"}
+    assert {states[name] for name in states if "maesn" in name and "adapt" in name} == {"waiting"}
     assert (done.directory / "results.csv").exists()  # of the others
     assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
 
@@ -214,7 +216,7 @@ def test_names_of_jobs_say_what_decides_their_numbers() -> None:
     usual = names()
     assert names(name="another", figures=()) == usual
     assert not names(threads=2) & usual
-    assert not {name for name in names(seeds=(1,)) & usual if "mine" in name}
+    assert not {name for name in names(seeds=(1,)) & usual if "maesn" in name}
     other = EvaluationSpec(dataclasses.replace(FEW.usual, seed=1, tasks_at_once=2))
     assert names(evaluations={"few": other}) == usual  # the seed of episodes is the study's
     assert not {name for name in names(evaluation_seed=1) & usual if "adapt" in name}

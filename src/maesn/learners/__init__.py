@@ -29,6 +29,7 @@ from maesn.learners.recommended import RECOMMENDED as RECOMMENDED
 from maesn.learners.recommended import RECOMMENDED_RUNS as RECOMMENDED_RUNS
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
+from maesn.learners.recommended import recommended_settings as recommended_settings
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner as RecurrentFastLearner
 from maesn.learners.recurrent.fast_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.recurrent.meta_learner import RecurrentInfo as RecurrentInfo

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from maesn.learners.base import AbstractMetaLearner
 from maesn.learners.presets import BONUS_SUFFIX, METHODS
+from maesn.policies import AnnealedGaussianMLP
 
 Settings = TypeVar("Settings")
 
@@ -37,6 +38,11 @@ _DAMPING_ON_BLOCKPUSH = Recommendation(
     "maesn ends at -266.7 instead of -315.3. Chosen on the returns of training, of 3e-3 to 3e-2",
 )
 
+_FALLING_NOISE_ON_ANT = Recommendation(
+    AnnealedGaussianMLP(),
+    "results/README.md, section ant: half of the noise, and nothing else, is worth 14 of return",
+)
+
 RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
     "wheeled": {"maesn": {"context.initial_spread": _SPREAD_ON_WHEELED}},
     "blockpush": {
@@ -54,8 +60,9 @@ RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
             for method in ("latent_space", "maml", "maml_bias_only", "oracle")
         },
     },
+    "ant": {"maesn": {"policy": _FALLING_NOISE_ON_ANT}},
 }
-"""Family -> method -> path of a setting of the learner -> its value."""
+"""Family -> method -> path of a setting or a slot of the learner -> its value."""
 
 RECOMMENDED_RUNS: dict[str, dict[str, dict[str, Recommendation]]] = {
     "blockpush": {
@@ -89,11 +96,17 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
     if method not in METHODS:
         raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
     learner = METHODS[method]()
+    for path, value in recommended_settings(method, family).items():
+        learner = with_setting(learner, path, value)
+    return learner
+
+
+def recommended_settings(method: str, family: str) -> dict[str, Any]:
+    """Return the settings of the learner that suit a family, by path; none where none are known."""
     base = method.removesuffix(BONUS_SUFFIX)
     prefix = "learner." if base != method else ""
-    for path, found in _found(RECOMMENDED, base, family).items():
-        learner = with_setting(learner, prefix + path, found.value)
-    return learner
+    found = _found(RECOMMENDED, base, family)
+    return {prefix + path: recommendation.value for path, recommendation in found.items()}
 
 
 def recommended_run(method: str, family: str) -> dict[str, Any]:

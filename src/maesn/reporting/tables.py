@@ -18,6 +18,7 @@ from maesn.reporting.statistics import INTERVAL, Interval, bootstrap, curve
 from maesn.reporting.style import MethodStyle
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
+_FEW_TASKS = 10  # each has a row of its own
 _NO_SCORE = (
     "a method has no score without an oracle above the baseline on its tasks; give the run of an "
     "oracle with --oracle DIR (maesn train oracle)"
@@ -136,12 +137,15 @@ def _update_table(line: Line, title: str, brief: bool) -> TextTable:
 def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
     """Show one table of `maesn adapt` in the terminal.
 
-    On sparse reward, it is said in how many tasks no episode reached the goal. A `RunError` says if
-    the file is missing or broken.
+    Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
+    tasks no episode reached the goal. A `RunError` says if the file is missing or broken.
     """
     console = console or Console()
     table = read_adaptation(path)
-    print_tables(update_tables([table], f"Adaptation: {path.stem}", brief=True), console)
+    shown = update_tables([table], f"Adaptation: {path.stem}", brief=True)
+    if table.num_tasks <= _FEW_TASKS:
+        shown.append(_task_table(table))
+    print_tables(shown, console)
     failed = int((table.explored_success_rate == 0).all(axis=1).sum())
     if failed and table.reward == "sparse" and len(table.updates) > 1:
         console.print(
@@ -149,6 +153,20 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
             "adaptation had nothing to learn from.",
             highlight=False,
         )
+
+
+def _task_table(table: AdaptationTable) -> TextTable:
+    """Return one row per task: before the first update, and after the last."""
+    columns = [
+        [UNITS[name].number(value) for value in getattr(table, name)[:, column]]
+        for name in ("mean_return", "success_rate")
+        for column in (0, -1)
+    ]
+    return TextTable(
+        f"Each task, before and after {table.updates[-1]} updates",
+        ("task", "return before", "after", "reaches goal (%) before", "after"),
+        tuple(zip(map(str, range(table.num_tasks)), *columns, strict=True)),
+    )
 
 
 def summary_tables(comparison: Comparison) -> list[TextTable]:

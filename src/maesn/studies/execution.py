@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -29,6 +30,8 @@ ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
+# In the directory of jobs, of those whose own directories were removed: job -> its `done.json`.
+FINISHED = "finished.json"
 ATTEMPTS = 3  # at a job, which may have failed because its process was killed
 
 
@@ -99,9 +102,19 @@ class Execution:
             raise RunError(f"the job `{name}` needs `{missing[0]}` to be done before.")
         self.jobs = {name: self.jobs[name]}
 
+    def done(self, name: str) -> dict[str, Any] | None:
+        """Return what a job has written down at its end; None if it is not done."""
+        path = self.directory / name / DONE
+        return read_json(path) if path.exists() else self._finished.get(name)
+
     def is_done(self, name: str) -> bool:
-        """Whether the result of a job is there."""
-        return (self.directory / name / DONE).exists()
+        """Whether the result of a job is there, or has become part of a table."""
+        return self.done(name) is not None
+
+    @cached_property
+    def _finished(self) -> dict[str, Any]:
+        path = self.directory / FINISHED
+        return read_json(path) if path.exists() else {}
 
     def _is_lost(self, job: Job) -> bool:
         """Whether a job needs one that failed."""
@@ -110,8 +123,8 @@ class Execution:
     def status(self, job: Job) -> tuple[str, str]:
         """Return whether a job is done, running, failed or waiting, and a remark."""
         folder = self.directory / job.name
-        if self.is_done(job.name):
-            return "done", f"{read_json(folder / DONE)['seconds']:.0f} s"
+        if done := self.done(job.name):
+            return "done", f"{done['seconds']:.0f} s"
         if (folder / LOCK).exists():
             return "running", f"{job.progress(folder):.0%}"
         if (folder / FAILED).exists():
@@ -120,7 +133,7 @@ class Execution:
 
     def left(self, workers: int) -> str:
         """Return a sentence on the time until all is done, by the speed of what is done."""
-        done = [read_json(self.directory / name / DONE) for name in self.jobs if self.is_done(name)]
+        done = [one for one in map(self.done, self.jobs) if one]
         steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
         speed = steps / seconds if seconds else STEPS_PER_SECOND / 2
         missing = sum(
@@ -187,9 +200,12 @@ def _compute(job: Job, jobs: Path) -> str | None:
 
 
 class Ray(AbstractExecutor):
-    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine."""
+    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine.
 
-    def __init__(self, workers: int, threads: int, jobs: Path) -> None:
+    Each job takes as many CPUs as it has threads, and `gpus`, which may be a part of one.
+    """
+
+    def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
         try:
             self._ray: Any = __import__("ray")
         except ImportError as error:
@@ -201,7 +217,7 @@ class Ray(AbstractExecutor):
         path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         variables = path | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
-            num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
+            num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
         )
         self.slots = workers  # what the cluster has no CPUs for waits there
         with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:

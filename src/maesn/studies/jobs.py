@@ -68,14 +68,14 @@ def computed(job: Job, jobs: Path) -> str | None:
 
 
 def train_run(
-    learner: AbstractMetaLearner[Any, Any], settings: RunSettings, directory: Path
+    learner: AbstractMetaLearner[Any, Any], settings: RunSettings, init_from: str, directory: Path
 ) -> dict[str, Any]:
     """Train a run, which goes on where it was interrupted."""
     path = directory / RUN
     if (path / CONFIG).exists():
         run = Run.open(path, settings.own_family)
     else:
-        run = Run.create(path, learner, settings)
+        run = Run.create(path, learner, settings, init_from=init_from or None)
     with closing(train(run)) as iterations:
         for _ in iterations:
             pass

@@ -73,6 +73,8 @@ class TrainedRun(AbstractMember):
 
     run: Run = dataclasses.field(compare=False, repr=False)
     """Read, or as it will be created: for plans alone. Jobs open it."""
+    init_from: str = ""
+    """What its training starts from."""
     directory: str = ""
     """Of one that exists."""
     family: str | None = None
@@ -204,12 +206,15 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
     config = new_config(settings, learner, resolved, tasks)
     run = Run(Path(name), config, resolved, tasks, settings.own_family)
     check_policy(learner.player(_blank_state(run)), run.env())
-    document = config.document() | {"init_from": ""}
+    start = study.runs[name].init_from
+    document = config.document()
+    document["init_from"] = " ".join(identity_of_run(Run.open(start)).values()) if start else ""
     for immaterial in ("versions", "provenance", "changes"):
         del document[immaterial]
     del document["settings"]["checkpoint_every"]
-    job = f"train-{resolved.name}-{name}-seed-{seed}-{digest_of_document(document)}"
-    return trained_run(run, job, needs=(job,))
+    digest = digest_of_document(document)
+    job = f"train-{resolved.name}-{settings.method}-seed-{seed}-{digest}"
+    return trained_run(run, digest, needs=(job,), init_from=start)
 
 
 def _settings(

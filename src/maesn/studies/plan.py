@@ -81,9 +81,9 @@ class _Planner:
             self.runs[name] = members_of_run(self.study, name, self.family)
             for one in self.runs[name]:
                 for job in one.needs:
-                    work = partial(train_run, one.run.learner, one.run.settings)
-                    iterations = one.run.settings.iterations
-                    self.add(job, (), _steps_of_training(one.run), work, iterations)
+                    learner, settings = one.run.learner, one.run.settings
+                    work = partial(train_run, learner, settings, one.init_from)
+                    self.add(job, (), _steps_of_training(one.run), work, settings.iterations)
         return self.runs[name]
 
     def lines(
@@ -186,11 +186,11 @@ class _Planner:
         tasks = find_tasks(asked.tasks, resolve_family(self.family))
         budget, env = asked.budget, member.env(asked)
         needs = member.needs
-        who = f"{env.name}-{name}-seed-{member.seed}"
+        who = f"{env.name}-{member.method or name}"
         is_search = asked.rule is not None and asked.rule.needs_return_prior
         if is_search and isinstance(member, TrainedRun):
             steps = USUAL_PRIOR.steps(env, member.run.training_tasks)
-            prior = f"prior-{who}-{_digest(member, env)}"
+            prior = f"prior-{who}-seed-{member.seed}-{_digest(member, env)}"
             needs += (self.add(prior, needs, steps, partial(make_prior, member, asked)),)
         if isinstance(member, Untrained) and member.method:
             # From scratch, the seed is that of fresh policies and of the episodes.
@@ -209,7 +209,7 @@ class _Planner:
         for part in np.array_split(np.arange(number), -(-number // asked.tasks_at_once)):
             first, count = int(part[0]), len(part)
             digest = _digest(member, env, **document, part=[first, count])
-            job = f"adapt-{who}-from-{first}-{digest}"
+            job = f"adapt-{who}{asked.suffix}-seed-{member.seed}-from-{first}-{digest}"
             work = partial(adapt_member, member, asked, range(first, first + count))
             yield self.add(job, needs, of_task * count, work)
 

@@ -36,6 +36,8 @@ class RunSpec:
     """Defaults: what was found to work on the family, or the published settings."""
     seeds: tuple[int, ...] = ()
     families: tuple[str, ...] = ()
+    init_from: str = ""
+    """Directory of a run, or name of a policy that comes with the library, to start from."""
     directories: tuple[str, ...] = ()
     """Runs that exist, of one family; they take part as they are, and nothing is trained."""
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)

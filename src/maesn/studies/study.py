@@ -32,7 +32,7 @@ from maesn.studies.execution import (
     Ray,
     Say,
 )
-from maesn.studies.jobs import DONE, EXPLORATION, LATENTS, ROWS
+from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS
 from maesn.studies.members import trained_run
 from maesn.studies.plan import Entry, make_plan
 from maesn.studies.reading import read_study
@@ -106,16 +106,21 @@ class Study:
                 execution.run(executor, say)
             if only is not None:
                 return Results(directory, [], execution.failed)
-            document = {
-                "study": self.spec.name,
-                "comparisons": [_collect(one, execution, directory) for one in self.comparisons],
-                "figures": [dataclasses.asdict(one) for one in self.spec.figures],
-                "jobs": sorted(self.jobs),
-                "versions": installed_versions("mujoco.batch"),
-            }
-            storage.write_json(directory / MANIFEST, document)
+            self.write_results(out)
             tables = report_study(directory, lambda path: say(str(path)))
             return Results(directory, tables, execution.failed)
+
+    def write_results(self, out: str | Path) -> None:
+        """Write tables of what is done, and the manifest that names them, for the report."""
+        execution, directory = self.execution(out), Path(out) / self.spec.name
+        document = {
+            "study": self.spec.name,
+            "comparisons": [_collect(one, execution, directory) for one in self.comparisons],
+            "figures": [dataclasses.asdict(one) for one in self.spec.figures],
+            "jobs": sorted(self.jobs),
+            "versions": installed_versions("mujoco.batch"),
+        }
+        storage.write_json(directory / MANIFEST, document)
 
     def execution(self, out: str | Path) -> Execution:
         """Return the jobs and their state in a directory."""
@@ -150,7 +155,7 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
             _join([jobs / job for job in parts], directory / table)
             steps = member.training_steps
             for job in member.needs:
-                steps = storage.read_json(jobs / job / DONE)["environment_steps"]
+                steps = (execution.done(job) or {})["environment_steps"]
             seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
     return line | {"seeds": seeds}
 
