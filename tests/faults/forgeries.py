@@ -13,7 +13,7 @@ import safetensors
 import safetensors.numpy
 
 from maesn.runs import checkpoint
-from maesn.runs.checkpoint import CHECKSUM, Tensors
+from maesn.runs.checkpoint import CHECKSUM
 from maesn.runs.serialization import digest_of_document
 
 DEEP = 10**5
@@ -106,7 +106,7 @@ def _safetensors(stream: random.Random, content: bytes, canary: Path) -> bytes:
     else:
         name = stream.choice([*values, "more"])
         values[name] = _odd_array(stream, values.get(name, np.zeros(3, np.float32)))
-    metadata[CHECKSUM] = checkpoint._checksum(Tensors(values, metadata))
+    metadata[CHECKSUM] = checkpoint._checksum(values, metadata)
     return safetensors.numpy.save(values, metadata=metadata)
 
 

@@ -12,8 +12,8 @@ from maesn._version import __version__
 from maesn.commands.options import command
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
-from maesn.runs.compilation import CACHE_VARIABLE, cache_directory
 from maesn.runs.config import installed_versions
+from maesn.runs.process import CACHE_VARIABLE, cache_directory
 from maesn.runs.run import Run
 from maesn.runs.sources import policy_names
 from maesn.storage import RunError

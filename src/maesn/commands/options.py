@@ -14,7 +14,7 @@ import tyro._strings
 
 from maesn.evaluation.arguments import evaluation_from_text
 from maesn.evaluation.evaluation import Evaluation
-from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.process import enable_compilation_cache
 from maesn.settings import suggestion
 from maesn.storage import refusals
 

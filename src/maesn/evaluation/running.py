@@ -25,14 +25,13 @@ from maesn.reporting.runs import Latents, read_record
 from maesn.rules import Trained
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest
+from maesn.runs.serialization import digest_of_document, to_json
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
 from maesn.storage import (
     RunError,
     explained,
     read_arrays,
-    refuse_links,
     write_arrays,
     write_json,
     write_rows,
@@ -43,9 +42,7 @@ from maesn.worlds.collector import Collector
 
 def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
     """Open a run whose directory will be written to; of a policy with the library, a copy."""
-    opened = run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
-    refuse_links(opened.directory)
-    return opened
+    return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
 
 
 @contextmanager
@@ -119,7 +116,7 @@ def play(
 
 def identity_of_run(run: Run) -> dict[str, str]:
     """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
-    learner = f"{run.settings.method} {digest(run.learner)}"
+    learner = f"{run.settings.method} {digest_of_document(to_json(run.learner))}"
     return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 

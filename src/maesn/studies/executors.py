@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from maesn.physics import EngineError
-from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.signals import ending_by_signals
+from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import RunError
 from maesn.studies.jobs import AbstractJob, run_job
 from maesn.worlds import EpisodeError

@@ -14,7 +14,7 @@ from maesn.reporting.runs import Latents, read_record
 from maesn.reporting.study import MANIFEST, RESULTS, report_study
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import installed_versions
-from maesn.runs.signals import ending_by_signals
+from maesn.runs.process import ending_by_signals
 from maesn.settings import check_number
 from maesn.storage import (
     explained,
