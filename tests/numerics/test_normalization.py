@@ -136,7 +136,7 @@ def test_runs_keep_the_statistics_and_resume_with_them(tmp_path: Path) -> None:
     finish(reopened(parted))
     assert tensors(whole.checkpoints()[-1]) == tensors(parted.checkpoints()[-1])
     assert metrics(whole) == metrics(parted)
-    counts = read_checkpoint(whole.checkpoints()[-1]).values["statistics/count"]
+    counts = read_checkpoint(whole.checkpoints()[-1])[0]["statistics/count"]
     assert counts == 2 * 2 * 4 * 3 * 40  # iterations, collections, tasks, episodes, steps
 
 

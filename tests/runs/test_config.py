@@ -169,7 +169,7 @@ def test_a_family_of_ones_own_is_given_again(tmp_path: Path, own_module: str) ->
         Run.open(tmp_path / "run", family=f"{own_module}:other")
     with pytest.raises(RunError, match="family is `own`, but `point` was given"):
         Run.open(tmp_path / "run", family="point")
-    with pytest.raises(RunError, match="its tasks `training` of family `own` are now"):
+    with pytest.raises(RunError, match="on other tasks than `training` of the family `own` now"):
         Run.open(tmp_path / "run", family=f"{own_module}:reseeded")
 
 
