@@ -120,7 +120,7 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
         ("{1} --family wheeled --out {0}", "family is `point`, but `wheeled` was given"),
         ("{1} --episodes 75 --out {0}", "`episodes` must be a multiple of `episodes_per_update`"),
         ("{1} --episodes -50 --out {0}", "`episodes` must be at least 0, got -50"),
-        ("{1} --oracle {0} --out {0}", "there is no run in"),
+        ("{1} --oracle {0} --out {0}", "name a directory that `maesn train` has made"),
         ("{1} --oracle {1} --out {0}", "must be a run of `oracle`, which is given the task"),
         ("{2} --oracle {2} --out {0}", "an oracle is among the runs, and --oracle names one"),
         ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
