@@ -29,7 +29,7 @@ from search_rows import (
 )
 from search_summary import summarize, write_tables
 
-from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.process import enable_compilation_cache
 
 GRADIENT = 50  # episodes of an update, the paper's
 MAIN = {

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import tyro
 
-from maesn.runs.checkpoint import checkpoint_paths
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
@@ -46,7 +45,7 @@ def prune_run(run: Path) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    for checkpoint in checkpoint_paths(run / CHECKPOINTS)[:-1]:
+    for checkpoint in sorted((run / CHECKPOINTS).glob("*.safetensors"))[:-1]:
         checkpoint.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))

@@ -16,12 +16,11 @@ from typing import Any
 import tyro
 
 from maesn.learners import METHODS
-from maesn.runs.config import CONFIG, RunConfig, RunSettings, write_config
-from maesn.runs.run import CHECKPOINTS, Run
+from maesn.runs.config import RunConfig, RunSettings, write_config
+from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
 from maesn.search.stored import run_prior
-from maesn.storage import new_directory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,12 +91,11 @@ def ship(run: Run, commit: str, target: Path) -> None:
     checkpoint = run.latest()
     if target.exists():
         shutil.rmtree(target)
-    with new_directory(target, [f"{CHECKPOINTS}/{last.name}", TASKS_FILE, CONFIG]):
-        # Written anew, because a checkpoint states the digest of the configuration beside it.
-        shipped.save_state(checkpoint.state, checkpoint.environment_steps)
-        if (run.directory / TASKS_FILE).exists():
-            shutil.copy(run.directory / TASKS_FILE, target)
-        write_config(target, shipped.config)
+    # Written anew, because a checkpoint states the digest of the configuration beside it.
+    shipped.save_state(checkpoint.state, checkpoint.environment_steps)
+    if (run.directory / TASKS_FILE).exists():
+        shutil.copy(run.directory / TASKS_FILE, target)
+    write_config(target, shipped.config)
 
 
 def main(settings: Settings) -> None:

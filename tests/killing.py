@@ -15,7 +15,7 @@ ITERATIONS = 150
 
 KILLED = """
 import sys
-from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.process import enable_compilation_cache
 from maesn.runs.run import Run
 from maesn.runs.training import train
 enable_compilation_cache()

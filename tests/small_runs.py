@@ -113,7 +113,7 @@ def create_tiny(directory: Path, **settings: Any) -> Run:
 
 def tensors(path: Path) -> dict[str, bytes]:
     """Every tensor of a checkpoint as type, shape and bytes."""
-    values = read_checkpoint(path).values
+    values, _ = read_checkpoint(path)
     return {
         name: f"{value.dtype}{value.shape}".encode() + value.tobytes()
         for name, value in values.items()

@@ -148,7 +148,7 @@ def test_help_answers_within_half_a_second() -> None:
         (["trian"], "there is no command `trian`. Did you mean `train`?"),
         (["train", "measn"], "there is no method `measn`. Did you mean `maesn`?"),
         (["train", "maesn", "--family", "weeled", "--run", "{}/new"], "weeled"),
-        (["train", "maesn", "--run", "{}"], "must be a new or an empty directory"),
+        (["train", "maesn", "--family", "point", "--run", "{}/file"], "cannot work in"),
         (["train", "maesn", "--tasks", "{}/absent.npz", "--run", "{}/new"], "absent.npz"),
         (["resume", "{}/absent"], "absent"),
         (["adapt", "{}/absent"], "absent"),

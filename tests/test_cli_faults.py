@@ -94,7 +94,7 @@ def test_pipes_are_refused_instead_of_waited_for(
     words = ["adapt", str(run.directory), "--tasks", str(pipe)]
     assert "it is a pipe or a device" in said(capsys, *words)
     pipe.rename(tmp_path / "config.json")
-    assert "there is no run in" in said(capsys, "adapt", str(tmp_path))
+    assert "it is a pipe or a device" in said(capsys, "adapt", str(tmp_path))
 
 
 def test_what_nobody_expected_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,12 +24,10 @@ from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.study import report_studies, studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import GradientRule, SearchRule
-from maesn.runs.changes import change_run
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
-from maesn.runs.log import log_figures
 from maesn.runs.run import Run
-from maesn.runs.training import KEEP, train_live
+from maesn.runs.training import KEEP, change_run, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
@@ -54,11 +52,11 @@ def train(
     Args:
         learner: the method and its settings; see `maesn.PRESETS`.
         settings: of the run.
-        directory: must be empty or not exist.
+        directory: of the run, which is made; one that holds a run already is refused.
         init_from: directory of a run, or name of a policy that comes with the library, whose policy
             and step sizes to start from.
         family: a family of your own; None for the one that `settings.family` names.
-        keep: the latest checkpoints that stay, beside the first of each power of ten; 0 for all.
+        keep: the latest checkpoints that stay, beside the first; 0 for all.
         sharing: several devices or processes that train this run together.
 
     Raises:
@@ -90,7 +88,7 @@ def resume(
         family: The run's family as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
             trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
-        keep: Latest checkpoints that stay, beside the first of each power of ten; 0: all of them.
+        keep: Latest checkpoints that stay, beside the first; 0: all of them.
         sharing: several devices or processes that go on with it together.
 
     Raises:
@@ -276,9 +274,6 @@ def report(
     directories = [run.directory for run in opened]
     folder = Path(out or directories[0] / "figures")
     files = draw_runs(directories, folder, print)
-    if len(opened) == 1 and out is None:
-        pictures = [file for file in files if file.suffix == ".png"]
-        log_figures(directories[0], pictures, opened[0].latest().environment_steps)
     return Reported(files + _write_pages({folder / PAGE: run_page(directories)}), [])
 
 

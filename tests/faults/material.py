@@ -15,8 +15,8 @@ from maesn.evaluation import running
 from maesn.evaluation.running import Adapted
 from maesn.reporting.reading import RECORD
 from maesn.rules import SearchRule
-from maesn.runs.changes import change_run
 from maesn.runs.run import Run
+from maesn.runs.training import change_run
 from maesn.runtime import Explorer, Safeguards
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search import stored

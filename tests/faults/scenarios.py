@@ -13,9 +13,9 @@ from faults.processes import count_operations
 from small_runs import finish, outcome
 
 from maesn import api
-from maesn.runs.changes import change_run
 from maesn.runs.config import CONFIG
 from maesn.runs.run import Run
+from maesn.runs.training import change_run
 from maesn.runtime import Explorer
 from maesn.search import stored
 from maesn.search.stored import read_prior

@@ -25,13 +25,12 @@ MOST_MEMORY, MOST_FILES = 1.1, 2
 """What the end may have of the start: a share of the memory, and some open files more."""
 
 
-def sample(run: Run) -> tuple[int, int, int, int]:
-    """Return memory in kB, open files, and files and kB of the run directory, logs aside."""
+def sample(run: Run) -> tuple[int, int, int]:
+    """Return memory in kB, open files, and kB of the run directory."""
     status = Path("/proc/self/status").read_text().splitlines()
     memory = next(int(line.split()[1]) for line in status if line.startswith("VmRSS"))
-    files = list((run.directory / "checkpoints").iterdir())
     size = sum(file.stat().st_size for file in run.directory.rglob("*") if file.is_file())
-    return memory, len(list(Path("/proc/self/fd").iterdir())), len(files), size // 1024
+    return memory, len(list(Path("/proc/self/fd").iterdir())), size // 1024
 
 
 def main() -> int:
@@ -41,8 +40,8 @@ def main() -> int:
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as directory:
         run = create_tiny(Path(directory) / "run", iterations=10**8, checkpoint_every=10)
-        print("| minutes | iterations | memory, MB | open files | checkpoints | directory, kB |")
-        print("| ---: | ---: | ---: | ---: | ---: | ---: |")
+        print("| minutes | iterations | memory, MB | open files | directory, kB |")
+        print("| ---: | ---: | ---: | ---: | ---: |")
         start, samples = time.monotonic(), []
         with contextlib.closing(train(run)) as steps:
             for progress in steps:
@@ -51,8 +50,8 @@ def main() -> int:
                 if progress.iteration < WARM or passed < due:
                     continue
                 samples.append(sample(run))
-                memory, opened, checkpoints, size = samples[-1]
-                numbers = (progress.iteration, memory // 1024, opened, checkpoints, size)
+                memory, opened, size = samples[-1]
+                numbers = (progress.iteration, memory // 1024, opened, size)
                 print(f"| {passed:.1f} | {' | '.join(f'{n:,}' for n in numbers)} |", flush=True)
                 if len(samples) > PERIOD:
                     break

@@ -87,5 +87,5 @@ def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
 
 def test_an_oracle_cannot_be_exported(tmp_path: Path) -> None:
     run = create(tmp_path / "run", oracle(**SMALL))
-    with pytest.raises(RunError, match="adapts nothing in a new task; a policy can be exported"):
+    with pytest.raises(RunError, match="must adapt a latent alone"):
         api.export(run.directory, tmp_path / "policy.npz")

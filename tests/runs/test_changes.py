@@ -10,9 +10,9 @@ import pytest
 from small_runs import create, create_tiny, finish, outcome, reopened
 
 from maesn import api, cli
-from maesn.runs.changes import change_run
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
+from maesn.runs.training import change_run
 from maesn.storage import RunError
 
 

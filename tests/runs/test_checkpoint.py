@@ -17,7 +17,6 @@ from small_runs import tiny_maesn
 
 from maesn.runs.checkpoint import (
     CheckpointError,
-    MismatchError,
     named_leaves,
     read_checkpoint,
     restore,
@@ -89,11 +88,6 @@ def test_tensors_are_named_by_their_path(tmp_path: Path) -> None:
         "parameters/step_sizes/context/log_std": (2,),
         "parameters/step_sizes/context/mean": (2,),
     }
-
-
-def test_two_leaves_of_one_name_are_refused() -> None:
-    with pytest.raises(ValueError, match="a/b"):
-        named_leaves({"a": {"b": 1}, "a/b": 2})
 
 
 def test_transposed_arrays_are_stored_in_their_own_order(tmp_path: Path) -> None:
@@ -176,7 +170,7 @@ def test_a_misfit_is_refused_by_name(change: dict[str, Any], said: str) -> None:
     values = {
         name: leaf for name, leaf in ({"a": jnp.zeros(2)} | change).items() if leaf is not None
     }
-    with pytest.raises(MismatchError, match=said):
+    with pytest.raises(RunError, match=said):
         restore({"a": jnp.ones(2)}, values, "somewhere")
 
 
@@ -201,8 +195,7 @@ def test_a_failed_write_leaves_the_old_file(
             saved(path, {"x": jnp.zeros(100)})
     if isinstance(failure, OSError):
         assert str(caught.value) == (
-            f"cannot write `{path}` (No space left on device): free some space there, or choose "
-            "another directory."
+            f"cannot write `{path}` (No space left on device): mend that, or choose another path."
         )
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]

@@ -23,7 +23,6 @@ from maesn.context import BiasContext, LatentContext
 from maesn.envs import FAMILIES, AnyEnv, Point
 from maesn.learners import METHODS, maml
 from maesn.policies import CategoricalMLP, GaussianMLP
-from maesn.runs.checkpoint import MismatchError
 from maesn.runs.run import Run
 from maesn.storage import RunError
 from maesn.worlds import DeviceWorld, NativeWorld
@@ -198,7 +197,7 @@ def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None
     )
     assert died.returncode == -signal.SIGKILL
     assert [entry.name for entry in directory.iterdir()] == [storage.LOCK]
-    with pytest.raises(RunError, match="there is no run in"):
+    with pytest.raises(RunError, match="name a directory that `maesn train` has made"):
         Run.open(directory)
     made = create_tiny(directory)
     assert Run.open(directory).config == made.config
@@ -207,7 +206,7 @@ def test_a_directory_whose_making_was_killed_can_be_used(tmp_path: Path) -> None
 
 def test_a_directory_in_use_is_left_alone(directory: Path) -> None:
     before = {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()}
-    with pytest.raises(RunError, match=r"must be a new or an empty directory.*maesn resume"):
+    with pytest.raises(RunError, match=r"holds a run; choose another directory.*maesn resume"):
         create_tiny(directory)
     assert {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()} == before
 
@@ -219,58 +218,51 @@ def test_an_empty_directory_may_exist(tmp_path: Path) -> None:
 @pytest.mark.parametrize("below", ["", "sub", "sub/sub"])
 def test_a_directory_that_cannot_be_made(tmp_path: Path, below: str) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(RunError, match=r"cannot make `.*file.*`.*: .* choose another directory"):
+    with pytest.raises(RunError, match=r"cannot work in `.*file.*` \(.*\): .* choose another path"):
         create_tiny(tmp_path / "file" / below)
 
 
-@pytest.mark.parametrize(
-    ("number", "said"),
-    [
-        (errno.ENOSPC, "No space left on device.*free some space"),
-        (errno.EROFS, "Read-only file system.*can be written to"),
-        (errno.EACCES, "Permission denied.*ask for the permission"),
-    ],
-)
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES])
 @pytest.mark.parametrize("call", ["os.fsync", "pathlib.Path.mkdir", "pathlib.Path.replace"])
-def test_a_directory_that_cannot_be_filled_is_removed_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str, call: str
+def test_a_directory_that_could_not_be_filled_can_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, call: str
 ) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise OSError(number, os.strerror(number))
 
     with monkeypatch.context() as patch:
         patch.setattr(call, fail)
-        with pytest.raises(RunError, match=said):
+        with pytest.raises(RunError, match=os.strerror(number)):
             create_tiny(tmp_path / "run")
-    assert not (tmp_path / "run").exists()
+    assert create_tiny(tmp_path / "run").latest().iteration == 0
 
 
 def test_no_run_there(tmp_path: Path) -> None:
-    said = r"no run in `.*`: .*directory that `maesn train` has made"
+    said = "name a directory that `maesn train` has made"
     for place in (tmp_path, tmp_path / "missing"):
         with pytest.raises(RunError, match=said):
             Run.open(place)
 
 
 @pytest.mark.parametrize(
-    ("other", "said"),
+    "other",
     [
-        ({"tasks": "validation"}, "of `maesn` on `point`"),
-        ({"family": "wheeled"}, "of `maesn` on `wheeled`"),
-        ({"learner": maml(policy=GaussianMLP((8,)), meta_batch_size=4)}, "of `maml` on `point`"),
-        ({"seed": 1}, "of `maesn` on `point`"),
-        ({"learner": tiny_maesn(context=BiasContext(2))}, "of `maml_bias_only` on `point`"),
-        ({"learner": tiny_maesn(context=LatentContext(kl_weight=0.3))}, "of `maesn` on `point`"),
+        {"tasks": "validation"},
+        {"family": "wheeled"},
+        {"learner": maml(policy=GaussianMLP((8,)), meta_batch_size=4)},
+        {"seed": 1},
+        {"learner": tiny_maesn(context=BiasContext(2))},
+        {"learner": tiny_maesn(context=LatentContext(kl_weight=0.3))},
     ],
 )
 def test_a_checkpoint_of_another_run_is_refused(
-    directory: Path, tmp_path: Path, other: dict[str, Any], said: str
+    directory: Path, tmp_path: Path, other: dict[str, Any]
 ) -> None:
     learner = other.pop("learner", tiny_maesn()) if "learner" in other else tiny_maesn()
     foreign = Run.create(tmp_path / "other", learner, tiny_settings(**other))
     run = Run.open(directory)
     shutil.copy(foreign.checkpoints()[0], run.checkpoints()[0])
-    with pytest.raises(MismatchError, match=f"{said} that was written with another `config.json`"):
+    with pytest.raises(RunError, match=r"was written with another `config.json`"):
         run.latest()
 
 

@@ -15,7 +15,7 @@ from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import (
     REGISTRY,
-    digest,
+    digest_of_document,
     fields_from_json,
     fields_to_json,
     from_json,
@@ -41,18 +41,19 @@ def test_a_learner_comes_back_equal(name: str) -> None:
     back = through_a_file(learner)
     assert type(back) is type(learner)
     assert back == learner
-    assert digest(back) == digest(learner)
+    assert to_json(back) == to_json(learner)
 
 
 def test_different_settings_have_different_digests() -> None:
-    assert len({digest(learner) for learner in LEARNERS.values()}) == len(LEARNERS)
+    documents = map(to_json, LEARNERS.values())
+    assert len(set(map(digest_of_document, documents))) == len(LEARNERS)
 
 
 def test_one_and_one_point_zero_are_the_same_setting() -> None:
     decimal = maesn(adaptation=Adaptation(context=InnerStep(1.0)))
     # As a user may write it: nothing checks the type of a setting outside of these tests.
     whole = eqx.tree_at(lambda learner: learner.adaptation.context.initial_size, decimal, 1)
-    assert digest(whole) == digest(decimal)
+    assert json.dumps(to_json(whole)) == json.dumps(to_json(decimal))
     document = to_json(decimal)
     document["adaptation"]["context"]["initial_size"] = 1
     back = from_json(document)
@@ -104,17 +105,23 @@ def altered(**changes: Any) -> dict[str, Any]:
         ({"type": "drop"}, "`type` must be one of .*, got None"),
         ({"type": ["Adaptation"]}, "`type` must be one of"),
         ({"context": {"type": "Unheard"}}, "got 'Unheard'"),
-        ({"context": {"type": "NoContext", "size": 2}}, "`NoContext` has no field `size`"),
-        ({"schedule": {"type": "StepSchedule", "factor": 0.5}}, "lacks the field `full_steps`"),
-        ({"schedule": "drop"}, "`GradientMetaLearner` lacks the field `schedule`"),
-        ({"lr": 0.1}, "`GradientMetaLearner` has no field `lr`"),
+        (
+            {"context": {"type": "NoContext", "size": 2}},
+            "`NoContext` must have the fields .* got .*'size'",
+        ),
+        (
+            {"schedule": {"type": "StepSchedule", "factor": 0.5}},
+            "`StepSchedule` must have the fields .*'full_steps'",
+        ),
+        ({"schedule": "drop"}, "`GradientMetaLearner` must have the fields"),
+        ({"lr": 0.1}, "`GradientMetaLearner` must have the fields .* got .*'lr'"),
         ({"meta_batch_size": "20"}, r"`GradientMetaLearner.meta_batch_size` must be of type int"),
         ({"meta_batch_size": 20.0}, r"meta_batch_size` must be of type int, got 20.0"),
         ({"meta_batch_size": True}, r"meta_batch_size` must be of type int, got True"),
         ({"meta_batch_size": None}, r"meta_batch_size` must be of type int, got None"),
         ({"meta_batch_size": {"value": 1}}, "`type` must be one of"),
         ({"meta_batch_size": 0}, r"`meta_batch_size` must be at least 1, got 0"),
-        ({"context": {"type": "TrustRegion"}}, "`TrustRegion` lacks the field"),
+        ({"context": {"type": "TrustRegion"}}, "`TrustRegion` must have the fields"),
         ({"context": to_json(TrustRegion())}, r"`GradientMetaLearner.context` must be of type"),
         ({"policy": "GaussianMLP"}, r"`GradientMetaLearner.policy` must be of type"),
         (

@@ -14,8 +14,8 @@ import pytest
 from rich.console import Console
 from small_runs import Drift, create, finish, metrics, outcome, reopened
 
+from maesn.runs.process import ending_by_signals
 from maesn.runs.run import Run
-from maesn.runs.signals import ending_by_signals
 from maesn.runs.training import train_live
 
 SIGNALS = [signal.SIGTERM, signal.SIGHUP]
@@ -85,7 +85,7 @@ class Gone(io.StringIO):
         return super().write(text)
 
 
-def test_a_closed_terminal_ends_training_as_its_signal_does(
+def test_training_whose_terminal_is_closed_is_saved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, terminal, step = create(tmp_path / "run", checkpoint_every=100), Gone(), Drift.step
@@ -97,7 +97,7 @@ def test_a_closed_terminal_ends_training_as_its_signal_does(
         return step(learner, key, state, collect)
 
     monkeypatch.setattr(Drift, "step", closing)
-    with pytest.raises(SystemExit, match="129"):
+    with pytest.raises(OSError, match="Input/output error"):
         train_live(run, console=Console(file=terminal, force_terminal=True, width=80))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     assert run.latest().iteration == 3
@@ -106,7 +106,7 @@ def test_a_closed_terminal_ends_training_as_its_signal_does(
 TWICE = """
 import signal, sys, time
 from maesn import cli
-from maesn.runs.signals import ending_by_signals
+from maesn.runs.process import ending_by_signals
 def command(arguments):
     try:
         with ending_by_signals():

@@ -11,14 +11,12 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from PIL import Image
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors, tiny_maesn
 from tensorboardX.proto.event_pb2 import Event
 
 from maesn.context import LatentContext
 from maesn.learners import latent_space
 from maesn.policies import GaussianMLP
-from maesn.runs.log import log_figures
 from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.storage import RunError
@@ -81,40 +79,21 @@ def read_events(run: Run) -> Iterator[Event]:
             content = content[16 + length :]
 
 
-def test_settings_and_figures_stand_on_the_board(tmp_path: Path) -> None:
-    run = finish(create(tmp_path / "run", tiny_maesn(), iterations=1))
-    picture = tmp_path / "curve.png"
-    Image.new("RGB", (5, 3)).save(picture)
-    for _ in range(2):  # the second time in place of the first
-        log_figures(run.directory, [picture], 7)
-    found = [(one.step, value) for one in read_events(run) for value in one.summary.value]
-    (settings,) = (value for _, value in found if value.tag.startswith("settings"))
-    table = settings.tensor.string_val[0].decode()
-    assert "| settings.iterations | 1 |\n" in table
-    assert "| learner.context.kl_weight | 0.1 |\n" in table
-    ((step, figure),) = ((step, value) for step, value in found if value.tag == "figures/curve")
-    assert (step, figure.image.width, figure.image.height) == (7, 5, 3)
-    assert figure.image.encoded_image_string == picture.read_bytes()
-
-
 def test_events_can_be_removed_while_training_goes_on(tmp_path: Path) -> None:
     run = create(tmp_path / "run", iterations=3)
     for progress in train(run):
         if progress.iteration == 1:
             shutil.rmtree(run.directory / "tensorboard")
     assert run.latest().iteration == 3
-    assert len(events(run)["returns/after"]) == 2
+    assert len(events(run)["return_after"]) == 2
 
 
 def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
-    # Of a size that no other test has, so that it is compiled here.
-    run = create(tmp_path / "run", tiny_maesn(policy=GaussianMLP((7,))), iterations=2)
+    run = create(tmp_path / "run", tiny_maesn(), iterations=2)
     first, second = train(run)
     steps = 2 * 4 * 3 * 40  # two collections of four tasks, three episodes, forty steps
     assert (first.environment_steps, second.environment_steps) == (steps, 2 * steps)
-    assert first.compile_seconds > 10 * second.compile_seconds
-    assert first.seconds > first.compile_seconds > 0.1 * first.seconds
-    assert second.steps_per_second == pytest.approx(steps / second.seconds, rel=0.5)
+    assert second.steps_per_second == pytest.approx(steps / second.seconds)
     assert set(second.info) >= {
         "return_before",
         "success_after",
@@ -131,19 +110,19 @@ def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
     )
     seen = events(run)
     assert set(seen) >= {
-        "charts/SPS",
-        "returns/before",
-        "returns/after",
-        "success/after",
+        "steps_per_second",
+        "return_before",
+        "return_after",
+        "success_after",
         "trust_region/kl",
         "shares/policy",
         "step_sizes/context/log_std",
-        "charts/penalty",
+        "penalty",
     }
-    for tag, name in (("returns/after", "return_after"), ("trust_region/kl", "trust_region/kl")):
+    for name in ("return_after", "trust_region/kl"):
         wanted = [(p.environment_steps, pytest.approx(p.info[name])) for p in (first, second)]
-        assert seen[tag] == wanted
-    assert seen["charts/SPS"][1][1] == pytest.approx(second.steps_per_second)
+        assert seen[name] == wanted
+    assert seen["steps_per_second"][1][1] == pytest.approx(second.steps_per_second)
 
 
 @pytest.mark.long

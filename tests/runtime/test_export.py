@@ -85,47 +85,27 @@ def test_the_smallest_standard_deviation_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("learner", "message"),
+    "learner",
     [
-        (lambda: preset("maml"), "context NoContext.*`maesn` and `latent_space`"),
-        (lambda: preset("maml_bias"), "context BiasContext"),
-        (lambda: preset("oracle"), "adapts nothing in a new task; a policy can be exported if"),
-        (lambda: preset("maml_bias_only"), "context BiasContext"),
-        (
-            lambda: preset("maesn", adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))),
-            "adapts the policy's weights",
-        ),
-        (
-            lambda: preset("maesn", context=LatentContext(gradient="reparameterized")),
-            "by the reparameterized gradient",
-        ),
-        (lambda: preset("maesn", adaptation=Adaptation(), inner_updates=0), "adapts nothing"),
-        (lambda: preset("maesn", advantage=AdvantageEstimator(drifts=True)), "drifts where all"),
+        lambda: preset("maml"),
+        lambda: preset("maml_bias"),
+        lambda: preset("oracle"),
+        lambda: preset("maml_bias_only"),
+        lambda: preset("maesn", adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))),
+        lambda: preset("maesn", context=LatentContext(gradient="reparameterized")),
+        lambda: preset("maesn", adaptation=Adaptation(), inner_updates=0),
+        lambda: preset("maesn", advantage=AdvantageEstimator(drifts=True)),
     ],
 )
-def test_what_has_no_closed_form_is_refused(tmp_path: Path, learner: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        write_policy(tmp_path / "policy.npz", exported_policy(learner(), Point()))
-    assert not list(tmp_path.iterdir())
+def test_what_has_no_closed_form_is_refused(learner: Any) -> None:
+    with pytest.raises(ValueError, match=r"must adapt a latent alone.*`maesn` and `latent_space`"):
+        exported_policy(learner(), Point(), {})
 
 
 def test_the_latent_alone_of_a_method_that_adapts_more() -> None:
     everything = preset("maesn_theta")
     alone = dataclasses.replace(everything, adaptation=Adaptation(context=InnerStep(1.0)))
     assert exported_policy(alone, Point(), {}).latent_size == 2
-
-
-def test_another_environment_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"2 observations and 2 actions.*`wheeled` has 12 and 2"):
-        exported_policy(fast_learner(), Wheeled(), {})
-
-
-def test_numbers_that_are_not_finite_are_refused() -> None:
-    broken = eqx.tree_at(
-        lambda fast: fast.policy.mlp.layers[0].bias, fast_learner(), jnp.full(16, jnp.nan)
-    )
-    with pytest.raises(ValueError, match=r"finite.*`policy.bias.0`"):
-        exported_policy(broken, Point(), {})
 
 
 @pytest.mark.parametrize(("env", "limit"), [(Point(), 1.0), (Wheeled(), 2.0)])

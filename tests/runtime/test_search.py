@@ -139,7 +139,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("search") / "policy.npz"
     kept = {name: getattr(PRIOR, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
     search = (replace(PRIOR, **kept), SearchSettings())
-    write_policy(path, exported_policy(fast_learner(), Point(), search=search))
+    write_policy(path, exported_policy(fast_learner(), Point(), {}, search=search))
     return path
 
 
@@ -218,6 +218,6 @@ def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
 
 def test_beliefs_are_those_of_a_search(tmp_path: Path) -> None:
     path = tmp_path / "gradient.npz"
-    write_policy(path, exported_policy(fast_learner(), Point()))
+    write_policy(path, exported_policy(fast_learner(), Point(), {}))
     with pytest.raises(RuntimeError, match="export with the rule `search`"):
         _ = Explorer.load(path).beliefs

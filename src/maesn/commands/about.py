@@ -15,8 +15,8 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
 from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
 from maesn.rules import KNOWN
-from maesn.runs.compilation import cache_directory
 from maesn.runs.config import installed_versions, read_config
+from maesn.runs.process import cache_directory
 from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.sources import TRAINED, policy_names

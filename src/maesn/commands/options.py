@@ -9,7 +9,7 @@ from typing import Any
 import tyro
 import tyro._strings
 
-from maesn.runs.compilation import enable_compilation_cache
+from maesn.runs.process import enable_compilation_cache
 from maesn.storage import refusals
 
 # A union of settings keeps the preset's choice, and a boolean takes True or False: the options of

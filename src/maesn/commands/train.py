@@ -14,8 +14,8 @@ from maesn.commands.runs import say_what_is_next
 from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing
-from maesn.runs.compilation import enable_compilation_cache
 from maesn.runs.config import RunSettings, make_env
+from maesn.runs.process import enable_compilation_cache
 from maesn.runs.training import KEEP
 from maesn.settings import suggestion
 from maesn.storage import RunError
@@ -37,7 +37,7 @@ class Options:
     sizes to start from."""
     sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE
     keep: int = KEEP
-    """Latest checkpoints that stay, beside the first of each power of ten; 0: all of them."""
+    """Latest checkpoints that stay, beside the first; 0: all of them."""
 
 
 def train(arguments: list[str]) -> None:

@@ -24,7 +24,7 @@ from maesn.reporting.runs import Latents, read_record
 from maesn.rules import Trained
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest
+from maesn.runs.serialization import digest_of_document, to_json
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
 from maesn.settings import check_number
@@ -94,7 +94,7 @@ def evaluate(
 
 def identity_of_run(run: Run) -> dict[str, str]:
     """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
-    learner = f"{run.settings.method} {digest(run.learner)}"
+    learner = f"{run.settings.method} {digest_of_document(to_json(run.learner))}"
     return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 

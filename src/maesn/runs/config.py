@@ -1,7 +1,7 @@
 """`config.json`: everything that is needed to rebuild a run, as numbers and names.
 
 The file and every checkpoint hold a digest of all that it says, so a change by hand is noticed;
-`maesn.runs.changes` makes one on purpose.
+`maesn.runs.training.change_run` makes one on purpose.
 """
 
 import contextlib
@@ -36,8 +36,7 @@ class RunSettings:
     """What a run does beside learning: where, on what, how long."""
 
     method: Annotated[str, tyro.conf.Suppress] = ""
-    """Name of the preset that the learner fills. `Run.create` sets it; for people, and for error
-    messages."""
+    """Name of the preset that the learner fills, for people; `Run.create` sets it."""
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""
     variant: Variant = "reference"
@@ -160,23 +159,13 @@ def write_config(directory: Path, config: RunConfig) -> None:
 def read_config(directory: Path) -> RunConfig:
     """Read `config.json`; refuse one that is damaged or was changed by hand."""
     path = directory / CONFIG
-    if not path.is_file():
-        raise RunError(
-            f"there is no run in `{directory}`: `{CONFIG}` is missing. Name a directory that "
-            "`maesn train` has made."
-        )
-    document = read_json(path)
-    if document.get("schema") != SCHEMA:
-        raise RunError(
-            f"`{path}` has schema {document.get('schema')!r}, but this version of maesn reads "
-            f"schema {SCHEMA}: install the version that made the run."
-        )
+    document = read_json(path, "name a directory that `maesn train` has made")
     if document.pop("digest", None) != digest_of_document(document):
         raise RunError(
-            f"`{path}` was changed since maesn wrote it: its content does not have the `digest` "
-            f"that it states. Restore it; to change a setting on purpose, use `maesn resume "
-            f"{directory} --change NAME=VALUE`."
+            f"`{path}` was changed since maesn wrote it: restore it. To change a setting on "
+            f"purpose, use `maesn resume {directory} --change NAME=VALUE`."
         )
-    del document["schema"]
-    with refusals(f"`{path}` cannot be understood: "):
+    with refusals(f"`{path}` cannot be understood, it may be of another version of maesn: "):
+        if document.pop("schema", None) != SCHEMA:
+            raise ValueError(f"its schema must be {SCHEMA}.")
         return fields_from_json(RunConfig, document)

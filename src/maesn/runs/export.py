@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -12,7 +11,7 @@ import numpy as np
 from maesn._version import __version__
 from maesn.context import Latent, LatentContext
 from maesn.envs.base import AnyEnv
-from maesn.learners import AbstractFastLearner, BonusFastLearner, GradientFastLearner
+from maesn.learners import AbstractFastLearner, GradientFastLearner
 from maesn.policies import GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
@@ -38,22 +37,17 @@ def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
 def exported_policy(
     learner: AbstractFastLearner[Any],
     env: AnyEnv,
-    description: Mapping[str, str | int | float] = MappingProxyType({}),
+    description: Mapping[str, str | int | float],
     start: tuple[Latent, int] | None = None,
     search: tuple[ReturnPrior, SearchSettings] | None = None,
 ) -> ExportedPolicy:
-    """Return a fast learner as arrays for the runtime.
+    """Return a fast learner, and the environment that it acts in, as arrays for the runtime.
 
-    Args:
-        learner: of a method that adapts a latent alone: `maesn` and `latent_space`.
-        env: the environment that it acts in.
-        description: what should be known of the policy beside family, horizon and control period.
-        start: adapted latent, `[z]`, that a robot starts from, and the number of updates behind
-            it, which the step sizes go on from; None for the prior.
-        search: with what prior and how a robot searches; None to follow the policy gradient.
+    A robot starts from `start`, an adapted latent `[z]` and the number of updates behind it; None
+    for the prior. It searches with this prior and these settings; None for the policy gradient.
 
     Raises:
-        ValueError: the runtime cannot learn as this learner does, or a number is not finite.
+        ValueError: the runtime cannot learn as this learner does.
     """
     learner = _checked(learner)
     prior = jax.tree.map(lambda x: x[0], learner.context.start_new(learner.context_table, 1))
@@ -63,16 +57,8 @@ def exported_policy(
             f"the latents have {latent.mean.size} components, but the policy's z has "
             f"{prior.mean.size}; give latents to which this run was adapted."
         )
-    policy = _policy(learner)
-    size = policy.input_size - prior.mean.size
-    if (size, policy.action_size) != (env.observation_size, env.action_size):
-        raise ValueError(
-            f"`env` must have {size} observations and {policy.action_size} actions as the policy "
-            f"has, but `{env.name}` has {env.observation_size} and {env.action_size}; give the "
-            "environment that the policy was trained in."
-        )
-    exported = ExportedPolicy(
-        policy=policy,
+    return ExportedPolicy(
+        policy=_policy(learner),
         actuators=probe_actuators(env),
         start=RuntimeLatent(_float64(latent.mean), _float64(latent.log_std)),
         start_update=update,
@@ -86,13 +72,6 @@ def exported_policy(
         },
         search=None if search is None else ExportedSearch(*search, env.horizon),
     )
-    for name, array in exported.arrays().items():
-        if not (name.startswith("actuators.") or np.isfinite(array).all()):
-            raise ValueError(
-                f"`learner` must hold finite numbers to be exported, but `{name}` does not; "
-                "export an earlier checkpoint."
-            )
-    return exported
 
 
 def probe_actuators(env: AnyEnv) -> Actuators:
@@ -118,35 +97,26 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         if not np.allclose(actuators.control(action), wanted, _TOLERANCE, _TOLERANCE):
             raise ValueError(
                 f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
-                f"upper) for each actuator, but the action {action} becomes {wanted}, where that "
-                f"gives {actuators.control(action)}."
+                f"upper) for each actuator, but the action {action} becomes {wanted}."
             )
     return actuators
 
 
 def _checked(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
     """Return a learner whose own update is the runtime's in closed form; refuse any other."""
-    if isinstance(learner, BonusFastLearner):
-        obstacle = "has a curiosity bonus, which needs a model"
-    elif not isinstance(learner, GradientFastLearner):
-        obstacle = f"is a {type(learner).__name__}"
-    elif not learner.capabilities.learns_from_reward:
-        obstacle = "adapts nothing in a new task"
-    elif learner.advantage.drifts:
-        obstacle = "drifts where all rewards are the same: train without `advantage.drifts`"
-    elif not isinstance(learner.context, LatentContext):
-        obstacle = f"has the context {type(learner.context).__name__}"
-    elif learner.context.gradient != "likelihood_ratio":
-        obstacle = f"adapts its latent by the {learner.context.gradient} gradient"
-    elif learner.adaptation.policy is not None:
-        obstacle = "adapts the policy's weights in a new task"
-    elif not isinstance(learner.policy, GaussianMLPPolicy):
-        obstacle = f"has the policy {type(learner.policy).__name__} instead of `GaussianMLPPolicy`"
-    else:
+    if (
+        isinstance(learner, GradientFastLearner)
+        and isinstance(learner.policy, GaussianMLPPolicy)
+        and isinstance(learner.context, LatentContext)
+        and learner.context.gradient == "likelihood_ratio"
+        and learner.adaptation.policy is None
+        and learner.capabilities.learns_from_reward
+        and not learner.advantage.drifts
+    ):
         return learner
     raise ValueError(
-        f"`learner` {obstacle}; a policy can be exported if its latent alone adapts, by the "
-        "likelihood-ratio gradient: the methods `maesn` and `latent_space`."
+        "`learner` must adapt a latent alone, by the likelihood-ratio gradient, without a bonus or "
+        "`advantage.drifts`: train with the methods `maesn` and `latent_space`."
     )
 
 

@@ -3,10 +3,8 @@
 `docs/reference/files.md` lists what is in one.
 """
 
-import contextlib
 import dataclasses
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -60,20 +58,6 @@ class Run:
         """The method and its settings."""
         return self.config.learner
 
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Let no other process work in the run, until the block or this process ends in any way.
-
-        It is a `RunError` if another one does, or has changed the run since it was opened.
-        """
-        with storage.locked(self.directory):
-            path = self.directory / CONFIG
-            if read_config(self.directory).digest() != self.config.digest():
-                raise RunError(f"`{path}` has changed since the run was opened: open it again.")
-            for folder in (self.directory, self.directory / CHECKPOINTS):
-                storage.discard_partial(folder)
-            yield
-
     @classmethod
     def create(
         cls,
@@ -95,23 +79,22 @@ class Run:
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
         run = cls(Path(directory), config, family, tasks, settings.own_family)
-        # Before anything is written: the engine may lack something, the environment contradict
-        # itself, or the batches be too small.
-        run.world().close()
+        run.world().close()  # the engine may lack something
         with refusals():
             check_env_contract(run.env(), tasks[0])
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
             warn_of_known_tests(family, tasks)
-        # The configuration last: a directory with this file in it is a whole run.
-        files = [f"{CHECKPOINTS}/{checkpoint.file_name(0)}", sources.TASKS_FILE, CONFIG]
-        with storage.new_directory(run.directory, files):
+        state = run.untrained_state() if init_from is None else run._begun_state(init_from)
+        check_policy(learner.player(state), run.env())
+        with storage.locked(run.directory):
+            if (run.directory / CONFIG).exists():
+                what_to_do = f"choose another directory, or go on with it: maesn resume {directory}"
+                raise RunError(f"`{directory}` holds a run; {what_to_do}")
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
-            state = run.untrained_state() if init_from is None else run._begun_state(init_from)
-            check_policy(learner.player(state), run.env())
             run.save_state(state)
-            write_config(run.directory, run.config)
+            write_config(run.directory, run.config)  # last: it makes the run whole
         return run
 
     @classmethod
@@ -155,8 +138,7 @@ class Run:
     ) -> AbstractWorld:
         """Return a world to play in. None stands for what the run itself trains with.
 
-        It is an `EngineError` if the engine is not installed, and a `RunError` if it lacks
-        something that the family needs.
+        An engine that is not installed is an `EngineError`, one that cannot move it a `RunError`.
         """
         tasks = self.training_tasks if tasks is None else tasks
         threads = self.settings.num_threads if num_threads is None else num_threads
@@ -178,20 +160,18 @@ class Run:
         return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Return what training has logged: one dictionary per iteration, name -> number.
-
-        A number that was not finite is None. A missing or damaged file is a `RunError`.
-        """
+        """Return what training has logged per iteration: name -> number, None if not finite."""
         return storage.read_json_lines(self.directory / METRICS)
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
-        return checkpoint.checkpoint_paths(self.directory / CHECKPOINTS)
+        found = self.directory.glob(f"{CHECKPOINTS}/iteration-[0-9]*.safetensors")
+        return sorted(found, key=lambda path: (len(path.name), path.name))
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
-        path = self.directory / CHECKPOINTS / checkpoint.file_name(iteration)
+        path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -203,42 +183,34 @@ class Run:
         checkpoint.save_checkpoint(path, state, metadata)
         return path
 
+    def prune(self, path: Path, keep: int) -> None:
+        """Delete the checkpoints before a sound one, but for the first and the latest `keep`."""
+        checkpoint.read_checkpoint(path)
+        paths = self.checkpoints()
+        for old in paths[: paths.index(path) + 1][1:-keep]:
+            old.unlink()
+
     def load(self, path: str | Path) -> Checkpoint:
-        """Read one checkpoint of this run; `MismatchError` if it belongs to another one."""
+        """Read one checkpoint of this run; `RunError` if it belongs to another one."""
         values, metadata = checkpoint.read_checkpoint(Path(path))
         earlier = [change.digest for change in self.config.changes]
         if metadata.get("config") not in (self.config.digest(), *earlier):
-            raise checkpoint.MismatchError(
-                f"`{path}` is a checkpoint of `{metadata.get('method')}` on "
-                f"`{metadata.get('family')}` that was written with another `config.json` than this "
-                "run's: use it with the run that made it, or restore that file. (`maesn resume RUN "
-                "--change NAME=VALUE` changes settings, and keeps earlier checkpoints usable.)"
+            raise RunError(
+                f"`{path}` was written with another `config.json` than this run's: restore that "
+                "file. (To change settings: `maesn resume RUN --change NAME=VALUE`.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        # A checksum says that a file is as it was written, not that what was written makes sense.
-        broken = [name for name, value in values.items() if not np.isfinite(value).all()]
-        if broken:
-            raise CheckpointError(f"`{path}` is damaged: tensor `{broken[0]}` is not finite.")
-        steps = metadata.get("environment_steps", "nothing")
-        if not (steps.isdecimal() and len(steps) < 20):
-            what = f"it must state its environment steps as a number, got {steps}"
-            raise CheckpointError(f"`{path}` is damaged: {what}.")
-        return Checkpoint(state, int(self.learner.iteration(state)), int(steps))
+        iteration, steps = self.learner.iteration(state), metadata["environment_steps"]
+        return Checkpoint(state, int(iteration), int(steps))
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
-        damage: list[str] = []
         for path in reversed(self.checkpoints()):
             try:
-                found = self.load(path)
+                return self.load(path)
             except CheckpointError as error:
-                damage.append(str(error))
-                continue
-            for sentence in damage:
-                logger.warning("%s Using `%s` instead.", sentence, path)
-            return found
-        nothing = f"`{self.directory / CHECKPOINTS}` holds no sound checkpoint: restore one."
-        raise CheckpointError(" ".join([nothing, *damage]))
+                logger.warning("%s Using the one before it.", error)
+        raise CheckpointError(f"`{self.directory}` holds no sound checkpoint: restore one.")
 
     def latest_state(self) -> Any:
         """Return the state of the latest checkpoint; see `latest`."""
@@ -248,14 +220,6 @@ class Run:
         """Return a first state with what another run has learned; see `create`."""
         same_family = read_config(sources.find_run(init_from)).family == self.config.family
         source = Run.open(init_from, self.family if same_family else None)
-        env, trained = self.env(), source.env()
-        for name in ("observation_size", "action_size"):
-            if getattr(env, name) != getattr(trained, name):
-                raise RunError(
-                    f"`{init_from}` must have an environment of `{name}` {getattr(env, name)}, as "
-                    f"this `{env.name}` of variant `{env.variant}` has, got "
-                    f"{getattr(trained, name)}: begin with a run in the same one."
-                )
         fresh, values = self.untrained_state(), named_leaves(source.latest_state())
         larger = named_leaves(self.structure(more_tasks=1))
         for name, leaf in named_leaves(fresh).items():

@@ -61,8 +61,7 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
     """Return settings as JSON values, each object with its tag."""
     tag = type(module).__name__
     if REGISTRY.get(tag) is not type(module):
-        known = ", ".join(REGISTRY)
-        raise ValueError(f"settings of type `{tag}` cannot be stored: only {known} can.")
+        raise ValueError(f"settings of type `{tag}` cannot be stored: only {[*REGISTRY]} can.")
     return {TAG: tag, **fields_to_json(module)}
 
 
@@ -71,13 +70,8 @@ def from_json(document: Mapping[str, Any]) -> eqx.Module:
     fields = dict(document)
     tag = fields.pop(TAG, None)
     if not isinstance(tag, str) or tag not in REGISTRY:
-        raise ValueError(f"`{TAG}` must be one of {', '.join(REGISTRY)}, got {tag!r}.")
+        raise ValueError(f"`{TAG}` must be one of {[*REGISTRY]}, got {tag!r}.")
     return fields_from_json(REGISTRY[tag], fields)
-
-
-def digest(module: eqx.Module) -> str:
-    """Return a hexadecimal hash of settings: equal if and only if they are."""
-    return digest_of_document(to_json(module))
 
 
 def digest_of_document(document: Mapping[str, Any]) -> str:
@@ -129,10 +123,8 @@ def fields_to_json(settings: Any) -> dict[str, Any]:
 def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Settings:
     """Return the dataclass of settings that `fields_to_json` has written."""
     hints, title = _hints(kind), kind.__name__
-    wrong = [f"has no field `{name}`" for name in document if name not in hints]
-    wrong += [f"lacks the field `{name}`" for name in hints if name not in document]
-    if wrong:
-        raise ValueError(f"`{title}` {wrong[0]}; it has {list(hints)}.")
+    if document.keys() != hints.keys():
+        raise ValueError(f"`{title}` must have the fields {[*hints]}, got {[*document]}.")
     return kind(**{n: decode(document[n], hint, f"{title}.{n}") for n, hint in hints.items()})
 
 

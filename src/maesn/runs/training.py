@@ -1,4 +1,4 @@
-"""The training loop, which ends well however it is stopped, and its live display."""
+"""The training loop, which ends well however it is stopped, and changes between two sessions."""
 
 import contextlib
 import dataclasses
@@ -7,28 +7,29 @@ import functools
 import logging
 import math
 import time
-from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-from rich.progress import Progress as Bar
-from rich.table import Column
+from rich.live import Live
+from rich.text import Text
 
+from maesn.envs import describe_env
 from maesn.experience.episodes import Episodes
 from maesn.numerics.mesh import num_devices
 from maesn.numerics.processes import check_agreement, is_lead, together, total_of_processes
-from maesn.runs.checkpoint import Checkpoint, named_leaves, prune
-from maesn.runs.compilation import compile_seconds
-from maesn.runs.config import installed_versions
-from maesn.runs.log import Progress, RunLog, begin_log
+from maesn.runs.checkpoint import Checkpoint, named_leaves
+from maesn.runs.config import Change, RunSettings, installed_versions, write_config
+from maesn.runs.log import Progress, RunLog
+from maesn.runs.process import ending_by_signals
 from maesn.runs.run import Run
-from maesn.runs.signals import ending_by_signals
-from maesn.settings import check_number, leaves
-from maesn.storage import RunError, refusals
+from maesn.runs.serialization import replaced
+from maesn.settings import check_number
+from maesn.storage import RunError, locked, refusals
+from maesn.worlds import engine_of
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -39,6 +40,10 @@ MAX_NONFINITE = 5
 # The latest checkpoints that stay: others than the last one in case that it is damaged.
 KEEP = 3
 
+# Settings that may change between two sessions: without the others what was learned is of no use.
+_FIXED = ("method", "family", "variant", "tasks")
+CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not in _FIXED)
+
 
 def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
     """Train from the latest checkpoint to the last iteration; resuming is the same thing.
@@ -46,13 +51,12 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
     included, on the same machine with the same versions and number of threads. A checkpoint is
     written every `checkpoint_every` iterations and at any end but that of the process.
-
-    `iterations` is the total; None for that of the run's settings. `keep` is how many of the latest
-    checkpoints stay, see `maesn.runs.checkpoint.prune`; 0: all.
+    `iterations` is the total; None for that of the run's settings. Beside the first checkpoint stay
+    the latest `keep`; 0: all.
 
     Raises:
-        RunError: the run cannot be read or written, or another process trains it; or losses or
-            gradients were not finite several times in a row.
+        RunError: the run cannot be read or written, another process trains it, or steps were not
+            finite several times in a row.
         EpisodeError: an episode went wrong: physics blew up, or a foreign environment failed.
     """
     total = run.settings.iterations if iterations is None else iterations
@@ -62,20 +66,20 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         run.learner.check_batch(run.settings.episodes_per_task)
     with contextlib.ExitStack() as stack:
         if is_lead():
-            stack.enter_context(run.alone())
+            stack.enter_context(locked(run.directory))
         start = run.latest()
         # Before anything is written: all have read the same by then.
         check_agreement(start.iteration, "the iteration that they begin with")
         check_agreement(int(run.config.digest()[:8], 16), "the settings")
-        settings = leaves(run.config.document())
-        log = begin_log(run.directory, start, settings) if is_lead() else None
-        if start.iteration:
-            _compare_versions(run)
+        log = RunLog.begin(run.directory, start.iteration) if is_lead() else None
+        begun = run.config.versions
+        if start.iteration and begun != installed_versions(run.config.engine):
+            logger.warning("`%s` was begun with other versions: %s.", run.directory, begun)
         world = stack.enter_context(contextlib.closing(run.world()))
         training = _Training(run, log, keep, start, saved=start.iteration)
         # Again if the first time is interrupted: there is nothing left to do otherwise.
-        stack.callback(training.end)
-        stack.callback(training.end)
+        stack.callback(training.save)
+        stack.callback(training.save)
         collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
         while training.checkpoint.iteration < total:
             yield training.advance(collect)
@@ -100,20 +104,19 @@ class _Training:
         """Do one iteration and write it down."""
         before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
-        start, compiled = time.perf_counter(), compile_seconds()
+        start = time.perf_counter()
         with together():
             state, info = run.learner.step(key, before.state, collect)
             jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
             self.steps = total_of_processes(self.steps)
-        seconds, compiling = time.perf_counter() - start, compile_seconds() - compiled
+        seconds = time.perf_counter() - start
         after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
         progress = Progress(
             iteration=after.iteration,
             environment_steps=after.environment_steps,
             seconds=seconds,
-            compile_seconds=compiling,
-            steps_per_second=self.steps / max(seconds - compiling, 1e-9),
+            steps_per_second=self.steps / seconds,
             devices=num_devices(),
             info={name: float(value) for name, value in named_leaves(metrics).items()},
         )
@@ -123,25 +126,17 @@ class _Training:
         self.checkpoint = after
         self._watch(progress)
         if after.iteration % run.settings.checkpoint_every == 0:
-            self._save()
+            self.save()
         return progress
 
-    def end(self) -> None:
-        """Leave log and checkpoint in agreement, whatever was interrupted."""
-        if self.log is not None:
-            self.log.cut(self.checkpoint.iteration)
-        self._save()
-
-    def _save(self) -> None:
+    def save(self) -> None:
         """Write a checkpoint unless it is there already, and delete those that are not kept."""
         if self.log is None or self.saved == self.checkpoint.iteration:
             return
-        # The log first: whoever finds a checkpoint can rely on the log up to it.
-        self.log.sync()
         path = self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
         self.saved = self.checkpoint.iteration
         if self.keep:
-            prune(path, self.keep)
+            self.run.prune(path, self.keep)
 
     def _watch(self, progress: Progress) -> None:
         """Say that a step was not finite, and give up after several in a row."""
@@ -151,25 +146,12 @@ class _Training:
             self.nonfinite = 0
             return
         self.nonfinite += 1
-        first = int(progress.info.get("first_nonfinite_task", -1))
-        named = f" (task {first} is the first)" if first >= 0 else ""
-        what = f"the loss of {tasks} tasks{named}" if tasks else f"`{broken[0]}`"
+        what = f"the loss of {tasks} tasks" if tasks else f"`{broken[0]}`"
         said = f"`{self.run.directory}`, iteration {progress.iteration}: {what} is not finite"
         logger.warning("%s. The step was rejected; the policy is as before.", said)
         if self.nonfinite == MAX_NONFINITE:
             raise RunError(
-                f"{said}, for the {MAX_NONFINITE}th time in a row. The last good state is saved: "
-                "look at `metrics.jsonl`, and start anew with smaller steps or a smaller penalty."
-            )
-
-
-def _compare_versions(run: Run) -> None:
-    now = installed_versions(run.config.engine)
-    for name, version in run.config.versions.items():
-        if now.get(name) != version:
-            logger.warning(
-                f"`{run.directory}` was begun with {name} {version} and goes on with "
-                f"{now.get(name)}: it need not become what it would have become without a break."
+                f"{said}, {MAX_NONFINITE} times in a row: start anew with smaller steps."
             )
 
 
@@ -185,32 +167,22 @@ def train_live(
     say = functools.partial(console.print, markup=False, highlight=False, soft_wrap=True)
     total = run.settings.iterations if iterations is None else iterations
     last: Progress | None = None
-    # Without compilation, the mean duration of these predicts the time that is left.
-    recent: deque[float] = deque(maxlen=20)
     try:
         with (
             ending_by_signals(),
             contextlib.closing(train(run, iterations, keep)) as steps,
-            _live_bar(console, total) as bar,
+            _live_line(console) if console.is_terminal else contextlib.nullcontext(say) as show,
         ):
             for last in steps:
-                recent.append(last.seconds - last.compile_seconds)
-                mean, done, text = sum(recent) / len(recent), last.iteration, describe(last)
-                left = f"{datetime.timedelta(seconds=round(mean * (total - done)))} left"
-                if console.is_terminal:
-                    shown = f"{left}: {text}"
-                    bar.update(bar.task_ids[0], completed=done, description=shown, refresh=True)
-                else:
-                    say(f"{done}/{total}: {text}, {left}")
+                left = datetime.timedelta(seconds=round(last.seconds * (total - last.iteration)))
+                show(f"{last.iteration}/{total}: {describe(last)}, {left} left")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.family_option
-        with contextlib.suppress(OSError):
-            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
-        done = run.latest().iteration
-        say(f"{run.directory} has done {done} of {total} iterations: nothing is left.")
+        say(f"{run.directory} has done its {total} iterations: nothing is left.")
     return last
 
 
@@ -226,28 +198,56 @@ def describe(progress: Progress) -> str:
         rejected = progress.find("accepted") == 0.0
         parts.append("step rejected" if rejected else f"KL {kl:.4f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")
-    if progress.compile_seconds > 1:
-        parts.append(f"compiled for {progress.compile_seconds:.0f} s")
     return ", ".join(parts)
 
 
 @contextlib.contextmanager
-def _live_bar(console: Console, total: int) -> Iterator[Bar]:
-    """Show a bar of one task if there is a terminal."""
-    columns: list[Any] = [
-        MofNCompleteColumn(table_column=Column(min_width=2 * len(str(total)) + 1)),
-        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
-    ]
-    if console.width >= 110:  # there is room for it beside the numbers
-        columns.insert(1, BarColumn(bar_width=20, table_column=Column(min_width=20)))
+def _live_line(console: Console) -> Iterator[Callable[[str], None]]:
+    """Let a line on a terminal take the place of the one before."""
     # A thread that refreshes it would outlive the terminal.
-    bar = Bar(*columns, console=console, auto_refresh=False)
-    bar.add_task("compiling", total=total)
-    if console.is_terminal:
-        bar.start()
-    try:
-        yield bar
-    finally:
-        with contextlib.suppress(OSError):  # the terminal may be what is gone
-            if console.is_terminal:
-                bar.stop()
+    with Live("compiling", console=console, auto_refresh=False) as live:
+        yield lambda line: live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+
+def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
+    """Change settings of a run from its latest checkpoint on, write that down, and return the run.
+
+    Names are those in `CHANGEABLE`, and those of the learner's settings, such as
+    `trust_region.damping`. Where a name or a value cannot be used nothing is written.
+    """
+    own = {name: value for name, value in changes.items() if name in CHANGEABLE}
+    with refusals("the change cannot be made: "):
+        settings = replaced(run.settings, own)
+        try:
+            learner = replaced(run.learner, {n: v for n, v in changes.items() if n not in own})
+        except KeyError as error:
+            raise _cannot_change(error.args[0]) from error
+        learner.check_batch(settings.episodes_per_task)
+        if settings.sparse_radius is None and "sparse_radius" in changes:
+            raise ValueError("`sparse_radius` must be a number of metres, got None.")
+        env = run.env(settings.reward, settings.sparse_radius)
+        engine = engine_of(env, settings.engine)
+    with locked(run.directory):
+        change = Change(run.latest().iteration, dict(changes), run.config.digest())
+        config = dataclasses.replace(
+            run.config,
+            settings=settings,
+            learner=learner,
+            world=describe_env(env),
+            engine=engine,
+            changes=(*run.config.changes, change),
+        )
+        changed = dataclasses.replace(run, config=config)
+        if not eqx.tree_equal(changed.structure(), run.structure()):
+            raise _cannot_change(", ".join(changes))
+        changed.world().close()  # the engine may lack something
+        write_config(run.directory, config)
+    return changed
+
+
+def _cannot_change(name: str) -> RunError:
+    return RunError(
+        f"`{name}` cannot change in a run that has begun. What can: {', '.join(CHANGEABLE)}, and "
+        "those settings of the learner that leave its arrays as they are, such as "
+        "`trust_region.damping`. For anything else start a new run (`maesn train --init-from`)."
+    )

@@ -20,8 +20,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from maesn.runs.compilation import enable_compilation_cache
-from maesn.runs.signals import ending_by_signals
+from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import LOCK, RunError, read_json, write_json
 from maesn.studies.jobs import DONE, Job, computed
 from maesn.worlds.budget import STEPS_PER_SECOND

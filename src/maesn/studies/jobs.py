@@ -54,7 +54,6 @@ def computed(job: Job, jobs: Path) -> str | None:
     """Compute a job unless it is done; return its error, None if there is none."""
     directory = jobs / job.name
     try:
-        directory.mkdir(exist_ok=True)
         with storage.locked(directory):
             if not (directory / DONE).exists():
                 start = time.perf_counter()

@@ -20,8 +20,8 @@ from maesn.reporting.series import group_series
 from maesn.reporting.study import MANIFEST, report_study
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import RunSettings, installed_versions
+from maesn.runs.process import ending_by_signals
 from maesn.runs.run import Run
-from maesn.runs.signals import ending_by_signals
 from maesn.settings import check_number
 from maesn.storage import RunError
 from maesn.studies.execution import (

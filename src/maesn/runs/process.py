@@ -1,0 +1,60 @@
+"""What a process sets once: where compiled programs are kept, and how signals end it."""
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+# Moves the compilation cache; empty, 0 or off: no cache.
+CACHE_VARIABLE = "MAESN_CACHE"
+
+
+def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Return where compiled programs are kept; None if the user wants no cache."""
+    chosen = environment.get(CACHE_VARIABLE)
+    if chosen is None:
+        return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "maesn"
+    return None if chosen in ("", "0", "off") else Path(chosen)
+
+
+def enable_compilation_cache() -> None:
+    """Keep compiled programs on disk, so that the next process starts at once."""
+    settings = {
+        "jax_compilation_cache_dir": str(cache_directory()),
+        # Most programs of the first iteration compile in less than the second of JAX's default.
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    for name, value in settings.items() if cache_directory() else ():
+        jax.config.update(name, value)  # type: ignore[no-untyped-call]
+
+
+@contextlib.contextmanager
+def ending_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP leave the block by `SystemExit`, with the status that shells report.
+
+    A second signal ends the process at once. A handler that the program has already stays, and so
+    does a signal that is ignored.
+    """
+    handled = []
+    if threading.current_thread() is threading.main_thread():  # elsewhere they cannot be handled
+        numbers = (signal.SIGTERM, signal.SIGHUP)
+        handled = [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+
+    def end(number: int, _: Any) -> None:
+        for one in (*handled, signal.SIGINT):
+            signal.signal(one, signal.SIG_DFL)
+        raise SystemExit(128 + number)
+
+    for number in handled:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
