@@ -1,6 +1,7 @@
 """Small synthetic runs whose numbers are known, as records and as run directories."""
 
 import csv
+import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from maesn.reporting.runs import (
     RecordedRun,
     RecordedSearches,
 )
-from maesn.reporting.series import Series, group_series
+from maesn.reporting.sources import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
 
 NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
@@ -58,6 +59,13 @@ def adaptation_table(
         solved_at_reset=np.zeros_like(rate),
         explored_success_rate=rate,
     )
+
+
+def columns(table: AdaptationTable, chosen: slice) -> AdaptationTable:
+    """Some columns of a table."""
+    curves = {name: x[..., chosen] for name, x in table.curves.items()}
+    shown = {"updates": table.updates[chosen], "episodes": table.episodes[chosen]}
+    return dataclasses.replace(table, **curves, **shown)
 
 
 def exploration(*, has_latents: bool = True) -> RecordedExploration:
@@ -111,7 +119,8 @@ def run(
         "iterations": 30,
         **settings,
     }
-    return RecordedRun(Path(f"runs/{method}-{seed}"), everything, learner or {})
+    path = Path(f"runs/{method}-{seed}")
+    return RecordedRun(path, method, everything["family"], seed, everything, learner or {})
 
 
 def series(*methods: str) -> list[Series]:

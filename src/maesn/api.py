@@ -21,9 +21,9 @@ from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
 from maesn.reporting.reading import RECORD
-from maesn.reporting.run_figures import draw_runs
+from maesn.reporting.report import report_runs, report_studies
 from maesn.reporting.runs import EXPLORATION
-from maesn.reporting.study import report_studies, studies_in
+from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import AbstractRule, GradientRule, SearchRule
 from maesn.runs.changes import change_run
@@ -285,7 +285,7 @@ def report(
             record_explorer(run)
     directories = [run.directory for run in opened]
     folder = page.parent if page else Path(out or directories[0] / "figures")
-    files = draw_runs(directories, folder, print)
+    files = report_runs(directories, folder, print)
     if len(opened) == 1 and out is None:
         pictures = [file for file in files if file.suffix == ".png"]
         log_figures(directories[0], pictures, opened[0].latest().environment_steps)

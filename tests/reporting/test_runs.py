@@ -12,7 +12,6 @@ from synthetic_runs import (
     NUM_TASKS,
     RADIUS,
     exploration,
-    latents,
     learning_curve,
     write_exploration,
     write_metrics,
@@ -47,8 +46,6 @@ def test_settings_are_read(tmp_path: Path) -> None:
     assert (run.method, run.family, run.seed) == ("maml", "wheeled", 3)
     assert run.settings["iterations"] == 30
     assert run.learner == {"meta_batch_size": 20}
-    assert [file.name for file in run.tables().values()] == ["test-sparse.csv"]
-    assert run.adaptation("validation", "sparse") is None
 
 
 @pytest.mark.parametrize(
@@ -57,8 +54,8 @@ def test_settings_are_read(tmp_path: Path) -> None:
         (None, "got no such file or directory"),
         ("{", "got something else that cannot be read"),
         ("[1]", "Expected a JSON object .* is no JSON object"),
-        ('{"schema": 1}', "Expected `settings` .* got none"),
-        ('{"settings": {"method": "maesn"}}', "Expected `family` of type str .* got None"),
+        ('{"schema": 1}', "is not of a run .*'settings'"),
+        ('{"settings": {"method": "maesn"}}', "is not of a run .*'family'"),
     ],
 )
 def test_what_is_no_run_is_refused(tmp_path: Path, content: str | None, complaint: str) -> None:
@@ -105,8 +102,6 @@ def test_a_run_without_an_iteration_has_no_curve(tmp_path: Path) -> None:
     [
         ("{\n", "line 1 is no JSON object"),
         ('{"iteration": 1}\n[]\n', "line 2 is no JSON object"),
-        ('{"return_after": 1}\n', "an increasing `iteration`"),
-        ('{"iteration": 2}\n{"iteration": 2}\n', "an increasing `iteration`"),
     ],
 )
 def test_broken_metrics_are_refused(tmp_path: Path, content: str, complaint: str) -> None:
@@ -149,20 +144,20 @@ def test_latents_of_a_method_without_any_are_ignored(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"goals": None}, r"`goals` \[task, 2\] .* got episodes_per_task, fixed_paths"),
-        ({"goals": np.zeros((3, 3))}, r"`goals` \[task, 2\] .* got float64 \[3, 3\]"),
+        ({"goals": None}, r"`goals` .*'task 2'.* got float64 \[0\]"),
+        ({"goals": np.zeros((3, 3))}, r"`goals` .*'task 2'.* got float64 \[3, 3\]"),
         ({"prior_paths": np.zeros((0, 5, 2))}, r"`prior_paths` .* got float64 \[0, 5, 2\]"),
         (
             {"prior_paths": np.array(["x"])},
-            r"`prior_paths` \[episode, time_plus_1, 2\] .* got <U1 \[1\]",
+            r"`prior_paths` .*'episode time_plus_1 2'.* got <U1 \[1\]",
         ),
-        ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` \[5, z\] .* got float64 \[2"),
-        ({"solved_at_reset": np.zeros(3)}, r"`solved_at_reset` \[8\] .* got float64 \[3\]"),
+        ({"prior_latents": np.zeros((2, 2))}, r"`prior_latents` .* got float64 \[2"),
+        ({"solved_at_reset": np.zeros(3)}, r"`solved_at_reset` .* got float64 \[3\]"),
         (
             {"landmarks": np.zeros((3, 5, 2))},
-            r"`landmarks` \[8, landmark, 2\] .* got float64",
+            r"`landmarks` .* got float64",
         ),
-        ({"sparse_radius": np.zeros(2)}, r"`sparse_radius` \[\] .* got float64 \[2\]"),
+        ({"sparse_radius": np.zeros(2)}, r"`sparse_radius` .* got float64 \[2\]"),
         ({"goals": np.array([None])}, "something else that cannot be read"),
     ],
 )
@@ -173,7 +168,7 @@ def test_misshapen_exploration_is_refused(
     write_exploration(file, exploration())
     arrays = {**np.load(file), **change}
     np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
-    with pytest.raises(RunError, match=complaint + ".*delete it, and `maesn report DIR`"):
+    with pytest.raises(RunError, match=complaint + ".*delete it, and report again"):
         read_exploration(tmp_path)
 
 
@@ -186,29 +181,3 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     with file.open("wb") as stream:
         np.save(stream, np.zeros(3))
     assert "something else that cannot be read" in refused(lambda: read_exploration(tmp_path))
-
-
-def test_latents_are_read(tmp_path: Path) -> None:
-    read = read_run(write_run(tmp_path / "a", "maesn")).latents("test", "sparse")
-    assert read is not None
-    np.testing.assert_array_equal(read.mean, latents().mean)
-    np.testing.assert_array_equal(read.log_std, latents().log_std)
-    assert read.first_update == 0
-    assert read_run(write_run(tmp_path / "b", "maml")).latents("test", "sparse") is None
-
-
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        ({"log_std": np.zeros((8, 4, 3))}, r"`log_std` \[8, 4, 2\] .* got float64 \[8, 4, 3\]"),
-        ({"mean": latents().mean.swapaxes(0, 1)}, r"`mean` \[8, 4, z\] .* got float64 \[4, 8, 2\]"),
-        ({"first_update": np.float64(1)}, r"`first_update` \[\] in .* got float64 \[\]"),
-    ],
-)
-def test_latents_of_other_shapes_than_the_table_are_refused(
-    tmp_path: Path, change: dict[str, np.ndarray], complaint: str
-) -> None:
-    directory = write_run(tmp_path / "run", "maesn")
-    np.savez(directory / "adaptation" / "test-sparse.latents.npz", **{**vars(latents()), **change})
-    with pytest.raises(RunError, match=complaint + ".*maesn adapt"):
-        read_run(directory).latents("test", "sparse")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from scripts import load_script
-from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
+from synthetic_runs import NUM_UPDATES, adaptation_table, columns, write_adaptation
 
 from maesn.reporting.reading import DEPLOY, MEASURES, AdaptationTable
 from maesn.reporting.statistics import bootstrap, difference, mean
@@ -183,7 +183,7 @@ def test_rules_stand_side_by_side_where_both_were_judged(tmp_path: Path) -> None
     table = adaptation_table(num_tasks=30)
     write_adaptation(tmp_path / "often.csv", table)
     # A deployed agent that was judged twice alone.
-    write_adaptation(tmp_path / "twice.csv", table, table.part(slice(None), slice(0, None, 3)))
+    write_adaptation(tmp_path / "twice.csv", table, columns(table, slice(0, None, 3)))
     console = Console(file=io.StringIO(), width=80)
     named = {name: tmp_path / f"{name}.csv" for name in ("often", "twice")}
     print_side_by_side(named, "two rules", console)

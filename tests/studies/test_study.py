@@ -17,7 +17,7 @@ from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
-from maesn.reporting.study import report_studies
+from maesn.reporting.report import report_studies
 from maesn.storage import LOCK, RunError, read_json
 from maesn.studies.executors import AbstractExecutor, Failure, Here, LocalPool, Ray
 from maesn.studies.jobs import AbstractJob

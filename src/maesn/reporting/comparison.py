@@ -1,7 +1,4 @@
-"""Methods adapted to the same tasks: all that figures, tables and pages of curves are made from.
-
-Runs (`maesn.reporting.series`) and studies (`maesn.reporting.study`) both make a `Comparison`.
-"""
+"""Methods adapted to the same tasks: what figures, tables and pages are made from."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,10 +28,10 @@ class Line:
     seeds: tuple[int, ...]
     table: AdaptationTable
     """Of all seeds: curves are `[seed, task, update]`."""
-    training_steps: int | None = None
-    """Environment steps of meta-training; None without any."""
     source: str = ""
     """Name of the run or method, which lines by other rules share."""
+    training_steps: int | None = None
+    """Environment steps of meta-training; None without any."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Of the run or method, by their path."""
     published: PublishedCurve | None = None
@@ -65,11 +62,12 @@ class Line:
     @property
     def beyond(self) -> str:
         """Say from where on it does what it was never trained for; empty for nowhere."""
-        if self.table.first_beyond is None:
+        table, first = self.table, self.table.first_beyond
+        if first is None:
             return ""
         return (
-            f"{self.label} was trained for trials of {self.table.trial_episodes} episodes: from "
-            f"update {self.table.updates[self.table.first_beyond]} on it is beyond them"
+            f"{self.label} was trained for trials of {table.trial_episodes} episodes: from "
+            f"update {table.updates[first]} on it is beyond them"
         )
 
 
@@ -115,12 +113,8 @@ class Comparison:
         return np.asarray(np.any(solved, axis=0))
 
     def references(self, num_tasks: int | None = None) -> dict[str, float]:
-        """Return the mean returns of baseline and oracle, if known, in the first so many tasks.
-
-        None: in as many as the method has that has most.
-        """
-        if num_tasks is None:
-            num_tasks = max(line.num_tasks for line in self.lines)
+        """Return the mean returns of baseline and oracle, if known, in the first so many tasks."""
+        num_tasks = num_tasks or max(line.num_tasks for line in self.lines)
         groups = {"baseline": self.baselines, "oracle": self.oracle}
         return {
             name: max(float(line.column(0, num_tasks=num_tasks).mean()) for line in lines)
@@ -143,15 +137,15 @@ class Comparison:
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
-        lines, baselines, oracle = (
-            tuple(
+        groups: dict[str, Any] = {
+            group: tuple(
                 replace(line, table=line.table.part(chosen[: line.num_tasks]))
-                for line in group
+                for line in getattr(self, group)
                 if chosen[: line.num_tasks].any()
             )
-            for group in (self.lines, self.baselines, self.oracle)
-        )
-        return replace(self, lines=lines, baselines=baselines, oracle=oracle)
+            for group in ("lines", "baselines", "oracle")
+        }
+        return replace(self, **groups)
 
     def parts(self) -> dict[str, "Comparison"]:
         """Return the comparison and, by what their titles add, its parts.
@@ -162,8 +156,8 @@ class Comparison:
         unsolved, found = ~self.is_solved_at_reset, {"": self}
         fewest = min(line.num_tasks for line in self.lines)
         if fewest < len(unsolved):
-            first = self.of_tasks(np.arange(len(unsolved)) < fewest)
-            found[f", the first {fewest} alone"] = first
+            is_first = np.arange(len(unsolved)) < fewest
+            found[f", the first {fewest} alone"] = self.of_tasks(is_first)
         others = self.of_tasks(unsolved)
         if others.lines and not unsolved.all():
             found[", without tasks solved at reset"] = others
@@ -193,8 +187,8 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         names = ("mean_return", "goal_return", "success_rate")
         measures = {name: line.measure(name).astype(np.float32) for name in names}
         scores = comparison.score(line.measure("mean_return"), line.num_tasks).astype(np.float32)
-        for index in np.ndindex(scores.shape):
-            seed, task, column = index
+        for seed, task, column in np.ndindex(scores.shape):
+            score = scores[seed, task, column]
             yield {
                 "method": line.name,
                 "seed": line.seeds[seed],
@@ -202,7 +196,7 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                 "update": line.table.updates[column],
                 "purpose": line.table.purpose,
                 "steps": line.table.episodes[column] * comparison.horizon,
-                **{name: values[index] for name, values in measures.items()},
-                "score": "" if np.isnan(scores[index]) else scores[index],
+                **{name: values[seed, task, column] for name, values in measures.items()},
+                "score": "" if np.isnan(score) else score,
                 "solved_at_reset": int(solved[task]),
             }

@@ -4,7 +4,7 @@ import csv
 import gzip
 import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,8 @@ _NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
 LATENTS, RECORD = ".latents.npz", ".settings.json"
+
+REMEDY = "write it again with `maesn adapt`"
 
 
 class TableName(NamedTuple):
@@ -49,28 +51,15 @@ def latents_beside(table: Path) -> Path:
     return table.with_name(table.name.removesuffix(".gz")).with_suffix(LATENTS)
 
 
-def remedy(path: Path) -> str:
-    """Return what to do about a broken file of an adaptation."""
-    return f"write `{path.name}` again with `maesn adapt`"
-
-
-def read_rows(
-    path: Path, columns: Iterable[str] = (), remedy: str = "restore it"
-) -> list[dict[str, Any]]:
-    """Return the rows of a `.csv` or `.csv.gz` file as texts; `RunError` if a column is missing."""
+def read_rows(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
+    """Return the rows of a `.csv` or `.csv.gz` file as texts; a `RunError` if it is none."""
     try:
         archive.refuse_special(path)
         opened = gzip.open if path.suffix == ".gz" else open
         with opened(path, "rt", newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            rows, present = list(reader), reader.fieldnames or ()
+            return list(csv.DictReader(file))
     except (OSError, EOFError, ValueError, csv.Error, zlib.error) as error:
         raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
-    for name in columns:
-        if name not in present:
-            found = ", ".join(present) or "an empty file"
-            raise RunError(f"Expected the column `{name}` in `{path}`, got {found}; {remedy}.")
-    return rows
 
 
 Curves = Float[np.ndarray, "*seed task update"]
@@ -86,11 +75,9 @@ class PriorReach(NamedTuple):
     """How broadly a policy explores before it has learned anything of its task."""
 
     share: float
-    """Share of the tasks whose goal some episode reached."""
+    """Share of the tasks whose goal some episode reached, without those solved at reset."""
     episodes: int
     """Number of episodes per task."""
-    num_tasks: int
-    """Number of tasks, without those that are solved at reset."""
 
 
 def prior_reach(
@@ -100,16 +87,15 @@ def prior_reach(
 ) -> PriorReach | None:
     """Return what the prior reaches; None if all tasks are solved at reset."""
     explored = success_rate[~is_solved_at_reset] > 0
-    return PriorReach(float(explored.mean()), episodes, len(explored)) if len(explored) else None
+    return PriorReach(float(explored.mean()), episodes) if len(explored) else None
 
 
 @dataclass(frozen=True)
 class AdaptationTable:
-    """An `adaptation/<tasks>-<reward>.csv`: curves `[i, k]` of task i in column k.
+    """An adaptation's curves; `stack_seeds` adds their axis of seeds.
 
-    `stack_seeds` adds an axis of seeds to the curves. The measures (see `AdaptationCurves`) are
-    those of the deployed agent where the file has them, else those of the episodes that were
-    learned from.
+    Measures are those of the deployed agent where the file has them, else those of the episodes
+    that were learned from.
     """
 
     tasks: str
@@ -133,8 +119,6 @@ class AdaptationTable:
     """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None
     """Number of episodes that meta-training has prepared for; None if no record says so."""
-    rule: str = ""
-    """How figures call rule and wrappers; empty for the method as it is."""
 
     @property
     def num_tasks(self) -> int:
@@ -156,8 +140,8 @@ class AdaptationTable:
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
         """Which tasks some episode starts in the goal region of."""
-        by_task = np.moveaxis(self.solved_at_reset, -2, 0).reshape(self.num_tasks, -1)
-        return np.asarray((by_task > 0).any(axis=1))
+        solved = (self.solved_at_reset > 0).any(axis=-1)
+        return np.asarray(solved.reshape(-1, self.num_tasks).any(axis=0))
 
     @property
     def prior_reach(self) -> PriorReach | None:
@@ -168,16 +152,14 @@ class AdaptationTable:
         of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
 
-    def part(
-        self, tasks: slice | Bool[np.ndarray, " task"], columns: slice = slice(None)
-    ) -> "AdaptationTable":
-        """Return the table of some of the tasks and updates."""
-        changed: dict[str, Any] = {
-            name: x[..., tasks, :][..., columns] if x.ndim > 1 else x[columns]
-            for name, x in vars(self).items()
-            if isinstance(x, np.ndarray)
-        }
-        return replace(self, **changed)
+    @property
+    def curves(self) -> dict[str, Any]:
+        """All curves by name."""
+        return {name: x for name, x in vars(self).items() if np.ndim(x) > 1}
+
+    def part(self, tasks: Bool[np.ndarray, " task"]) -> "AdaptationTable":
+        """Return the table of some of the tasks."""
+        return replace(self, **{name: x[..., tasks, :] for name, x in self.curves.items()})
 
 
 def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
@@ -192,10 +174,7 @@ def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
             f"Expected every seed to be adapted alike, got {found} ({tables[0].tasks} tasks); "
             "run `maesn adapt` with the same `--tasks` and `--episodes` for each."
         )
-    curves = [name for name, x in vars(tables[0]).items() if np.ndim(x) > 1]
-    stacked: dict[str, Any] = {
-        name: np.stack([vars(table)[name] for table in tables]) for name in curves
-    }
+    stacked: Any = {name: np.stack([t.curves[name] for t in tables]) for name in tables[0].curves}
     return replace(tables[0], **stacked)
 
 
@@ -204,16 +183,15 @@ def read_adaptation(path: Path) -> AdaptationTable:
 
     A file that is missing, damaged or lacks a row is a `RunError`.
     """
-    rows = read_rows(path, COLUMNS, remedy(path))
-    purposes = {row["purpose"] for row in rows}
-    purpose = DEPLOY if DEPLOY in purposes else EXPLORE
+    rows, record = read_rows(path, REMEDY), path.with_suffix(RECORD)
+    about = read_json(record, REMEDY) if record.exists() else {}
     try:
+        purposes = {row["purpose"] for row in rows}
+        purpose = DEPLOY if DEPLOY in purposes else EXPLORE
         explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
-        if len(judged["task"]) != len(explored["task"]):
-            raise ValueError("the tasks of its two purposes differ")
-    except ValueError as error:
-        raise RunError(f"`{path}` cannot be drawn: {error}; {remedy(path)}.") from error
-    name, (explored_episodes, trial_episodes, rule) = table_name(path), _record(path)
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"`{path}` cannot be drawn: {error}; {REMEDY}.") from error
+    name = table_name(path)
     return AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,
@@ -222,45 +200,23 @@ def read_adaptation(path: Path) -> AdaptationTable:
         episodes=judged["episodes"][0].astype(int),
         **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
-        explored_episodes=explored_episodes,
-        trial_episodes=trial_episodes,
-        rule=rule,
+        explored_episodes=about.get("episodes_per_update"),
+        trial_episodes=about.get("trial_episodes"),
     )
 
 
-def _record(path: Path) -> tuple[int | None, int | None, str]:
-    """Return episodes per update, trial length and rule from the record beside a table, if any."""
-    record = path.with_suffix(RECORD)
-    found = read_json(record, remedy(path)) if record.exists() else {}
-    counts = found.get("episodes_per_update"), found.get("trial_episodes")
-    label = found.get("label", "")
-    if not (all(isinstance(one, int | None) for one in counts) and isinstance(label, str)):
-        raise RunError(f"`{record}` is not what `maesn adapt` writes; {remedy(path)}.")
-    return *counts, label
-
-
 def _grids(rows: Sequence[Mapping[str, Any]], purpose: str) -> dict[str, Curves]:
-    """Arrange the numbers of one purpose as `[task, update]`; tasks count from 0."""
+    """Arrange the numbers of one purpose as `[task, update]`."""
     chosen = [row for row in rows if row["purpose"] == purpose]
     columns = {
-        name: np.array([row[name] or "nothing" for row in chosen]).astype(np.float64)
+        name: np.array([row[name] for row in chosen], float)
         for name in COLUMNS
         if name != "purpose"
     }
-    for name, column in columns.items():
-        if not np.isfinite(column).all():
-            raise ValueError(
-                f"a number in its column `{name}` is not finite, the adaptation failed"
-            )
-    order = np.lexsort((columns["update"], columns["task"]))
-    num_tasks, updates = len(np.unique(columns["task"])), np.unique(columns["update"])
-    indices = np.meshgrid(np.arange(num_tasks), updates, indexing="ij")
-    found = [columns[name][order] for name in ("task", "update")]
-    # A deployed agent need not be judged after every update.
-    is_whole = purpose == DEPLOY or (np.diff(updates) == 1).all()
-    if not (num_tasks and is_whole and np.array_equal(found, np.reshape(indices, (2, -1)))):
+    tasks, updates = (np.unique(columns[name]) for name in ("task", "update"))
+    if len(chosen) != len(tasks) * len(updates) or not chosen:
         raise ValueError(f"its rows of purpose {purpose} lack a task or an update, or repeat one")
-    grids = {name: column[order].reshape(num_tasks, -1) for name, column in columns.items()}
-    if np.ptp(grids["episodes"], axis=0).any():
-        raise ValueError("tasks differ in their numbers of episodes")
-    return grids
+    if not all(np.isfinite(column).all() for column in columns.values()):
+        raise ValueError("a number in it is not finite, the adaptation failed")
+    order = np.lexsort((columns["update"], columns["task"]))
+    return {name: column[order].reshape(len(tasks), -1) for name, column in columns.items()}

@@ -1,16 +1,13 @@
-"""Run directories, as far as figures and tables need them."""
+"""Run directories, as far as reports need them."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import Float, Integer, Real
+from jaxtyping import Float, jaxtyped
 
-from maesn.reporting import reading
-from maesn.reporting.reading import AdaptationTable, TableName
 from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
 # Where a run directory has what `maesn report` has recorded: records of the classes below.
@@ -22,9 +19,7 @@ RECORDED_TASKS = "test"  # in all three
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
-_RUN_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
-_METRICS_REMEDY = "train with `maesn train METHOD --run DIR`, or go on with `maesn resume DIR`"
-_RECORD_REMEDY = "delete it, and `maesn report DIR` records it again"
+_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
 
 
 @dataclass(frozen=True)
@@ -42,61 +37,25 @@ class RecordedRun:
     """One run directory and the settings that it was started with."""
 
     path: Path
+    method: str
+    family: str
+    seed: int
     settings: Mapping[str, Any]
-    """Settings of the run, as in `config.json`."""
+    """All settings of the run, as in `config.json`."""
     learner: Mapping[str, Any]
     """Settings of the learner, nested as there."""
 
-    @property
-    def method(self) -> str:
-        """The preset that the run trained."""
-        return str(self.settings["method"])
-
-    @property
-    def family(self) -> str:
-        """Name of the task family."""
-        return str(self.settings["family"])
-
-    @property
-    def seed(self) -> int:
-        """Seed of the run."""
-        return int(self.settings["seed"])
-
-    def tables(self) -> dict[TableName, Path]:
-        """Return the tables that `maesn adapt` has left, by what their names say."""
-        files = sorted((self.path / "adaptation").glob("*.csv"))
-        return {name: file for file in files if (name := reading.table_name(file)).reward}
-
-    def adaptation(self, tasks: str, reward: str) -> AdaptationTable | None:
-        """Return the usual adaptation to a task set with a reward; None if there is none."""
-        file = TableName(tasks, reward).path(self.path)
-        return reading.read_adaptation(file) if file.exists() else None
-
-    def latents(self, tasks: str, reward: str) -> Latents | None:
-        """Return the latents of the same adaptation; None if there are none."""
-        table = TableName(tasks, reward).path(self.path)
-        file = table.with_suffix(reading.LATENTS)
-        if not file.exists():
-            return None
-        adapted = reading.read_adaptation(table)
-        sizes = {"task": adapted.num_tasks, "update": len(adapted.updates)}
-        return read_record(Latents, file, reading.remedy(table), sizes)
-
 
 def read_run(path: Path) -> RecordedRun:
-    """Read a run's `config.json`; a `RunError` says what is missing."""
+    """Read a run's `config.json`; a `RunError` says that it is none."""
     file = path / "config.json"
-    config = read_json(file, _RUN_REMEDY)
-    settings, learner = config.get("settings"), config.get("learner")
-    if not isinstance(settings, dict):
-        raise RunError(f"Expected `settings` in `{file}`, got none; {_RUN_REMEDY}.")
-    for name, kind in {"method": str, "family": str, "variant": str, "seed": int}.items():
-        if not isinstance(settings.get(name), kind):
-            raise RunError(
-                f"Expected `{name}` of type {kind.__name__} among the `settings` in `{file}`, got "
-                f"{settings.get(name)!r}; {_RUN_REMEDY}."
-            )
-    return RecordedRun(path, settings, learner if isinstance(learner, dict) else {})
+    config = read_json(file, _REMEDY)
+    try:
+        settings = config["settings"]
+        method, family, seed = (settings[name] for name in ("method", "family", "seed"))
+        return RecordedRun(path, method, family, seed, settings, config["learner"])
+    except (KeyError, TypeError) as error:
+        raise RunError(f"`{file}` is not of a run ({error!r}): {_REMEDY}.") from error
 
 
 @dataclass(frozen=True)
@@ -115,20 +74,12 @@ class LearningCurve:
 def read_learning_curve(path: Path) -> LearningCurve | None:
     """Read a run's `metrics.jsonl`; None if the run has not finished an iteration yet."""
     file = path / "metrics.jsonl"
-    lines = read_json_lines(file, _METRICS_REMEDY) if file.exists() else []
-    if not lines:
-        return None
+    lines = read_json_lines(file, "go on with `maesn resume DIR`") if file.exists() else []
     columns = (
         [x if isinstance(x := line.get(field.name), int | float) else np.nan for line in lines]
         for field in fields(LearningCurve)
     )
-    curve = LearningCurve(*(np.array(column, float) for column in columns))
-    if np.isnan(curve.iteration).any() or (np.diff(curve.iteration) <= 0).any():
-        raise RunError(
-            f"Expected an increasing `iteration` on every line of `{file}`, got otherwise; "
-            f"{_METRICS_REMEDY}."
-        )
-    return curve
+    return LearningCurve(*(np.array(column, float) for column in columns)) if lines else None
 
 
 @dataclass(frozen=True)
@@ -197,39 +148,36 @@ class RecordedSearches:
 
 def read_recorded(kind: type[Record], file: Path) -> Record | None:
     """Read a record of `maesn report`; None if there is none."""
-    return read_record(kind, file, _RECORD_REMEDY) if file.exists() else None
+    return read_record(kind, file) if file.exists() else None
 
 
 def read_record(
-    kind: type[Record], path: Path, remedy: str, sizes: Mapping[str, int] = MappingProxyType({})
+    kind: type[Record], path: Path, remedy: str = "delete it, and report again"
 ) -> Record:
     """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
 
-    The annotations of the fields are the shapes that the arrays must have; an axis of one name has
-    one size in all of them, that of `sizes` where it is there. A field with a default may be absent
-    or empty. Messages of errors end with the remedy.
+    A field that may be None may be absent or empty. Messages of errors end with the remedy.
 
     Raises:
-        RunError: an array is absent, not numeric, empty or of another shape.
+        RunError: the file cannot be read, or lacks an array of the shape that its field says.
     """
-    arrays, known = read_arrays(path, remedy), dict(sizes)
-    hints, values = get_type_hints(kind), {}
-    for field in fields(cast(Any, kind)):
-        array = arrays.get(field.name)
-        has_default = field.default is not MISSING
-        if has_default and (array is None or not array.size):
-            continue
-        hint = next(iter(get_args(hints[field.name])), hints[field.name])
-        axes = getattr(hint, "dim_str", "").split()
-        wanted = [str(known.get(axis, axis)) for axis in axes]
-        numbers = Integer if hint is int else Real
-        shape: Any = numbers[np.ndarray, " ".join(wanted)]
-        if array is None or not isinstance(array, shape) or not array.size:
-            found = ", ".join(sorted(arrays)) or "no arrays"
-            if array is not None:
+    arrays, values = read_arrays(path, remedy), dict[str, Any]()
+    with jaxtyped("context"):  # an axis of one name has one size in all arrays
+        for name, hint in get_type_hints(kind).items():
+            array = arrays.get(name, np.zeros(0))
+            if type(None) in get_args(hint) and not array.size:
+                continue
+            values[name] = _double(array, hint)
+            if not (array.size and isinstance(values[name], hint)):
                 found = f"{array.dtype} {list(array.shape)}"
-            expected = f"`{field.name}` [{', '.join(wanted)}] in `{path}`"
-            raise RunError(f"Expected {expected}, got {found}; {remedy}.")
-        known |= zip(axes, array.shape, strict=True)
-        values[field.name] = array.astype(np.float64) if axes else hint(array)
+                raise RunError(f"Expected `{name}` {hint} in `{path}`, got {found}; {remedy}.")
     return kind(**values)
+
+
+def _double(array: np.ndarray, hint: Any) -> Any:
+    """Return an array in double precision, or the number that it holds."""
+    if array.dtype.kind not in "fiu":
+        return None
+    if array.ndim:
+        return array.astype(float)
+    return float(array) if hint is float else array.item()

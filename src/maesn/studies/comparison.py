@@ -10,7 +10,7 @@ from maesn.evaluation.arguments import AnyEvaluation, AnyPath, AnyRun, OptionalP
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.learners import SCRATCH
 from maesn.reporting.runs import read_run
-from maesn.reporting.series import group_series
+from maesn.reporting.sources import group_series
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from maesn.reporting.reading import latents_beside, read_rows
+from maesn.reporting.report import RESULTS, report_study
 from maesn.reporting.runs import Latents, read_record
-from maesn.reporting.study import MANIFEST, RESULTS, report_study
+from maesn.reporting.sources import MANIFEST
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import installed_versions
 from maesn.runs.signals import ending_by_signals
@@ -128,7 +129,7 @@ class Study:
     def write_results(self, out: Path) -> None:
         """Write what is done: a table for each line and seed, and the manifest that names them.
 
-        `maesn.reporting.study` reads these files, and nothing else.
+        `maesn.reporting.sources` reads these files, and nothing else.
         """
         document = {
             "study": self.spec.name,
