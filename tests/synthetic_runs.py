@@ -117,10 +117,11 @@ def run(
         "sparse_radius": None,
         "seed": seed,
         "iterations": 30,
+        "learner": learner or {},
         **settings,
     }
     path = Path(f"runs/{method}-{seed}")
-    return RecordedRun(path, method, everything["family"], seed, everything, learner or {})
+    return RecordedRun(path, method, everything["family"], seed, everything)
 
 
 def series(*methods: str) -> list[Series]:
@@ -195,7 +196,8 @@ def write_run(
     """Write a whole run directory, except for what `without` names."""
     directory.mkdir()
     record = run(method, **settings)
-    config = {"schema": 1, "settings": record.settings, "learner": record.learner}
+    settings = dict(record.settings)
+    config = {"schema": 1, "learner": settings.pop("learner"), "settings": settings}
     (directory / "config.json").write_text(json.dumps(config), encoding="utf-8")
     has_latents = method in ("maesn", "latent_space")
     if "metrics" not in without:

@@ -21,7 +21,7 @@ from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
 from maesn.reporting.reading import RECORD
-from maesn.reporting.report import report_runs, report_studies
+from maesn.reporting.report import report_runs, report_study
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
@@ -260,7 +260,7 @@ def report(
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:
-        RunError: no run is named, one cannot be used, or a study has nothing to compare yet.
+        RunError: no run is named, or one cannot be used.
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
@@ -272,10 +272,11 @@ def report(
                 "one study can go elsewhere: --out NAME.html"
             )
         files: list[Path] = []
-        found = report_studies(Path(of[0]), files.append)
+        tables: list[TextTable] = []
         for path in studies:
+            tables += report_study(path, files.append)
             files += _page(page or path / PAGE, study_page, path)
-        return Reported(files, found)
+        return Reported(files, tables)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
         if not running.adaptation_file(run.directory, USUAL).exists():

@@ -31,10 +31,10 @@ def compared(
     one = replace(
         line("maesn", table, replace(table, explored_success_rate=0 * table.success_rate)),
         source="maesn",
+        recorded=directory / "maesn.npz",
         latents=directory / "latents.npz",
     )
-    recorded = {"maesn": directory / "maesn.npz"}
-    return Comparison((one,), sparse_radius=radius, recorded=recorded)
+    return Comparison((one,), sparse_radius=radius)
 
 
 @pytest.mark.parametrize(

@@ -15,21 +15,21 @@ def test_seeds_of_one_experiment_are_one_series() -> None:
     runs = [run(seed=seed, num_threads=seed, checkpoint_every=1 + seed) for seed in range(3)]
     (series,) = group_series(runs)
     assert series.runs == tuple(runs)
-    assert (series.name, series.label) == ("maesn", "MAESN")
+    assert (series.name, series.style.label) == ("maesn", "MAESN")
     assert series.style == METHOD_STYLES["maesn"]
 
 
-def test_methods_come_in_the_order_of_their_styles() -> None:
+def test_methods_come_in_the_order_of_their_runs() -> None:
     runs = [run("maml"), run("mine"), run("latent_space"), run("maesn")]
-    labels = [series.label for series in group_series(runs)]
-    assert labels == ["MAESN", "LatentSpace", "MAML", "mine"]
+    labels = [series.style.label for series in group_series(runs)]
+    assert labels == ["MAML", "mine", "LatentSpace", "MAESN"]
 
 
 def test_experiments_of_one_method_are_called_by_their_directories() -> None:
     wide = {"context": {"initial_spread": 1.0, "size": 2}}
     runs = [run(learner=wide), run(learner=wide, seed=1), run(episodes_per_task=50, seed=3)]
     series = group_series(runs)
-    assert [one.label for one in series] == ["MAESN (maesn-0)", "MAESN (maesn-3)"]
+    assert [one.style.label for one in series] == ["MAESN (maesn-0)", "MAESN (maesn-3)"]
     assert [one.name for one in series] == ["maesn", "maesn-2"]
     assert [len(one.runs) for one in series] == [2, 1]
     assert len({(one.style.colour, one.style.line, one.style.marker) for one in series}) == 2
@@ -37,7 +37,7 @@ def test_experiments_of_one_method_are_called_by_their_directories() -> None:
 
 def test_a_difference_between_methods_is_no_part_of_the_label() -> None:
     first, second = group_series([run("maesn", iterations=300), run("maml", iterations=500)])
-    assert (first.label, second.label) == ("MAESN", "MAML")
+    assert (first.style.label, second.style.label) == ("MAESN", "MAML")
 
 
 def test_one_seed_given_twice_is_refused() -> None:
@@ -64,6 +64,6 @@ def test_rules_are_lines_of_the_same_comparison_and_records_belong_to_one(tmp_pa
     table.with_name("ood-sparse.csv").write_bytes(table.read_bytes())
     ood, tested = compare_runs(read_series([run]))
     assert [one.label for one in tested.lines] == ["MAESN", "MAESN (10 then trpo)"]
-    assert [one.latents for one in tested.lines] == [table.with_suffix(".latents.npz"), None]
-    assert tested.recorded == {"maesn": run / "figures" / "exploration.npz"}
-    assert (ood.name, ood.recorded) == ("ood-sparse", {})
+    assert tested.lines[0].latents == table.with_suffix(".latents.npz")
+    assert {one.recorded for one in tested.lines} == {run / "figures" / "exploration.npz"}
+    assert (ood.name, ood.lines[0].recorded) == ("ood-sparse", None)

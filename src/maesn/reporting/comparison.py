@@ -22,22 +22,16 @@ _JUDGED = {
 class Line:
     """One method, adapted to the same tasks with every seed."""
 
-    name: str
-    """For file names."""
+    name: str  # for file names
     style: MethodStyle
     seeds: tuple[int, ...]
-    table: AdaptationTable
-    """Of all seeds: curves are `[seed, task, update]`."""
-    source: str = ""
-    """Name of the run or method, which lines by other rules share."""
-    training_steps: int | None = None
-    """Environment steps of meta-training; None without any."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Of the run or method, by their path."""
-    published: PublishedCurve | None = None
-    """What the paper shows for the method; None if that is something else."""
-    latents: Path | None = None
-    """The adapted latents of the first seed, if only a latent adapts."""
+    table: AdaptationTable  # of all seeds: curves are `[seed, task, update]`
+    source: str = ""  # name of the run or method, which lines by other rules share
+    training_steps: int | None = None  # environment steps of meta-training; None without any
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of run or method, by their path
+    published: PublishedCurve | None = None  # what the paper shows, if that is comparable
+    recorded: Path | None = None  # where the exploration of the first seed may be recorded
+    latents: Path | None = None  # where its adapted latents are, if only a latent adapts
 
     @property
     def label(self) -> str:
@@ -59,6 +53,10 @@ class Line:
         """Return one column of a measure, of all tasks or of the first so many."""
         return self.measure(measure)[:, :num_tasks, index]
 
+    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Line":
+        """Return the line over some of the tasks."""
+        return replace(self, table=self.table.part(chosen[: self.num_tasks]))
+
     @property
     def beyond(self) -> str:
         """Say from where on it does what it was never trained for; empty for nowhere."""
@@ -76,19 +74,12 @@ class Comparison:
     """Methods on the same tasks, and the references below and above them, if there are any."""
 
     lines: tuple[Line, ...]
-    name: str = ""
-    """For file names."""
+    name: str = ""  # for file names
     family: str = ""
-    sparse_radius: float | None = None
-    """Where titles say it."""
-    horizon: int = 0
-    """Steps of an episode that runs its full time."""
-    baselines: tuple[Line, ...] = ()
-    """Agents that learn nothing; the one with the better mean return is the baseline."""
-    oracle: tuple[Line, ...] = ()
-    """The agent that is given the task, or nobody."""
-    recorded: Mapping[str, Path] = field(default_factory=dict)
-    """Name of a run -> its recorded exploration."""
+    sparse_radius: float | None = None  # metres; None where titles do not say it
+    horizon: int = 0  # steps of an episode that runs its full time
+    baselines: tuple[Line, ...] = ()  # learn nothing; the one of better mean return is the baseline
+    oracle: tuple[Line, ...] = ()  # the agent that is given the task, or nobody
 
     @property
     def tasks(self) -> str:
@@ -114,10 +105,10 @@ class Comparison:
 
     def references(self, num_tasks: int | None = None) -> dict[str, float]:
         """Return the mean returns of baseline and oracle, if known, in the first so many tasks."""
-        num_tasks = num_tasks or max(line.num_tasks for line in self.lines)
+        count = num_tasks or max(line.num_tasks for line in self.lines)
         groups = {"baseline": self.baselines, "oracle": self.oracle}
         return {
-            name: max(float(line.column(0, num_tasks=num_tasks).mean()) for line in lines)
+            name: max(float(line.column(0, num_tasks=count).mean()) for line in lines)
             for name, lines in groups.items()
             if lines
         }
@@ -137,29 +128,23 @@ class Comparison:
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
-        groups: dict[str, Any] = {
-            group: tuple(
-                replace(line, table=line.table.part(chosen[: line.num_tasks]))
-                for line in getattr(self, group)
-                if chosen[: line.num_tasks].any()
-            )
-            for group in ("lines", "baselines", "oracle")
-        }
-        return replace(self, **groups)
+        lines, baselines, oracle = (
+            tuple(line.of_tasks(chosen) for line in group if chosen[: line.num_tasks].any())
+            for group in (self.lines, self.baselines, self.oracle)
+        )
+        return replace(self, lines=lines, baselines=baselines, oracle=oracle)
 
     def parts(self) -> dict[str, "Comparison"]:
         """Return the comparison and, by what their titles add, its parts.
 
-        Where some methods were adapted to the first tasks alone, one part has all methods in these.
-        Where some tasks are solved at reset, another one has the methods in the others.
+        These are the first tasks, if some methods have no others, and those not solved at reset.
         """
         unsolved, found = ~self.is_solved_at_reset, {"": self}
         fewest = min(line.num_tasks for line in self.lines)
         if fewest < len(unsolved):
             is_first = np.arange(len(unsolved)) < fewest
             found[f", the first {fewest} alone"] = self.of_tasks(is_first)
-        others = self.of_tasks(unsolved)
-        if others.lines and not unsolved.all():
+        if not unsolved.all() and (others := self.of_tasks(unsolved)).lines:
             found[", without tasks solved at reset"] = others
         return found
 
@@ -178,17 +163,16 @@ def note_on_judging(lines: Sequence[Line]) -> str:
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield one row per method, seed, task and update; `score` is empty if there is none.
-
-    Measures are in the single precision of the curves, so that they are written with its digits.
-    """
+    """Yield one row per method, seed, task and update; `score` is empty if there is none."""
     solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
         names = ("mean_return", "goal_return", "success_rate")
-        measures = {name: line.measure(name).astype(np.float32) for name in names}
-        scores = comparison.score(line.measure("mean_return"), line.num_tasks).astype(np.float32)
-        for seed, task, column in np.ndindex(scores.shape):
-            score = scores[seed, task, column]
+        numbers = {name: line.measure(name) for name in names}
+        numbers["score"] = comparison.score(numbers["mean_return"], line.num_tasks)
+        # With the digits of the curves, which are in single precision.
+        columns = {name: values.astype(np.float32) for name, values in numbers.items()}
+        for seed, task, column in np.ndindex(columns["score"].shape):
+            measures = {name: values[seed, task, column] for name, values in columns.items()}
             yield {
                 "method": line.name,
                 "seed": line.seeds[seed],
@@ -196,7 +180,6 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                 "update": line.table.updates[column],
                 "purpose": line.table.purpose,
                 "steps": line.table.episodes[column] * comparison.horizon,
-                **{name: values[seed, task, column] for name, values in measures.items()},
-                "score": "" if np.isnan(score) else score,
+                **{name: "" if np.isnan(value) else value for name, value in measures.items()},
                 "solved_at_reset": int(solved[task]),
             }

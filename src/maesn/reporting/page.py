@@ -25,14 +25,6 @@ Document = dict[str, Any]
 PAGE = "report.html"
 
 _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
-_METRICS = {
-    "return_after": "return after the inner update",
-    "return_before": "return before the inner update",
-    "success_after": "success after the inner update",
-}
-_WITHOUT_PLOTLY = (
-    "no page is written, because plotly is missing: install it with `pip install 'maesn[page]'`."
-)
 
 
 class PlotlyMissing(RunError):
@@ -49,7 +41,10 @@ def write_page(path: Path, document: Document) -> None:
     try:
         plotly = files("plotly") / "package_data" / "plotly.min.js"
     except ModuleNotFoundError as error:
-        raise PlotlyMissing(_WITHOUT_PLOTLY) from error
+        raise PlotlyMissing(
+            "no page is written, because plotly is missing: install it with `pip install "
+            "'maesn[page]'`."
+        ) from error
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
         "style": own.joinpath("page.css").read_text("utf-8"),
@@ -71,16 +66,15 @@ def run_page(directories: Sequence[Path]) -> Document:
     runs = [run for one in series for run in one.runs]
     shown = next((run for run in runs if (run.path / records.LATENT_PATHS).exists()), runs[0])
     names = [run.path.resolve().name for run in runs]
-    configs = [leaves(read_json(run.path / "config.json")) for run in runs]
     return {
-        "title": f"{' and '.join(one.label for one in series)} on {shown.family}",
+        "title": f"{' and '.join(one.style.label for one in series)} on {shown.family}",
         "subtitle": ", ".join(names),
         **_plane(shown),
         "learning": _learning(series),
         "adaptation": [
             {"name": one.tasks, "charts": _adaptation(one)} for one in compare_runs(series)
         ],
-        "settings": _settings(names, configs),
+        "settings": _settings(names, [leaves(read_json(run.path / "config.json")) for run in runs]),
     }
 
 
@@ -103,10 +97,8 @@ def _comparison(comparison: Comparison) -> Document:
     """Return charts, tables, the tasks' returns and settings."""
     lines = comparison.lines
     thresholds, profiles = statistics.profiles([line.column(-1) for line in lines])
-    above = [
-        _curve(line.style, thresholds, *profile.band)
-        for line, profile in zip(lines, profiles, strict=True)
-    ]
+    pairs = zip(lines, profiles, strict=True)
+    above = [_curve(line.style, thresholds, *profile.band) for line, profile in pairs]
     return {
         "name": comparison.name,
         "about": f"{comparison.family}, {comparison.tasks}",
@@ -125,17 +117,14 @@ def _comparison(comparison: Comparison) -> Document:
 
 def _adaptation(comparison: Comparison) -> list[Document]:
     """Return the charts of return and success over the episodes in the new task."""
-    reward = comparison.lines[0].table.reward
-    charts = []
-    for measure, text in (
-        ("mean_return", f"mean {reward} return"),
-        ("success_rate", "success rate"),
-    ):
-        curves = [
-            _curve(line.style, line.table.episodes, *statistics.curve(line.measure(measure)).band)
-            for line in comparison.lines
-        ]
-        charts.append(_chart("episodes in the new task", text, curves))
+    reward, charts = comparison.lines[0].table.reward, []
+    for measure, y in {
+        "mean_return": f"mean {reward} return",
+        "success_rate": "success rate",
+    }.items():
+        found = ((line, statistics.curve(line.measure(measure)).band) for line in comparison.lines)
+        curves = [_curve(line.style, line.table.episodes, *band) for line, band in found]
+        charts.append(_chart("episodes in the new task", y, curves))
     return charts
 
 
@@ -143,13 +132,14 @@ def _learning(series: Sequence[Series]) -> list[Document]:
     """Return the charts of meta-training; every seed has a line of its own."""
     found = [(one.style, vars(curve)) for one in series for curve in one.learning_curves()]
     charts = []
-    for metric, text in _METRICS.items():
+    for metric in ("return_after", "return_before", "success_after"):
         known = [(style, one["iteration"], one[metric]) for style, one in found]
         lines = [
             _curve(style, x, moving_mean(y[None], window_of(len(x)))[0])
             for style, x, y in known
             if np.isfinite(y).any()
         ]
+        text = f"{metric.replace('_', ' ')} the inner update"
         charts += [_chart("meta-iteration", text, lines)] if lines else []
     return charts
 
@@ -161,8 +151,8 @@ def _chart(x: str, y: str, curves: Sequence[Document]) -> Document:
 def _curve(style: MethodStyle, x: Any, mean: Any, low: Any = (), high: Any = ()) -> Document:
     """Return a line; with a band between `low` and `high` if they are given."""
     columns = {"x": x, "mean": mean, "low": low, "high": high}
-    numbers = {name: rounded(column) for name, column in columns.items()}
-    return {"label": style.label, "colour": style.colour, "dash": _dash(style.line), **numbers}
+    look = {"label": style.label, "colour": style.colour, "dash": _dash(style.line)}
+    return look | {name: rounded(column) for name, column in columns.items()}
 
 
 def _dash(line: LineStyle) -> str:
@@ -183,26 +173,22 @@ def _plane(run: RecordedRun) -> Document:
         "trained, z fixed": explored.fixed_paths,
         "untrained": explored.untrained_paths,
     }
+    shown = [
+        {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
+        for title, paths in panels.items()
+        if paths is not None
+    ]
+    goals, landmarks = rounded(explored.goals), rounded(explored.landmarks)
     table = TableName(records.RECORDED_TASKS, "sparse").path(run.path)
     adapted = read_recorded(records.Latents, latents_beside(table))
+    ends = [] if adapted is None else rounded(adapted.mean[:, -1])
     paths = read_recorded(records.LatentPaths, run.path / records.LATENT_PATHS)
     searches = read_recorded(records.RecordedSearches, run.path / records.SEARCHES)
-    ends = [] if adapted is None else rounded(adapted.mean[:, -1])
     return {
-        "world": {
-            "goals": rounded(explored.goals),
-            "radius": explored.sparse_radius,
-            "landmarks": rounded(explored.landmarks),
-        },
+        "world": {"goals": goals, "radius": explored.sparse_radius, "landmarks": landmarks},
         "explorer": paths and {"adapted": ends, **_numbers(paths)},
         "search": searches and _numbers(searches),
-        "exploration": {
-            "panels": [
-                {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
-                for title, paths in panels.items()
-                if paths is not None
-            ]
-        },
+        "exploration": {"panels": shown},
     }
 
 

@@ -12,28 +12,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from maesn.reporting.statistics import count
 from maesn.runtime import archive
 from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
-_NAME = re.compile(r"(?P<tasks>.+)-(?P<reward>dense|sparse)(?P<changed>-.+)?")
+_NAME = re.compile(r"(.+)-(dense|sparse)(-.+)?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
 LATENTS, RECORD = ".latents.npz", ".settings.json"
 
-REMEDY = "write it again with `maesn adapt`"
+_REMEDY = "write it again with `maesn adapt`"
 
 
 class TableName(NamedTuple):
     """What the name of a table says."""
 
+    # Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
+    # radius, engine and number of tasks where they are not the usual ones.
     tasks: str
-    """Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
-    radius, engine and number of tasks where they are not the usual ones."""
-    reward: str
-    """Reward of the adaptation; empty if the file is called otherwise."""
-    changed: str = ""
-    """Rule and wrappers, with a hyphen before them; empty for the method as it is."""
+    reward: str  # of the adaptation; empty if the file is called otherwise
+    changed: str = ""  # rule and wrappers, with a hyphen before them; empty for the method as it is
 
     def path(self, directory: Path) -> Path:
         """Return where such a table of a run goes by default."""
@@ -71,23 +70,14 @@ COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset"
 EXPLORE, DEPLOY = "explore", "deploy"
 
 
-class PriorReach(NamedTuple):
-    """How broadly a policy explores before it has learned anything of its task."""
-
-    share: float
-    """Share of the tasks whose goal some episode reached, without those solved at reset."""
-    episodes: int
-    """Number of episodes per task."""
-
-
 def prior_reach(
-    success_rate: Float[np.ndarray, " task"],
-    is_solved_at_reset: Bool[np.ndarray, " task"],
-    episodes: int,
-) -> PriorReach | None:
-    """Return what the prior reaches; None if all tasks are solved at reset."""
-    explored = success_rate[~is_solved_at_reset] > 0
-    return PriorReach(float(explored.mean()), episodes) if len(explored) else None
+    success_rate: Float[np.ndarray, " task"], solved: Bool[np.ndarray, " task"], episodes: int
+) -> str:
+    """Say how many goals a policy reaches before it learns, of those not reached at reset."""
+    if solved.all():
+        return ""
+    share = (success_rate[~solved] > 0).mean()
+    return f"{share:.0%} of the goals in {count(episodes, 'episode')}"
 
 
 @dataclass(frozen=True)
@@ -98,27 +88,24 @@ class AdaptationTable:
     that were learned from.
     """
 
-    tasks: str
-    """Name of the task set."""
+    tasks: str  # name of the task set
     reward: str
-    purpose: str
-    """What the measures judge: `EXPLORE` or `DEPLOY`."""
+    purpose: str  # what the measures judge: `EXPLORE` or `DEPLOY`
+    # Updates that lie before each column, and the episodes per task that they have learned from.
     updates: Int[np.ndarray, " update"]
-    """Number of updates that lie before each column; starts later if an adaptation continued."""
     episodes: Int[np.ndarray, " update"]
-    """Episodes per task that the agent has learned from by then."""
     mean_return: Curves
     goal_return: Curves
     success_rate: Curves
     final_success_rate: Curves
     time_in_region: Curves
     solved_at_reset: Curves
+    # `success_rate` of the episodes that were learned from, after every update.
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
-    """`success_rate` of the episodes that were learned from, after every update."""
+    # Episodes of each task that were played for an update, and those of a trial that meta-training
+    # has prepared for; None if no record says so.
     explored_episodes: int | None = None
-    """Episodes of each task that were played for an update; None if no record says so."""
     trial_episodes: int | None = None
-    """Number of episodes that meta-training has prepared for; None if no record says so."""
 
     @property
     def num_tasks(self) -> int:
@@ -144,11 +131,11 @@ class AdaptationTable:
         return np.asarray(solved.reshape(-1, self.num_tasks).any(axis=0))
 
     @property
-    def prior_reach(self) -> PriorReach | None:
-        """What the prior of a run, the first seed, reaches; None if the table does not tell."""
+    def prior_reach(self) -> str:
+        """What the prior of a run, the first seed, reaches; empty if the table does not tell."""
         episodes = self.explored_episodes or self.episodes_per_update
         if self.updates[0] or episodes is None:
-            return None
+            return ""
         of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
 
@@ -163,10 +150,7 @@ class AdaptationTable:
 
 
 def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
-    """Return the table of all seeds of a method, with axes `[seed, task, update]`.
-
-    A `RunError` says if they were not adapted alike.
-    """
+    """Return the table of all seeds, `[seed, task, update]`; `RunError` if they differ in size."""
     extents = sorted({(t.num_tasks, int(t.updates[0]), int(t.updates[-1])) for t in tables})
     if len(extents) > 1:
         found = " and ".join("{} tasks, updates {} to {}".format(*extent) for extent in extents)
@@ -179,18 +163,14 @@ def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
 
 
 def read_adaptation(path: Path) -> AdaptationTable:
-    """Read a table of `maesn adapt`, rows in any order, and its record where there is one.
-
-    A file that is missing, damaged or lacks a row is a `RunError`.
-    """
-    rows, record = read_rows(path, REMEDY), path.with_suffix(RECORD)
-    about = read_json(record, REMEDY) if record.exists() else {}
+    """Read a table of `maesn adapt` and the record beside it; a `RunError` if one is damaged."""
+    rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
+    about = read_json(record, _REMEDY) if record.exists() else {}
     try:
-        purposes = {row["purpose"] for row in rows}
-        purpose = DEPLOY if DEPLOY in purposes else EXPLORE
+        purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
         explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
     except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"`{path}` cannot be drawn: {error}; {REMEDY}.") from error
+        raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error
     name = table_name(path)
     return AdaptationTable(
         tasks=name.tasks,
@@ -208,13 +188,11 @@ def read_adaptation(path: Path) -> AdaptationTable:
 def _grids(rows: Sequence[Mapping[str, Any]], purpose: str) -> dict[str, Curves]:
     """Arrange the numbers of one purpose as `[task, update]`."""
     chosen = [row for row in rows if row["purpose"] == purpose]
-    columns = {
-        name: np.array([row[name] for row in chosen], float)
-        for name in COLUMNS
-        if name != "purpose"
-    }
+    numbers = [name for name in COLUMNS if name != "purpose"]
+    columns = {name: np.array([row[name] for row in chosen], float) for name in numbers}
     tasks, updates = (np.unique(columns[name]) for name in ("task", "update"))
-    if len(chosen) != len(tasks) * len(updates) or not chosen:
+    pairs = set(zip(columns["task"], columns["update"], strict=True))
+    if not len(chosen) == len(pairs) == len(tasks) * len(updates) > 0:
         raise ValueError(f"its rows of purpose {purpose} lack a task or an update, or repeat one")
     if not all(np.isfinite(column).all() for column in columns.values()):
         raise ValueError("a number in it is not finite, the adaptation failed")

@@ -1,6 +1,5 @@
 """Reports of runs and of studies: figures and tables, from the files that they left."""
 
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,24 +9,17 @@ from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures import exploration
 from maesn.reporting.figures.curves import plot_curves, plot_ends, plot_profiles
 from maesn.reporting.figures.learning import plot_learning_curves
-from maesn.reporting.runs import (
-    RECORDED_TASKS,
-    Latents,
-    LearningCurve,
-    RecordedExploration,
-    read_record,
-)
-from maesn.reporting.sources import compare_runs, compare_study, read_series, studies_in
-from maesn.reporting.style import Drawn, MethodStyle, save_figure
+from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
+from maesn.reporting.sources import compare_runs, compare_study, read_series
+from maesn.reporting.style import Drawn, save_figure
 from maesn.reporting.summary import summary_tables
 from maesn.reporting.tables import TextTable
-from maesn.storage import RunError, write_rows, write_whole
+from maesn.storage import write_rows, write_whole
 
 RESULTS, SUMMARY = "results.csv", "summary.md"
 
-# What is drawn of every comparison of runs, and of every one of a study.
 _OF_RUNS = ("curves", "tasks", "exploration", "noise", "latents")
-_OF_STUDIES = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
+_EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
 
 
 def report_runs(directories: Sequence[Path], out: Path, say: Callable[[str], None]) -> list[Path]:
@@ -37,33 +29,20 @@ def report_runs(directories: Sequence[Path], out: Path, say: Callable[[str], Non
     without data. A `RunError` says which file is broken, or why the runs cannot be compared.
     """
     written, series = [], read_series(directories)
-    # Returns of two training rewards have no common axis.
-    trained: defaultdict[str, dict[MethodStyle, list[LearningCurve]]] = defaultdict(dict)
-    for one in series:
-        if curves := one.learning_curves():
-            trained[one.runs[0].settings["reward"]][one.style] = curves
-    for reward, lines in trained.items():
-        written += save_figure(plot_learning_curves(lines, reward), out, f"learning-{reward}")
+    for reward in ("dense", "sparse"):  # their returns have no common axis
+        trained = [one for one in series if one.runs[0].settings["reward"] == reward]
+        lines = {one.style: curves for one in trained if (curves := one.learning_curves())}
+        if lines:
+            written += save_figure(plot_learning_curves(lines, reward), out, f"learning-{reward}")
     for comparison in compare_runs(series):
         for kind in _OF_RUNS:
-            written += _draw(kind, comparison, out, kind)
+            written += _draw(comparison, {**_EVERYTHING, "name": kind, "kind": kind}, out)
     if missing := [kind for kind in _OF_RUNS if not any(kind in file.name for file in written)]:
         say(
             f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
             "says where things are in a plane."
         )
     return written
-
-
-def report_studies(directory: Path, wrote: Callable[[Path], None]) -> list[TextTable]:
-    """Draw figures and write tables of a study, or of all in a directory; return the tables.
-
-    A `RunError` says which file is missing or damaged, or that there is nothing to compare yet.
-    """
-    found = [table for path in studies_in(directory) for table in report_study(path, wrote)]
-    if not found:
-        raise RunError(f"`{directory}` holds no study that has something to compare yet.")
-    return found
 
 
 def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTable]:
@@ -80,26 +59,21 @@ def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTab
         ]
         text = "\n".join(table.to_markdown() for table in tables)
         write_whole(directory / one.name / SUMMARY, text.encode())
-        for figure in (_OF_STUDIES, *study["figures"]):
-            part = _part(one, figure)
-            for path in _draw(figure["kind"], part, directory / one.name, figure["name"]):
+        for figure in (_EVERYTHING, *study["figures"]):
+            for path in _draw(one, figure, directory / one.name):
                 wrote(path)
         found += tables
     return found
 
 
-def _part(comparison: Comparison, figure: Mapping[str, Any]) -> Comparison:
-    """Return the lines that a figure of a study is of."""
-    families = figure["families"] or [comparison.family]
+def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
+    """Draw a figure, as the file of a study describes it, if there is something to draw."""
     sources = figure["lines"] or [line.source for line in comparison.lines]
-    chosen = [line for line in comparison.lines if line.source in sources]
-    return replace(comparison, lines=tuple(chosen) if comparison.family in families else ())
-
-
-def _draw(kind: str, comparison: Comparison, out: Path, name: str) -> list[Path]:
-    """Draw a figure if there are lines and records for it; return its files."""
-    drawn = _KINDS[kind](comparison) if comparison.lines else None
-    return save_figure(drawn, out, f"{name}-{comparison.name}") if drawn else []
+    lines = tuple(line for line in comparison.lines if line.source in sources)
+    if not lines or comparison.family not in (figure["families"] or [comparison.family]):
+        return []
+    drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
+    return save_figure(drawn, out, f"{figure['name']}-{comparison.name}") if drawn else []
 
 
 def plot_tasks(comparison: Comparison) -> Drawn | None:
@@ -115,7 +89,7 @@ def plot_paths(comparison: Comparison) -> Drawn | None:
         # Only of the goals that are drawn, and within the regions that are drawn.
         has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
         has_regions = comparison.sparse_radius in (None, record.sparse_radius)
-        reach = line.table.prior_reach if has_goals and has_regions else None
+        reach = line.table.prior_reach if has_goals and has_regions else ""
         panels.append(exploration.ExplorationPanel(line.style, record, reach))
     return exploration.plot_exploration(panels) if panels else None
 
@@ -127,14 +101,11 @@ def plot_noise(comparison: Comparison) -> Drawn | None:
 
 
 def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
-    """Draw the latents of the first method that has such, before and after adaptation.
-
-    None if no method has any. A latent of one component has no plane.
-    """
+    """Draw the latents, of two components or more, of the first method that has such."""
     goals = {line.source: record.goals for line, record in _recorded(comparison)}
     for line in comparison.lines:
-        latents = None if line.latents is None else read_record(Latents, line.latents)
-        if latents is not None and latents.mean.shape[-1] > 1:
+        latents = line.latents and read_recorded(Latents, line.latents)
+        if latents and latents.mean.shape[-1] > 1:
             has_goals = line.source in goals and line.table.tasks == RECORDED_TASKS
             known = goals[line.source][: line.num_tasks] if has_goals else None
             return exploration.plot_latents(latents, known)
@@ -143,12 +114,12 @@ def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
 
 def _recorded(comparison: Comparison) -> list[tuple[Line, RecordedExploration]]:
     """Return the first line of each run that something was recorded of, and that."""
-    lines = {line.source: line for line in reversed(comparison.lines)}
-    return [
-        (lines[name], read_record(RecordedExploration, path))
-        for name, path in comparison.recorded.items()
-        if name in lines
-    ]
+    found: dict[str, tuple[Line, RecordedExploration]] = {}
+    for line in comparison.lines:
+        record = line.recorded and read_recorded(RecordedExploration, line.recorded)
+        if record:
+            found.setdefault(line.source, (line, record))
+    return [*found.values()]
 
 
 _KINDS = {

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, jaxtyped
+from jaxtyping import Float
 
 from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
@@ -19,56 +19,38 @@ RECORDED_TASKS = "test"  # in all three
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
 
-_REMEDY = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
-
-
-@dataclass(frozen=True)
-class Latents:
-    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
-
-    mean: Float[np.ndarray, "task update z"]
-    log_std: Float[np.ndarray, "task update z"]
-    first_update: int
-    """Number of updates that lie before the first column."""
-
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """One run directory and the settings that it was started with."""
+    """One run directory and the settings that it was started with, as in `config.json`."""
 
     path: Path
     method: str
     family: str
     seed: int
-    settings: Mapping[str, Any]
-    """All settings of the run, as in `config.json`."""
-    learner: Mapping[str, Any]
-    """Settings of the learner, nested as there."""
+    settings: Mapping[str, Any]  # all of the run, and as `learner` those of the learner, nested
 
 
 def read_run(path: Path) -> RecordedRun:
     """Read a run's `config.json`; a `RunError` says that it is none."""
-    file = path / "config.json"
-    config = read_json(file, _REMEDY)
+    remedy = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
+    config = read_json(path / "config.json", remedy)
     try:
-        settings = config["settings"]
+        settings = {**config["settings"], "learner": config["learner"]}
         method, family, seed = (settings[name] for name in ("method", "family", "seed"))
-        return RecordedRun(path, method, family, seed, settings, config["learner"])
+        return RecordedRun(path, method, family, seed, settings)
     except (KeyError, TypeError) as error:
-        raise RunError(f"`{file}` is not of a run ({error!r}): {_REMEDY}.") from error
+        raise RunError(f"`{path}` is not of a run ({error!r}): {remedy}.") from error
 
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """Metrics of one run's meta-training. NaN where a method has no such number."""
+    """Mean returns and success around the inner update; NaN where a method has no such number."""
 
     iteration: Float[np.ndarray, " iteration"]
     return_before: Float[np.ndarray, " iteration"]
-    """Mean undiscounted return before the inner update."""
     return_after: Float[np.ndarray, " iteration"]
-    """The same after it."""
     success_after: Float[np.ndarray, " iteration"]
-    """Share of the episodes after the update that reach the goal region."""
 
 
 def read_learning_curve(path: Path) -> LearningCurve | None:
@@ -83,41 +65,45 @@ def read_learning_curve(path: Path) -> LearningCurve | None:
 
 
 @dataclass(frozen=True)
+class Latents:
+    """Adapted latent distributions N(mean, exp(log_std)²) of every task."""
+
+    mean: Float[np.ndarray, "task update z"]
+    log_std: Float[np.ndarray, "task update z"]
+    first_update: int  # number of updates that lie before the first column
+
+    def __post_init__(self) -> None:
+        """Refuse arrays that somebody else made."""
+        if self.mean.ndim != 3 or not self.mean.size or self.mean.shape != self.log_std.shape:
+            raise ValueError("`mean` and `log_std` must be [task, update, z]")
+
+
+@dataclass(frozen=True)
 class RecordedExploration:
     """Where episodes go in a world of goals; positions in metres."""
 
     training_goals: Float[np.ndarray, "row 2"]
-    goals: Float[np.ndarray, "task 2"]
-    """Of the tasks that the run was adapted to."""
-    sparse_radius: float
-    """Radius of a goal region."""
-    prior_paths: Positions
-    """Episodes of the trained policy before any adaptation."""
-    untrained_paths: Positions
-    """Episodes of a policy that was just initialised."""
-    untrained_success_rate: Float[np.ndarray, " task"]
-    """Share of an untrained policy's episodes that reach each goal."""
-    solved_at_reset: Float[np.ndarray, " task"]
-    """Share of them that start there."""
-    episodes_per_task: int
-    """Number of those episodes per task."""
+    goals: Float[np.ndarray, "task 2"]  # of the tasks that the run was adapted to
+    sparse_radius: float  # of a goal region
+    prior_paths: Positions  # episodes of the trained policy before any adaptation
+    untrained_paths: Positions  # of a policy that was just initialised
+    untrained_success_rate: Float[np.ndarray, " task"]  # share of its episodes that reach each goal
+    solved_at_reset: Float[np.ndarray, " task"]  # share of them that start there
+    episodes_per_task: int  # number of those episodes per task
+    # None for methods without latents: episodes with one latent, and the latents of `prior_paths`.
     fixed_paths: Positions | None = None
-    """Episodes of the trained policy with one latent; None for methods without latents."""
     prior_latents: Float[np.ndarray, "episode z"] | None = None
-    """The latents drawn in `prior_paths`; None for methods without latents."""
+    # What tasks lay out beside their goals; None in a world of goals alone.
     training_landmarks: Float[np.ndarray, "row landmark 2"] | None = None
-    """What the training tasks lay out beside their goals; None in a world of goals alone."""
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
-    """The same of the tasks that the run was adapted to."""
 
 
 @dataclass(frozen=True)
 class LatentPaths:
-    """An episode of each of many latents, in one task."""
+    """An episode of each of many latents, in one task; positions in metres, thinned out."""
 
     latents: Float[np.ndarray, "latent z"]
     paths: Float[np.ndarray, "latent point 2"]
-    """Planar positions in metres, thinned out."""
 
 
 @dataclass(frozen=True)
@@ -125,59 +111,34 @@ class RecordedSearches:
     """Latent search in some new tasks, one episode after the other.
 
     Beliefs are of the part of the return that depends on the latent, over a square of the first two
-    components; the others are those of the deployed latent.
+    components, from -edge to edge; the others are those of the deployed latent.
     """
 
-    task: Float[np.ndarray, " task"]
-    """Indices of the tasks."""
+    task: Float[np.ndarray, " task"]  # indices of the tasks
     edge: float
-    """The square goes from -edge to edge."""
     played: Float[np.ndarray, "task episode z"]
     returns: Float[np.ndarray, "task episode"]
-    reached: Float[np.ndarray, "task episode"]
-    """1 where an episode reached the goal."""
-    paths: Float[np.ndarray, "task episode point 2"]
-    """Planar positions in metres, thinned out."""
+    reached: Float[np.ndarray, "task episode"]  # 1 where an episode reached the goal
+    paths: Float[np.ndarray, "task episode point 2"]  # positions in metres, thinned out
+    # The latent of the highest posterior mean, before each episode and after the last.
     deployed: Float[np.ndarray, "task episode_plus_1 z"]
-    """The latent of the highest posterior mean, before each episode and after the last."""
+    # Of the posterior; rows are the second component.
     mean: Float[np.ndarray, "task episode_plus_1 row column"]
-    """Posterior mean; rows are the second component."""
     std: Float[np.ndarray, "task episode_plus_1 row column"]
-    """Posterior standard deviation."""
 
 
 def read_recorded(kind: type[Record], file: Path) -> Record | None:
     """Read a record of `maesn report`; None if there is none."""
-    return read_record(kind, file) if file.exists() else None
+    return read_record(kind, file, "delete it, and report again") if file.exists() else None
 
 
-def read_record(
-    kind: type[Record], path: Path, remedy: str = "delete it, and report again"
-) -> Record:
+def read_record(kind: type[Record], path: Path, remedy: str) -> Record:
     """Read a dataclass of arrays and numbers from an `.npz` file, in double precision.
 
-    A field that may be None may be absent or empty. Messages of errors end with the remedy.
-
-    Raises:
-        RunError: the file cannot be read, or lacks an array of the shape that its field says.
+    A `RunError`, which ends with the remedy, says that the file cannot be read or is another one.
     """
-    arrays, values = read_arrays(path, remedy), dict[str, Any]()
-    with jaxtyped("context"):  # an axis of one name has one size in all arrays
-        for name, hint in get_type_hints(kind).items():
-            array = arrays.get(name, np.zeros(0))
-            if type(None) in get_args(hint) and not array.size:
-                continue
-            values[name] = _double(array, hint)
-            if not (array.size and isinstance(values[name], hint)):
-                found = f"{array.dtype} {list(array.shape)}"
-                raise RunError(f"Expected `{name}` {hint} in `{path}`, got {found}; {remedy}.")
-    return kind(**values)
-
-
-def _double(array: np.ndarray, hint: Any) -> Any:
-    """Return an array in double precision, or the number that it holds."""
-    if array.dtype.kind not in "fiu":
-        return None
-    if array.ndim:
-        return array.astype(float)
-    return float(array) if hint is float else array.item()
+    arrays = read_arrays(path, remedy)
+    try:
+        return kind(**{name: x.astype(float) if x.ndim else x.item() for name, x in arrays.items()})
+    except (TypeError, ValueError) as error:
+        raise RunError(f"`{path}` is not of {kind.__name__} ({error}): {remedy}.") from error

@@ -7,24 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from maesn.reporting import reading
+from maesn.reporting import runs as records
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.published import comparable_curve
-from maesn.reporting.reading import (
-    TableName,
-    latents_beside,
-    read_adaptation,
-    stack_seeds,
-    table_name,
-)
-from maesn.reporting.runs import (
-    EXPLORATION,
-    RECORDED_TASKS,
-    LearningCurve,
-    RecordedRun,
-    read_learning_curve,
-    read_run,
-)
-from maesn.reporting.style import METHOD_STYLES, MethodStyle, series_styles
+from maesn.reporting.runs import LearningCurve, RecordedRun
+from maesn.reporting.style import MethodStyle, series_styles
 from maesn.settings import leaves
 from maesn.storage import RunError, read_json
 
@@ -42,25 +30,19 @@ Document = Mapping[str, Any]
 class Series:
     """Runs that differ in their seed alone; each figure has one line for them."""
 
-    name: str
-    """The method, numbered if there are several series of it."""
+    name: str  # the method, numbered from its second series on
     style: MethodStyle
     runs: tuple[RecordedRun, ...]
 
-    @property
-    def label(self) -> str:
-        """How figures and tables call it."""
-        return self.style.label
-
     def learning_curves(self) -> list[LearningCurve]:
         """Return the metrics of meta-training of those runs that have any."""
-        found = (read_learning_curve(run.path) for run in self.runs)
+        found = (records.read_learning_curve(run.path) for run in self.runs)
         return [curve for curve in found if curve is not None]
 
 
 def read_series(directories: Sequence[Path]) -> list[Series]:
     """Read runs for a common report; a `RunError` says why they cannot have one."""
-    runs = [read_run(path) for path in directories]
+    runs = [records.read_run(path) for path in directories]
     for name in _WORLD:
         found = sorted({str(run.settings.get(name)) for run in runs})
         if len(found) > 1:
@@ -72,15 +54,14 @@ def read_series(directories: Sequence[Path]) -> list[Series]:
 
 
 def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
-    """Return one series for each experiment, in the order of the methods' styles.
+    """Return one series for each experiment, in the order of the runs.
 
     Several with one method are called by the directories of their first runs. A `RunError` names
     runs that have the same settings, the seed included.
     """
     experiments: defaultdict[str, dict[int, RecordedRun]] = defaultdict(dict)
-    order = {method: position for position, method in enumerate(METHOD_STYLES)}
-    for run in sorted(runs, key=lambda run: order.get(run.method, len(order))):
-        settings = leaves({**run.settings, "learner": run.learner}).items()
+    for run in runs:
+        settings = leaves(run.settings).items()
         deciding = {name: value for name, value in settings if name not in _IMMATERIAL}
         seeds = experiments[json.dumps(deciding, sort_keys=True)]
         if run.seed in seeds:
@@ -91,13 +72,12 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
         seeds[run.seed] = run
     groups = [tuple(seeds.values()) for seeds in experiments.values()]
     methods = [group[0].method for group in groups]
-    series = []
-    for position, style in enumerate(series_styles(methods)):
-        method, group, label = methods[position], groups[position], style.label
-        earlier = methods[:position].count(method)
-        name = f"{method}-{earlier + 1}" if earlier else method
+    series: list[Series] = []
+    for method, group, style in zip(methods, groups, series_styles(methods), strict=True):
+        number, label = 1 + methods[: len(series)].count(method), style.label
         if methods.count(method) > 1:
             label += f" ({group[0].path.name})"
+        name = f"{method}-{number}" if number > 1 else method
         series.append(Series(name, replace(style, label=label), group))
     return series
 
@@ -106,36 +86,46 @@ def compare_runs(series: Sequence[Series]) -> list[Comparison]:
     """Return a comparison for each task set and reward that some run was adapted to."""
     found: defaultdict[tuple[str, str], list[Line]] = defaultdict(list)
     for one in series:
-        files: defaultdict[TableName, dict[int, Path]] = defaultdict(dict)
+        files: defaultdict[reading.TableName, dict[int, Path]] = defaultdict(dict)
         for run in one.runs:
             for file in (run.path / "adaptation").glob("*.csv"):
-                files[table_name(file)][run.seed] = file
-        first = one.runs[0]
-        world = (first.family, first.settings["variant"], first.settings.get("sparse_radius"))
+                files[reading.table_name(file)][run.seed] = file
         for name in sorted(name for name in files if name.reward):
-            lines, rule = found[name.tasks, name.reward], name.changed.replace("-", " ").strip()
-            label = f"{one.label} ({rule})" if rule else one.label
-            style = one.style.variant(sum(line.source == one.name for line in lines), label)
-            about = (*world, "" if rule else first.method)
-            lines.append(_line(one.name + name.changed, one.name, style, files[name], about))
-    records = {one.name: one.runs[0].path / EXPLORATION for one in series}
-    recorded = {name: path for name, path in records.items() if path.exists()}
+            lines = found[name.tasks, name.reward]
+            number = sum(line.source == one.name for line in lines)
+            lines.append(_line_of_runs(one, name, number, files[name]))
+    family = series[0].runs[0].family
     return [
-        Comparison(
-            tuple(lines),
-            name=f"{tasks}-{reward}",
-            family=series[0].runs[0].family,
-            recorded=recorded if (tasks, reward) == (RECORDED_TASKS, "sparse") else {},
-        )
+        Comparison(tuple(lines), f"{tasks}-{reward}", family)
         for (tasks, reward), lines in found.items()
     ]
 
 
+def _line_of_runs(
+    one: Series, name: reading.TableName, number: int, files: Mapping[int, Path]
+) -> Line:
+    """Return what one rule has left; it is the series' line of that number, from 0."""
+    run, tables = one.runs[0], [reading.read_adaptation(file) for file in files.values()]
+    table = reading.stack_seeds(tables)
+    rule = name.changed.strip("-").replace("-", " ")
+    world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
+    is_recorded = name[:2] == (records.RECORDED_TASKS, "sparse")
+    return Line(
+        one.name + name.changed,
+        one.style.variant(number, f"{one.style.label} ({rule})" if rule else one.style.label),
+        tuple(files),
+        table,
+        source=one.name,
+        published=None if rule else comparable_curve(*world, run.method, table),
+        recorded=run.path / records.EXPLORATION if is_recorded else None,
+        latents=reading.latents_beside(next(iter(files.values()))),
+    )
+
+
 def studies_in(directory: Path) -> list[Path]:
     """Return the directory of a study, or those of all in it."""
-    if (directory / MANIFEST).exists():
-        return [directory]
-    return [path.parent for path in sorted(directory.glob(f"*/{MANIFEST}"))]
+    found = (*directory.glob(MANIFEST), *directory.glob(f"*/{MANIFEST}"))
+    return sorted(path.parent for path in found)
 
 
 def compare_study(directory: Path) -> tuple[Document, list[Comparison]]:
@@ -167,47 +157,31 @@ def _comparison(world: Document, directory: Path) -> Comparison:
         lines=tuple(lines),
         baselines=baselines,
         oracle=oracle,
-        recorded={name: directory / file for name, file in world["recorded"].items()},
         **{name: world[name] for name in ("name", "family", "sparse_radius", "horizon")},
     )
 
 
 def _line_of_study(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
-    files = {seed["seed"]: directory / seed["table"] for seed in line["seeds"]}
-    method = "" if line["addition"] else line["method"]
-    about = (world["family"], world["variant"], world["sparse_radius"], method)
-    told = {"trial_episodes": line["trial_episodes"]}
-    told |= {name: world[name] for name in ("tasks", "reward")}
+    files = [directory / seed["table"] for seed in line["seeds"]]
     steps = [seed["training_steps"] for seed in line["seeds"]]
+    about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
+    table = replace(
+        reading.stack_seeds([reading.read_adaptation(file) for file in files]),
+        tasks=world["tasks"],
+        reward=world["reward"],
+        trial_episodes=line["trial_episodes"],
+    )
+    recorded = world["recorded"].get(line["source"])
     evaluation = {f"evaluation.{name}": value for name, value in line["evaluation"].items()}
-    return replace(
-        _line(line["name"], line["source"], style, files, about, **told),
+    return Line(
+        line["name"],
+        style,
+        tuple(seed["seed"] for seed in line["seeds"]),
+        table,
+        source=line["source"],
         training_steps=max((count for count in steps if count is not None), default=None),
         settings={**evaluation, **line["settings"]},
-    )
-
-
-def _line(
-    name: str,
-    source: str,
-    style: MethodStyle,
-    files: Mapping[int, Path],
-    about: Sequence[Any],
-    **told: Any,
-) -> Line:
-    """Read a method's tables by their seeds; `told` is what the tables' names do not say.
-
-    `about` chooses the published curve: family, variant, sparse radius and method.
-    """
-    table = replace(stack_seeds([read_adaptation(file) for file in files.values()]), **told)
-    family, variant, radius, method = about
-    latents = latents_beside(next(iter(files.values())))
-    return Line(
-        name,
-        style,
-        tuple(files),
-        table,
-        source,
-        published=comparable_curve(family, variant, radius, method, table),
-        latents=latents if latents.exists() else None,
+        published=None if line["addition"] else comparable_curve(*about, table),
+        recorded=directory / recorded if recorded else None,
+        latents=reading.latents_beside(files[0]),
     )

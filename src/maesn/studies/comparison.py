@@ -57,7 +57,9 @@ def compare(
     by_path = {run.directory: run for run in opened}
     grouped = group_series([read_run(path) for path in by_path])
     specs = {
-        one.name: RunSpec(label=one.label, directories=tuple(str(run.path) for run in one.runs))
+        one.name: RunSpec(
+            label=one.style.label, directories=tuple(str(run.path) for run in one.runs)
+        )
         for one in grouped
     }
     evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}

@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
 from maesn.reporting.figures import plane
-from maesn.reporting.reading import PriorReach, prior_reach
+from maesn.reporting.reading import prior_reach
 from maesn.reporting.runs import Latents, RecordedExploration
 from maesn.reporting.statistics import count
 
@@ -28,8 +28,8 @@ class ExplorationPanel(NamedTuple):
 
     style: style.MethodStyle
     exploration: RecordedExploration
-    reach: PriorReach | None
-    """How many of the goals it reaches; None if that was not counted."""
+    reach: str
+    """How many of the goals it reaches; empty if that was not counted."""
 
 
 @style.publication_style()
@@ -103,10 +103,7 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
         axes = panels[position]
         plane.draw_explored(axes, limits, one.exploration, paths, one.style.colour)
         title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
-        if one.reach is not None:
-            within = count(one.reach.episodes, "episode")
-            title += f"\n{one.reach.share:.0%} of the goals in {within}"
-        axes.set_title(title)
+        axes.set_title(f"{title}\n{one.reach}".rstrip())
         if position % columns:
             axes.set_ylabel("")
             axes.tick_params(labelleft=False)
