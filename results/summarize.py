@@ -21,8 +21,7 @@ from safetensors.numpy import load_file
 
 from maesn.context import Latent, LatentContext
 from maesn.reporting.comparison import Line
-from maesn.reporting.reading import AdaptationTable, stack_seeds
-from maesn.reporting.runs import read_run
+from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
 from maesn.reporting.statistics import INTERVAL, bootstrap, difference
 from maesn.reporting.style import MethodStyle
 from maesn.reporting.tables import (
@@ -49,8 +48,8 @@ def experiments(directory: Path) -> dict[str, list[Path]]:
 
 def adaptation_tables(runs: list[Path]) -> list[AdaptationTable]:
     """Return the tables of those runs that have been adapted."""
-    tables = [read_run(run).adaptation("test", "sparse") for run in runs]
-    return [table for table in tables if table is not None]
+    files = [run / "adaptation" / "test-sparse.csv" for run in runs]
+    return [read_adaptation(file) for file in files if file.exists()]
 
 
 def config_of(run: Path) -> dict[str, Any]:

@@ -99,8 +99,7 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
             file.touch()
         return files
 
-    for module in ("maesn.reporting.run_figures", "maesn.reporting.study"):
-        monkeypatch.setattr(f"{module}.save_figure", touch)
+    monkeypatch.setattr("maesn.reporting.report.save_figure", touch)
 
 
 @pytest.fixture

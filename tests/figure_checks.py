@@ -8,7 +8,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from synthetic_runs import run
 
-from maesn.reporting.series import Series, group_series
+from maesn.reporting.sources import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, Drawn, save_figure
 
 

@@ -1,6 +1,7 @@
 """Small synthetic runs whose numbers are known, as records and as run directories."""
 
 import csv
+import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from maesn.reporting.runs import (
     RecordedRun,
     RecordedSearches,
 )
-from maesn.reporting.series import Series, group_series
+from maesn.reporting.sources import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
 
 NUM_TASKS, NUM_EPISODES, NUM_UPDATES = 8, 5, 3
@@ -58,6 +59,13 @@ def adaptation_table(
         solved_at_reset=np.zeros_like(rate),
         explored_success_rate=rate,
     )
+
+
+def columns(table: AdaptationTable, chosen: slice) -> AdaptationTable:
+    """Some columns of a table."""
+    curves = {name: x[..., chosen] for name, x in table.curves.items()}
+    shown = {"updates": table.updates[chosen], "episodes": table.episodes[chosen]}
+    return dataclasses.replace(table, **curves, **shown)
 
 
 def exploration(*, has_latents: bool = True) -> RecordedExploration:
@@ -109,9 +117,11 @@ def run(
         "sparse_radius": None,
         "seed": seed,
         "iterations": 30,
+        "learner": learner or {},
         **settings,
     }
-    return RecordedRun(Path(f"runs/{method}-{seed}"), everything, learner or {})
+    path = Path(f"runs/{method}-{seed}")
+    return RecordedRun(path, method, everything["family"], seed, everything)
 
 
 def series(*methods: str) -> list[Series]:
@@ -186,7 +196,8 @@ def write_run(
     """Write a whole run directory, except for what `without` names."""
     directory.mkdir()
     record = run(method, **settings)
-    config = {"schema": 1, "settings": record.settings, "learner": record.learner}
+    settings = dict(record.settings)
+    config = {"schema": 1, "learner": settings.pop("learner"), "settings": settings}
     (directory / "config.json").write_text(json.dumps(config), encoding="utf-8")
     has_latents = method in ("maesn", "latent_space")
     if "metrics" not in without:

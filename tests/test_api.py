@@ -82,7 +82,9 @@ def test_plot_plays_what_is_missing_and_keeps_tables(
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     written = api.report([trained], tmp_path).files
     names = {path.name for path in written}
-    assert {"exploration.png", "exploration.pdf", "task-distribution.png"} <= names
+    assert {
+        f"{name}-test-sparse.{kind}" for name in ("exploration", "tasks") for kind in ("png", "pdf")
+    } <= names
     assert all(path.exists() for path in written)
     table = trained / "adaptation" / "test-sparse.csv"
     before = table.read_bytes()

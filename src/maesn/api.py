@@ -5,7 +5,7 @@ as `module:name`.
 """
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -19,9 +19,9 @@ from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
-from maesn.reporting.run_figures import draw_runs
+from maesn.reporting.report import report_runs, report_study
 from maesn.reporting.runs import EXPLORATION
-from maesn.reporting.study import report_studies, studies_in
+from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import GradientRule, SearchRule
 from maesn.runs.config import RunSettings
@@ -249,21 +249,28 @@ def report(
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory.
+            study go into its directory. A name that ends in `.html` is that of the page, beside
+            which the figures of runs go.
         family: The runs' family as `module:name`, if it is your own.
 
     Raises:
-        RunError: no run is named, one cannot be used, or a study has nothing to compare yet.
+        RunError: no run is named, or one cannot be used.
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
+    page = Path(out) if out is not None and Path(out).suffix == ".html" else None
     if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
-        if len(of) > 1 or out is not None:
-            raise RunError("a study is reported by itself, into its directory: maesn report DIR")
+        if len(of) > 1 or (out is not None and (page is None or len(studies) > 1)):
+            raise RunError(
+                "a study is reported by itself, into its directory: maesn report DIR. The page of "
+                "one study can go elsewhere: --out NAME.html"
+            )
         files: list[Path] = []
-        tables = report_studies(Path(of[0]), files.append)
-        pages = _write_pages({path / PAGE: study_page(path) for path in studies})
-        return Reported(files + pages, tables)
+        tables: list[TextTable] = []
+        for path in studies:
+            tables += report_study(path, files.append)
+            files += _page(page or path / PAGE, study_page, path)
+        return Reported(files, tables)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
         if not running.adaptation_file(run.directory, USUAL).exists():
@@ -272,17 +279,16 @@ def report(
             record_exploration(run, run.directory / EXPLORATION)
             record_explorer(run)
     directories = [run.directory for run in opened]
-    folder = Path(out or directories[0] / "figures")
-    files = draw_runs(directories, folder, print)
-    return Reported(files + _write_pages({folder / PAGE: run_page(directories)}), [])
+    folder = page.parent if page else Path(out or directories[0] / "figures")
+    files = report_runs(directories, folder, print)
+    return Reported(files + _page(page or folder / PAGE, run_page, directories), [])
 
 
-def _write_pages(documents: Mapping[Path, Mapping[str, Any]]) -> list[Path]:
-    """Write pages and return their paths, or say why there are none."""
+def _page(path: Path, document: Callable[[Any], Mapping[str, Any]], of: Any) -> list[Path]:
+    """Write the page of runs or a study; return its path, or say why there is none."""
     try:
-        for path, document in documents.items():
-            write_page(path, document)
+        write_page(path, document(of))
     except PlotlyMissing as error:
         logger.warning("%s", error)
         return []
-    return list(documents)
+    return [path]

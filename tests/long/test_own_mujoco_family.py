@@ -30,7 +30,7 @@ def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyP
     GUIDE.follow(*(VERBS if can_draw() else set(VERBS) - {"render"}))
     for name in ("puck", "unknown"):
         assert (folder / "runs" / name / "adaptation" / "test-sparse.csv").exists()
-    assert (folder / "runs" / "puck" / "figures" / "exploration.png").exists()
+    assert (folder / "runs" / "puck" / "figures" / "exploration-test-sparse.png").exists()
     film = folder / "runs" / "puck" / "render" / "test-sparse-task-0.gif"
     assert film.exists() == can_draw()
     assert (folder / "puck.npz").exists()

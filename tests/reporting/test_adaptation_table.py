@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
+from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, columns, write_adaptation
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import adaptation_file
@@ -64,8 +64,7 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
     np.testing.assert_array_equal(table.explored_success_rate, explored.success_rate)
     # The deployed agent plays no prior episodes.
     assert table.prior_reach == explored.prior_reach
-    assert explored.prior_reach is not None
-    assert explored.prior_reach.share < 1
+    assert explored.prior_reach not in ("", "100% of the goals in 50 episodes")
 
 
 def test_an_adaptation_that_continued_another_starts_later(tmp_path: Path) -> None:
@@ -77,7 +76,7 @@ def test_an_adaptation_that_continued_another_starts_later(tmp_path: Path) -> No
     assert table.updates.tolist() == [10, 11, 12, 13]
     assert table.episodes_per_update == 50
     # Its first column is not played from the prior.
-    assert table.prior_reach is None
+    assert table.prior_reach == ""
 
 
 def test_the_path_of_a_table_says_what_its_name_says() -> None:
@@ -113,8 +112,7 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     path.with_suffix(".settings.json").write_text(json.dumps(record))
     table = read_adaptation(path)
     assert table.episodes_per_update == 1
-    assert table.prior_reach is not None
-    assert table.prior_reach.episodes == 30
+    assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
     (summary,) = update_tables([table], "RL2", brief=True)
     assert summary.notes[0] == (
@@ -127,8 +125,7 @@ def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:
     rates[:2, 0] = 0.02, 1.0
     rates[:, 1] = 1.0
     reach = replace(adaptation_table(), explored_success_rate=rates).prior_reach
-    assert reach is not None
-    assert (reach.share, reach.episodes) == (2 / NUM_TASKS, 50)
+    assert reach == f"{2 / NUM_TASKS:.0%} of the goals in 50 episodes"
 
 
 def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
@@ -138,20 +135,18 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     at_reset[1] = 1.0
     table = replace(adaptation_table(), explored_success_rate=rates, solved_at_reset=at_reset)
     assert np.flatnonzero(table.is_solved_at_reset).tolist() == [1]
-    reach = table.prior_reach
-    assert reach is not None
-    assert (reach.share, reach.num_tasks) == (1 / (NUM_TASKS - 1), NUM_TASKS - 1)
+    assert table.prior_reach == f"{1 / (NUM_TASKS - 1):.0%} of the goals in 50 episodes"
     rest = table.part(~table.is_solved_at_reset)
     assert (rest.num_tasks, rest.is_solved_at_reset.any()) == (NUM_TASKS - 1, False)
     np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
     everything = replace(table, solved_at_reset=np.ones_like(rates))
-    assert everything.prior_reach is None
+    assert everything.prior_reach == ""
 
 
 def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
-    single = adaptation_table().part(slice(None), slice(1))
+    single = columns(adaptation_table(), slice(1))
     assert single.episodes_per_update is None
-    assert single.prior_reach is None
+    assert single.prior_reach == ""
 
 
 def test_seeds_are_stacked() -> None:
@@ -160,8 +155,8 @@ def test_seeds_are_stacked() -> None:
     assert stacked.goal_return.shape == (3, NUM_TASKS, NUM_UPDATES + 1)
     np.testing.assert_array_equal(stacked.goal_return[2], tables[2].goal_return)
     assert stacked.num_tasks == NUM_TASKS
-    chosen = stacked.part(np.arange(NUM_TASKS) < 2, slice(1, None))
-    np.testing.assert_array_equal(chosen.goal_return[2], tables[2].goal_return[:2, 1:])
+    chosen = stacked.part(np.arange(NUM_TASKS) < 2)
+    np.testing.assert_array_equal(chosen.goal_return[2], tables[2].goal_return[:2])
 
 
 def test_a_task_is_solved_at_reset_if_it_is_so_for_one_seed() -> None:
@@ -183,8 +178,8 @@ def test_seeds_with_different_tasks_are_refused() -> None:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ("", "the column `task` .* got an empty file"),
-        ("task,update\n0,0\n", "the column `episodes` .* got task, update"),
+        ("", "its rows of purpose explore lack a task or an update, or repeat one"),
+        ("task,update\n0,0\n", "cannot be drawn: 'purpose'"),
         (f"{HEADER}\n", "its rows of purpose explore lack a task or an update, or repeat one"),
         (
             f"{HEADER}\n{ROW}\n{ROW}\n",
@@ -200,15 +195,11 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         ),
         (
             f"{HEADER}\n0,0,0,explore,-396.0\n",
-            "cannot be drawn: could not convert string to float: .*nothing",
+            "a number in it is not finite",
         ),
         (
             f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
-            "a number in its column `mean_return` is not finite",
-        ),
-        (
-            f"{HEADER}\n{ROW}\n1,0,7,{ONES}\n",
-            "tasks differ in their numbers of episodes",
+            "a number in it is not finite",
         ),
         (
             f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
@@ -217,10 +208,6 @@ def test_seeds_with_different_tasks_are_refused() -> None:
         (
             f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
             "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
-        (
-            f"{HEADER}\n{ROW}\n1,0,0,{ONES}\n{ROW.replace('explore', 'deploy')}\n",
-            "the tasks of its two purposes differ",
         ),
     ],
 )

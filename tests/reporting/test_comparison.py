@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from figure_checks import check_saved_whole, legend, line
 from rich.console import Console
-from synthetic_runs import NUM_UPDATES, adaptation_table
+from synthetic_runs import NUM_UPDATES, adaptation_table, columns
 from synthetic_runs import line as named
 
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
@@ -23,7 +23,7 @@ HORIZON = 20
 
 def constant(value: float, num_tasks: int = 8) -> AdaptationTable:
     return dataclasses.replace(
-        adaptation_table(num_tasks).part(slice(None), slice(1)),
+        columns(adaptation_table(num_tasks), slice(1)),
         mean_return=np.full((num_tasks, 1), value),
     )
 

@@ -38,7 +38,7 @@ def exploration_figure() -> Drawn:
     return plot_exploration(
         [
             ExplorationPanel(maesn, exploration(), adaptation_table().prior_reach),
-            ExplorationPanel(maml, exploration(has_latents=False), None),
+            ExplorationPanel(maml, exploration(has_latents=False), ""),
         ]
     )
 

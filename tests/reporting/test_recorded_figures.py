@@ -1,4 +1,4 @@
-"""Figures of runs in a study: what is drawn of which tasks, and what is left out."""
+"""Figures of what was recorded of runs: what is drawn of which tasks, and what is left out."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +16,8 @@ from synthetic_runs import (
 )
 
 from maesn.reporting.comparison import Comparison
-from maesn.reporting.figures.recorded import plot_adapted_latents, plot_paths
 from maesn.reporting.reading import AdaptationTable
+from maesn.reporting.report import plot_adapted_latents, plot_paths
 
 
 def compared(
@@ -31,10 +31,10 @@ def compared(
     one = replace(
         line("maesn", table, replace(table, explored_success_rate=0 * table.success_rate)),
         source="maesn",
+        recorded=directory / "maesn.npz",
         latents=directory / "latents.npz",
     )
-    recorded = {"maesn": directory / "maesn.npz"}
-    return Comparison((one,), sparse_radius=radius, recorded=recorded)
+    return Comparison((one,), sparse_radius=radius)
 
 
 @pytest.mark.parametrize(

@@ -60,9 +60,9 @@ def test_figures_that_need_positions_are_left_out_and_said_so(
     run = finish(new_run(tmp_path / "run", family), 1)
     adapt(run, episodes=0, episodes_per_update=1)
     names = {path.name for path in report([run.directory], family=family).files}
-    assert "learning-curves-dense.png" in names
-    assert "exploration.png" not in names
-    assert "if the family says where things are in a plane" in capsys.readouterr().out
+    assert "learning-dense.png" in names
+    assert "exploration-test-sparse.png" not in names
+    assert "a family that says where things are in a plane" in capsys.readouterr().out
 
 
 def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
-from maesn.reporting.study import report_studies
+from maesn.reporting.report import report_study
 from maesn.storage import LOCK, RunError, read_json
 from maesn.studies.execution import AbstractExecutor, LocalPool, Ray
 from maesn.studies.jobs import Job
@@ -146,7 +146,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     # A report reads nothing but the study's own folder.
     before, jobs = files(drawn), tmp_path / "jobs"
     jobs.rename(tmp_path / "elsewhere")
-    report_studies(done.directory, lambda path: None)
+    report_study(done.directory, lambda path: None)
     assert files(drawn) == before
     # Another evaluation of the line may keep no latents: those of the one before do not stay.
     (tmp_path / "elsewhere").rename(jobs)

@@ -1,7 +1,4 @@
-"""Methods adapted to the same tasks: all that figures, tables and pages of curves are made from.
-
-Runs (`maesn.reporting.series`) and studies (`maesn.reporting.study`) both make a `Comparison`.
-"""
+"""Methods adapted to the same tasks: what figures, tables and pages are made from."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,22 +22,16 @@ _JUDGED = {
 class Line:
     """One method, adapted to the same tasks with every seed."""
 
-    name: str
-    """For file names."""
+    name: str  # for file names
     style: MethodStyle
     seeds: tuple[int, ...]
-    table: AdaptationTable
-    """Of all seeds: curves are `[seed, task, update]`."""
-    training_steps: int | None = None
-    """Environment steps of meta-training; None without any."""
-    source: str = ""
-    """Name of the run or method, which lines by other rules share."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Of the run or method, by their path."""
-    published: PublishedCurve | None = None
-    """What the paper shows for the method; None if that is something else."""
-    latents: Path | None = None
-    """The adapted latents of the first seed, if only a latent adapts."""
+    table: AdaptationTable  # of all seeds: curves are `[seed, task, update]`
+    source: str = ""  # name of the run or method, which lines by other rules share
+    training_steps: int | None = None  # environment steps of meta-training; None without any
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of run or method, by their path
+    published: PublishedCurve | None = None  # what the paper shows, if that is comparable
+    recorded: Path | None = None  # where the exploration of the first seed may be recorded
+    latents: Path | None = None  # where its adapted latents are, if only a latent adapts
 
     @property
     def label(self) -> str:
@@ -62,14 +53,19 @@ class Line:
         """Return one column of a measure, of all tasks or of the first so many."""
         return self.measure(measure)[:, :num_tasks, index]
 
+    def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Line":
+        """Return the line over some of the tasks."""
+        return replace(self, table=self.table.part(chosen[: self.num_tasks]))
+
     @property
     def beyond(self) -> str:
         """Say from where on it does what it was never trained for; empty for nowhere."""
-        if self.table.first_beyond is None:
+        table, first = self.table, self.table.first_beyond
+        if first is None:
             return ""
         return (
-            f"{self.label} was trained for trials of {self.table.trial_episodes} episodes: from "
-            f"update {self.table.updates[self.table.first_beyond]} on it is beyond them"
+            f"{self.label} was trained for trials of {table.trial_episodes} episodes: from "
+            f"update {table.updates[first]} on it is beyond them"
         )
 
 
@@ -78,19 +74,12 @@ class Comparison:
     """Methods on the same tasks, and the references below and above them, if there are any."""
 
     lines: tuple[Line, ...]
-    name: str = ""
-    """For file names."""
+    name: str = ""  # for file names
     family: str = ""
-    sparse_radius: float | None = None
-    """Where titles say it."""
-    horizon: int = 0
-    """Steps of an episode that runs its full time."""
-    baselines: tuple[Line, ...] = ()
-    """Agents that learn nothing; the one with the better mean return is the baseline."""
-    oracle: tuple[Line, ...] = ()
-    """The agent that is given the task, or nobody."""
-    recorded: Mapping[str, Path] = field(default_factory=dict)
-    """Name of a run -> its recorded exploration."""
+    sparse_radius: float | None = None  # metres; None where titles do not say it
+    horizon: int = 0  # steps of an episode that runs its full time
+    baselines: tuple[Line, ...] = ()  # learn nothing; the one of better mean return is the baseline
+    oracle: tuple[Line, ...] = ()  # the agent that is given the task, or nobody
 
     @property
     def tasks(self) -> str:
@@ -115,15 +104,11 @@ class Comparison:
         return np.asarray(np.any(solved, axis=0))
 
     def references(self, num_tasks: int | None = None) -> dict[str, float]:
-        """Return the mean returns of baseline and oracle, if known, in the first so many tasks.
-
-        None: in as many as the method has that has most.
-        """
-        if num_tasks is None:
-            num_tasks = max(line.num_tasks for line in self.lines)
+        """Return the mean returns of baseline and oracle, if known, in the first so many tasks."""
+        count = num_tasks or max(line.num_tasks for line in self.lines)
         groups = {"baseline": self.baselines, "oracle": self.oracle}
         return {
-            name: max(float(line.column(0, num_tasks=num_tasks).mean()) for line in lines)
+            name: max(float(line.column(0, num_tasks=count).mean()) for line in lines)
             for name, lines in groups.items()
             if lines
         }
@@ -144,11 +129,7 @@ class Comparison:
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
         """Return the comparison over some of the tasks; methods that have none of them drop out."""
         lines, baselines, oracle = (
-            tuple(
-                replace(line, table=line.table.part(chosen[: line.num_tasks]))
-                for line in group
-                if chosen[: line.num_tasks].any()
-            )
+            tuple(line.of_tasks(chosen) for line in group if chosen[: line.num_tasks].any())
             for group in (self.lines, self.baselines, self.oracle)
         )
         return replace(self, lines=lines, baselines=baselines, oracle=oracle)
@@ -156,16 +137,14 @@ class Comparison:
     def parts(self) -> dict[str, "Comparison"]:
         """Return the comparison and, by what their titles add, its parts.
 
-        Where some methods were adapted to the first tasks alone, one part has all methods in these.
-        Where some tasks are solved at reset, another one has the methods in the others.
+        These are the first tasks, if some methods have no others, and those not solved at reset.
         """
         unsolved, found = ~self.is_solved_at_reset, {"": self}
         fewest = min(line.num_tasks for line in self.lines)
         if fewest < len(unsolved):
-            first = self.of_tasks(np.arange(len(unsolved)) < fewest)
-            found[f", the first {fewest} alone"] = first
-        others = self.of_tasks(unsolved)
-        if others.lines and not unsolved.all():
+            is_first = np.arange(len(unsolved)) < fewest
+            found[f", the first {fewest} alone"] = self.of_tasks(is_first)
+        if not unsolved.all() and (others := self.of_tasks(unsolved)).lines:
             found[", without tasks solved at reset"] = others
         return found
 
@@ -184,17 +163,16 @@ def note_on_judging(lines: Sequence[Line]) -> str:
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield one row per method, seed, task and update; `score` is empty if there is none.
-
-    Measures are in the single precision of the curves, so that they are written with its digits.
-    """
+    """Yield one row per method, seed, task and update; `score` is empty if there is none."""
     solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
         names = ("mean_return", "goal_return", "success_rate")
-        measures = {name: line.measure(name).astype(np.float32) for name in names}
-        scores = comparison.score(line.measure("mean_return"), line.num_tasks).astype(np.float32)
-        for index in np.ndindex(scores.shape):
-            seed, task, column = index
+        numbers = {name: line.measure(name) for name in names}
+        numbers["score"] = comparison.score(numbers["mean_return"], line.num_tasks)
+        # With the digits of the curves, which are in single precision.
+        columns = {name: values.astype(np.float32) for name, values in numbers.items()}
+        for seed, task, column in np.ndindex(columns["score"].shape):
+            measures = {name: values[seed, task, column] for name, values in columns.items()}
             yield {
                 "method": line.name,
                 "seed": line.seeds[seed],
@@ -202,7 +180,6 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                 "update": line.table.updates[column],
                 "purpose": line.table.purpose,
                 "steps": line.table.episodes[column] * comparison.horizon,
-                **{name: values[index] for name, values in measures.items()},
-                "score": "" if np.isnan(scores[index]) else scores[index],
+                **{name: "" if np.isnan(value) else value for name, value in measures.items()},
                 "solved_at_reset": int(solved[task]),
             }

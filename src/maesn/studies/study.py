@@ -15,9 +15,9 @@ from maesn.evaluation.arguments import AnyPath, AnyRun, OptionalPath
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.learners import SCRATCH
 from maesn.reporting.reading import latents_beside, read_rows
+from maesn.reporting.report import report_study
 from maesn.reporting.runs import read_run
-from maesn.reporting.series import group_series
-from maesn.reporting.study import MANIFEST, report_study
+from maesn.reporting.sources import MANIFEST, group_series
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import RunSettings, installed_versions
 from maesn.runs.process import ending_by_signals
@@ -215,7 +215,7 @@ def compare(
     specs, lines, more = {}, [], []
     for one in group_series([read_run(path) for path in opened]):
         paths = [run.path for run in one.runs]
-        specs[one.name] = RunSpec(label=one.label, directories=tuple(map(str, paths)))
+        specs[one.name] = RunSpec(label=one.style.label, directories=tuple(map(str, paths)))
         lines.append(LineSpec(run=one.name, evaluation=("usual",)))
         if evaluation.rule is not None or evaluation.wrappers:
             evaluations["more"] = EvaluationSpec(evaluation)

@@ -36,7 +36,7 @@ def test_verbs_of_an_oracle(tmp_path: Path) -> None:
     curves = api.adapt(run.directory, episodes=2, episodes_per_update=2).outcome.curves
     assert curves.mean_return.shape == (100, 2)
     names = {path.stem for path in api.report([run.directory]).files}
-    assert {"adaptation-curves-test-sparse", "exploration"} <= names
+    assert {"curves-test-sparse", "exploration-test-sparse"} <= names
     begun = api.train(oracle(**SMALL), run.settings, tmp_path / "begun", init_from=run.directory)
     assert begun.latest().iteration == 2
     with pytest.raises(RunError, match="must adapt a latent alone"):

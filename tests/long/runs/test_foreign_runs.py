@@ -47,7 +47,7 @@ def test_every_verb_works_on_a_foreign_family(
     assert outcome.curves.mean_return.shape == (100, 2)
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     names = {path.name for path in report([run.directory], family=family).files}
-    assert {"exploration.png", "adaptation-curves-test-sparse.png"} <= names
+    assert {"exploration-test-sparse.png", "curves-test-sparse.png"} <= names
     few = Evaluation(episodes=2, episodes_per_update=2)
     pictures = drawn(lambda: render(run, few, after=[0], shown=1)) or []
     assert all(path.parent == run.directory / "render" for path in pictures)

@@ -22,7 +22,7 @@ from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
-from maesn.reporting.reading import PriorReach, prior_reach
+from maesn.reporting.reading import prior_reach
 from maesn.reporting.runs import Latents, Positions, RecordedExploration
 
 Points = Float[np.ndarray, "point 2"]
@@ -42,8 +42,8 @@ class ExplorationPanel(NamedTuple):
 
     style: style.MethodStyle
     exploration: RecordedExploration
-    reach: PriorReach | None
-    """How many of the goals it reaches; None if that was not counted."""
+    reach: str
+    """How many of the goals it reaches; empty if that was not counted."""
 
 
 @style.publication_style()
@@ -97,10 +97,7 @@ def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
     for one in (*explorers, untrained):
         paths = first.untrained_paths if one is untrained else one.exploration.prior_paths
         title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
-        if one.reach is not None:
-            within = "1 episode" if one.reach.episodes == 1 else f"{one.reach.episodes} episodes"
-            title += f"\n{one.reach.share:.0%} of the goals in {within}"
-        drawn.append((title, paths, one.style.colour))
+        drawn.append((f"{title}\n{one.reach}".rstrip(), paths, one.style.colour))
     return style.Drawn(_draw_explored(first, drawn))
 
 

@@ -120,10 +120,15 @@ function direction([x, y]) { // as a share of the directions in which goals lie
 
 function distance(a, b) { return Math.hypot(...a.map((value, axis) => value - b[axis])); }
 
+// Said where something is missing.
+const NO_PLANE = "The family does not say where things are in a plane, so no paths can be shown.";
+const NO_LATENTS = "This method has no latent.";
+const NO_SEARCH = "There is no prior over returns yet: `maesn prior DIR` makes it, then report again.";
+
 // ---- latent explorer --------------------------------------------------------------------------
 
 function explorer(found) {
-  if (found.missing) return section("Latent explorer", quiet(found.missing));
+  if (!found) return section("Latent explorer", quiet(data.world ? NO_LATENTS : NO_PLANE));
   const size = found.latents[0].length;
   const edge = Math.max(...found.latents.flat().map(Math.abs));
   const latents = new Plane([-edge * 1.06, -edge * 1.06], [edge * 1.06, edge * 1.06], "Plane of latents");
@@ -222,7 +227,7 @@ function explorer(found) {
 // ---- searches ---------------------------------------------------------------------------------
 
 function searches(found) {
-  if (found.missing) return section("Watch a search", quiet(found.missing));
+  if (!found) return section("Watch a search", quiet(!data.world ? NO_PLANE : !data.explorer ? NO_LATENTS : NO_SEARCH));
   const episodes = found.returns[0].length;
   const edge = found.edge;
   const beliefs = new Plane([-edge, -edge], [edge, edge], "What the search believes of each latent");
@@ -394,15 +399,16 @@ function comparison(one) {
     details("Settings of each line; those that differ come first", settings(one.settings)));
 }
 
-function settings(found) {
-  const differing = new Set(found.rows.slice(0, found.differing ?? 0));
-  return table(found.columns, found.rows, (row) => differing.has(row));
+function settings(found) { // first those that differ
+  const differs = (row) => new Set(row.slice(1)).size > 1;
+  const rows = [...found.rows.filter(differs), ...found.rows.filter((row) => !differs(row))];
+  return table(found.columns, rows, differs);
 }
 
 // ---- runs -------------------------------------------------------------------------------------
 
 function exploration(found) {
-  if (found.missing) return section("Before any adaptation", quiet(found.missing));
+  if (!found) return section("Before any adaptation", quiet(NO_PLANE));
   const paths = found.panels.flatMap((panel) => panel.paths);
   const panels = found.panels.map((panel) => {
     const plane = worldPlane(paths, panel.title);
@@ -431,7 +437,7 @@ function runPage() {
 function studyPage() {
   if (!data.comparisons.length) section("Nothing compared yet", quiet("`maesn study run` goes on with the study."));
   data.comparisons.forEach(comparison);
-  section("Provenance", details("Command, versions, and the jobs with their digests", table(data.provenance.columns, data.provenance.rows)));
+  section("Provenance", details("Command, versions, and the jobs with their digests", table(["", "value"], data.provenance)));
 }
 
 // ---- the page ---------------------------------------------------------------------------------

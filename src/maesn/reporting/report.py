@@ -1,0 +1,136 @@
+"""Reports of runs and of studies: figures and tables, from the files that they left."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from maesn.reporting.comparison import Comparison, Line, tidy_rows
+from maesn.reporting.figures import exploration
+from maesn.reporting.figures.curves import (
+    plot_curves,
+    plot_ends,
+    plot_learning_curves,
+    plot_profiles,
+)
+from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
+from maesn.reporting.sources import compare_runs, compare_study, read_series
+from maesn.reporting.style import Drawn, save_figure
+from maesn.reporting.tables import TextTable, summary_tables
+from maesn.storage import write_rows, write_whole
+
+RESULTS, SUMMARY = "results.csv", "summary.md"
+
+_OF_RUNS = ("curves", "tasks", "exploration", "noise", "latents")
+_EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
+
+
+def report_runs(directories: Sequence[Path], out: Path, say: Callable[[str], None]) -> list[Path]:
+    """Draw every figure that runs have data for, each as a PNG and a PDF, and return these.
+
+    Runs that differ in their seed alone become one line. `say` receives a sentence about figures
+    without data. A `RunError` says which file is broken, or why the runs cannot be compared.
+    """
+    written, series = [], read_series(directories)
+    for reward in ("dense", "sparse"):  # their returns have no common axis
+        trained = [one for one in series if one.runs[0].settings["reward"] == reward]
+        lines = {one.style: curves for one in trained if (curves := one.learning_curves())}
+        if lines:
+            written += save_figure(plot_learning_curves(lines, reward), out, f"learning-{reward}")
+    for comparison in compare_runs(series):
+        for kind in _OF_RUNS:
+            written += _draw(comparison, {**_EVERYTHING, "name": kind, "kind": kind}, out)
+    if missing := [kind for kind in _OF_RUNS if not any(kind in file.name for file in written)]:
+        say(
+            f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
+            "says where things are in a plane."
+        )
+    return written
+
+
+def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTable]:
+    """Draw figures and write tables of one study: all results in one, a summary per comparison."""
+    study, comparisons = compare_study(directory)
+    rows = ({"comparison": one.name, **row} for one in comparisons for row in tidy_rows(one))
+    if comparisons:
+        write_rows(directory / RESULTS, rows)
+    found: list[TextTable] = []
+    for one in comparisons:
+        tables = [
+            table._replace(title=f"{one.name}: {table.title[0].lower()}{table.title[1:]}")
+            for table in summary_tables(one)
+        ]
+        text = "\n".join(table.to_markdown() for table in tables)
+        write_whole(directory / one.name / SUMMARY, text.encode())
+        for figure in (_EVERYTHING, *study["figures"]):
+            for path in _draw(one, figure, directory / one.name):
+                wrote(path)
+        found += tables
+    return found
+
+
+def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
+    """Draw a figure, as the file of a study describes it, if there is something to draw."""
+    sources = figure["lines"] or [line.source for line in comparison.lines]
+    lines = tuple(line for line in comparison.lines if line.source in sources)
+    if not lines or comparison.family not in (figure["families"] or [comparison.family]):
+        return []
+    drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
+    return save_figure(drawn, out, f"{figure['name']}-{comparison.name}") if drawn else []
+
+
+def plot_tasks(comparison: Comparison) -> Drawn | None:
+    """Draw the tasks of training and those adapted to; None if nothing was recorded."""
+    found = _recorded(comparison)
+    return exploration.plot_task_distribution(found[0][1]) if found else None
+
+
+def plot_paths(comparison: Comparison) -> Drawn | None:
+    """Draw what each run explores before adaptation; None if nothing was recorded."""
+    panels = []
+    for line, record in _recorded(comparison):
+        # Only of the goals that are drawn, and within the regions that are drawn.
+        has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
+        has_regions = comparison.sparse_radius in (None, record.sparse_radius)
+        reach = line.table.prior_reach if has_goals and has_regions else ""
+        panels.append(exploration.ExplorationPanel(line.style, record, reach))
+    return exploration.plot_exploration(panels) if panels else None
+
+
+def plot_noise(comparison: Comparison) -> Drawn | None:
+    """Draw paths with z drawn and with z held, of the first run with a latent; None without one."""
+    found = [record for _, record in _recorded(comparison) if record.fixed_paths is not None]
+    return exploration.plot_structured_noise(found[0]) if found else None
+
+
+def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
+    """Draw the latents, of two components or more, of the first method that has such."""
+    goals = {line.source: record.goals for line, record in _recorded(comparison)}
+    for line in comparison.lines:
+        latents = line.latents and read_recorded(Latents, line.latents)
+        if latents and latents.mean.shape[-1] > 1:
+            has_goals = line.source in goals and line.table.tasks == RECORDED_TASKS
+            known = goals[line.source][: line.num_tasks] if has_goals else None
+            return exploration.plot_latents(latents, known)
+    return None
+
+
+def _recorded(comparison: Comparison) -> list[tuple[Line, RecordedExploration]]:
+    """Return the first line of each run that something was recorded of, and that."""
+    found: dict[str, tuple[Line, RecordedExploration]] = {}
+    for line in comparison.lines:
+        record = line.recorded and read_recorded(RecordedExploration, line.recorded)
+        if record:
+            found.setdefault(line.source, (line, record))
+    return [*found.values()]
+
+
+_KINDS = {
+    "curves": plot_curves,
+    "dots": plot_ends,
+    "profiles": plot_profiles,
+    "tasks": plot_tasks,
+    "exploration": plot_paths,
+    "noise": plot_noise,
+    "latents": plot_adapted_latents,
+}

@@ -1,0 +1,69 @@
+"""Which runs share a line, and which share a figure."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from synthetic_runs import run, write_run
+
+from maesn.reporting.sources import compare_runs, group_series, read_series
+from maesn.reporting.style import METHOD_STYLES
+from maesn.storage import RunError
+
+
+def test_seeds_of_one_experiment_are_one_series() -> None:
+    runs = [run(seed=seed, num_threads=seed, checkpoint_every=1 + seed) for seed in range(3)]
+    (series,) = group_series(runs)
+    assert series.runs == tuple(runs)
+    assert (series.name, series.style.label) == ("maesn", "MAESN")
+    assert series.style == METHOD_STYLES["maesn"]
+
+
+def test_methods_come_in_the_order_of_their_runs() -> None:
+    runs = [run("maml"), run("mine"), run("latent_space"), run("maesn")]
+    labels = [series.style.label for series in group_series(runs)]
+    assert labels == ["MAML", "mine", "LatentSpace", "MAESN"]
+
+
+def test_experiments_of_one_method_are_called_by_their_directories() -> None:
+    wide = {"context": {"initial_spread": 1.0, "size": 2}}
+    runs = [run(learner=wide), run(learner=wide, seed=1), run(episodes_per_task=50, seed=3)]
+    series = group_series(runs)
+    assert [one.style.label for one in series] == ["MAESN (maesn-0)", "MAESN (maesn-3)"]
+    assert [one.name for one in series] == ["maesn", "maesn-2"]
+    assert [len(one.runs) for one in series] == [2, 1]
+    assert len({(one.style.colour, one.style.line, one.style.marker) for one in series}) == 2
+
+
+def test_a_difference_between_methods_is_no_part_of_the_label() -> None:
+    first, second = group_series([run("maesn", iterations=300), run("maml", iterations=500)])
+    assert (first.style.label, second.style.label) == ("MAESN", "MAML")
+
+
+def test_one_seed_given_twice_is_refused() -> None:
+    with pytest.raises(RunError, match=r"got seed 0 in both `.*maesn-0` and `.*maesn-0`"):
+        group_series([run(), run()])
+
+
+@pytest.mark.parametrize(
+    "other", [{"family": "point"}, {"variant": "paper"}, {"sparse_radius": 1.0}, {"engine": "mjx"}]
+)
+def test_runs_whose_returns_cannot_be_compared_are_refused(
+    tmp_path: Path, other: dict[str, Any]
+) -> None:
+    runs = [write_run(tmp_path / "a"), write_run(tmp_path / "b", "maml")]
+    assert len(read_series(runs)) == 2
+    with pytest.raises(RunError, match=f"must have the same `{next(iter(other))}`, got "):
+        read_series([*runs, write_run(tmp_path / "c", seed=1, **other)])
+
+
+def test_rules_are_lines_of_the_same_comparison_and_records_belong_to_one(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run")
+    table = run / "adaptation" / "test-sparse.csv"
+    table.with_name("test-sparse-10-then-trpo.csv").write_bytes(table.read_bytes())
+    table.with_name("ood-sparse.csv").write_bytes(table.read_bytes())
+    ood, tested = compare_runs(read_series([run]))
+    assert [one.label for one in tested.lines] == ["MAESN", "MAESN (10 then trpo)"]
+    assert tested.lines[0].latents == table.with_suffix(".latents.npz")
+    assert {one.recorded for one in tested.lines} == {run / "figures" / "exploration.npz"}
+    assert (ood.name, ood.lines[0].recorded) == ("ood-sparse", None)
