@@ -5,7 +5,7 @@ as `module:name`.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -284,7 +284,7 @@ def report(
     return Reported(files + _page(page or folder / PAGE, run_page, directories), [])
 
 
-def _page(path: Path, document: Callable[[Any], Mapping[str, Any]], of: Any) -> list[Path]:
+def _page(path: Path, document: Callable[[Any], dict[str, Any]], of: Any) -> list[Path]:
     """Write the page of runs or a study; return its path, or say why there is none."""
     try:
         write_page(path, document(of))

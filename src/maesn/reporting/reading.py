@@ -76,7 +76,8 @@ def prior_reach(
     if solved.all():
         return ""
     share = (success_rate[~solved] > 0).mean()
-    return f"{share:.0%} of the goals in {episodes} episodes"
+    noun = "episode" if episodes == 1 else "episodes"
+    return f"{share:.0%} of the goals in {episodes} {noun}"
 
 
 @dataclass(frozen=True)
