@@ -6,7 +6,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from figure_checks import check_saved_whole, legend, line
+from figure_checks import check_saved_whole, labels, line
 from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table, columns
 from synthetic_runs import line as named
@@ -67,7 +67,7 @@ def test_some_methods_may_have_a_score_where_others_have_none() -> None:
     )
     lines = named("maesn", adaptation_table()), named("vime", adaptation_table(4))
     compared = dataclasses.replace(comparison(*lines), oracle=(named("oracle", uneven),))
-    everything, first, _ = summary_tables(compared)
+    everything, first, *_ = summary_tables(compared)
     assert [bool(row[-1]) for row in everything.rows[:2]] == [True, False]
     assert [bool(row[-1]) for row in first.rows[:2]] == [False, False]
     assert all("no score" in table.to_markdown() for table in (everything, first))
@@ -120,6 +120,21 @@ def test_pairs_are_compared_on_the_tasks_that_both_have() -> None:
     assert beats.rows[0][2].startswith(f"{wins:.2f} [")
 
 
+def test_each_method_has_a_row_by_episodes() -> None:
+    table = adaptation_table()
+    searched = dataclasses.replace(table, episodes=np.arange(NUM_UPDATES + 1))
+    _, returns, success, _ = summary_tables(
+        comparison(named("maesn", table), named("rl2", searched))
+    )
+    assert returns.headings == ("method", "0", "1", "2", "3", "50", "100")
+    (_, start, *none, fifty, hundred), (_, *few, _, _) = returns.rows
+    assert none == ["", "", ""]
+    assert few[0] == start
+    for text, column in ((start, 0), (fifty, 1), (hundred, 2), (few[2], 2)):
+        assert text.startswith(f"{table.mean_return[:, column].mean():.1f} ±")
+    assert success.rows[0][1].startswith(f"{100 * table.success_rate[:, 0].mean():.1f} ±")
+
+
 def test_the_summary_says_what_it_resamples() -> None:
     tables = [adaptation_table(seed=seed) for seed in range(2)]
     worse = [adaptation_table(seed=7, gain=-50.0)]
@@ -137,7 +152,7 @@ def test_the_summary_says_what_it_resamples() -> None:
 
 def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None:
     trained = dataclasses.replace(named("maesn", adaptation_table()), training_steps=48_000_000)
-    everything, common, _ = summary_tables(comparison(trained, named("vime", adaptation_table(5))))
+    everything, common, *_ = summary_tables(comparison(trained, named("vime", adaptation_table(5))))
     assert [row[3] for row in everything.rows[:2]] == ["8", "5"]
     assert [row[3] for row in common.rows] == ["5"] * 5
     assert common.title == f"{everything.title}, the first 5 alone"
@@ -146,9 +161,9 @@ def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None
     assert vime[1:] == everything.rows[1][1:]
     assert [row[1] for row in everything.rows] == ["48 M", "", "", "", ""]
     # Also where baselines and oracle alone have more of them.
-    assert len(summary_tables(comparison(named("vime", adaptation_table(5))))) == 2
+    assert len(summary_tables(comparison(named("vime", adaptation_table(5))))) == 4
     alike = comparison(trained, named("trpo", adaptation_table()))
-    assert len(summary_tables(alike)) == 2
+    assert len(summary_tables(alike)) == 4
 
 
 def with_solved(solved: list[int], line: Line) -> Line:
@@ -171,7 +186,7 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     with (tmp_path / "table.csv").open(newline="") as file:
         marked = {row["task"] for row in csv.DictReader(file) if int(row["solved_at_reset"])}
     assert marked == {"1", "6"}
-    everything, _, others, _ = summary_tables(compared)
+    everything, _, others, *_ = summary_tables(compared)
     assert "2 of the 8 tasks are solved at reset." in everything.notes
     assert others.title == f"{everything.title}, without tasks solved at reset"
     rest = np.delete(adaptation_table().mean_return[:, -1], [1, 6])
@@ -183,10 +198,10 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
         compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
     )
     baselines = tuple(with_solved([0], line) for line in some.baselines)
-    _, _, others, _ = summary_tables(dataclasses.replace(solved_alone, baselines=baselines))
+    _, _, others, *_ = summary_tables(dataclasses.replace(solved_alone, baselines=baselines))
     assert others.rows[0][0] == "MAESN"
     nobody = dataclasses.replace(solved_alone, baselines=baselines, lines=solved_alone.lines[:1])
-    assert [table.title for table in summary_tables(nobody)] == [
+    assert [table.title for table in summary_tables(nobody)][:2] == [
         everything.title,
         f"{everything.title}, the first 1 alone",
     ]
@@ -203,7 +218,7 @@ def test_the_figure_counts_episodes_and_marks_baseline_and_oracle(tmp_path: Path
     assert line(returns, "baseline")[:, 1].tolist() == [-400.0, -400.0]
     assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
     assert success.get_xscale() == "linear"
-    assert legend(figure) == ["MAESN", "TRPO", "baseline", "oracle"]
+    assert sorted(labels(returns)) == ["MAESN", "TRPO", "baseline", "oracle"]
     assert "TRPO: the first 5 of 8 tasks alone" in notes
     check_saved_whole(plot_curves(compared), tmp_path)
 
@@ -215,7 +230,7 @@ def test_memory_beyond_its_trials_is_noted_and_short_updates_are_seen(tmp_path: 
     # The first two episodes are what it was trained for: those before which it knows 0 and 1.
     assert memory.table.first_beyond == 2
     assert dataclasses.replace(remembered, trial_episodes=9).first_beyond is None
-    ends, _ = (table.notes for table in summary_tables(comparison(memory, memory)))
+    ends, *_ = (table.notes for table in summary_tables(comparison(memory, memory)))
     beyond = "RL² was trained for trials of 2 episodes: from update 2 on it is beyond them"
     assert f"{beyond}." in ends
     both = comparison(memory, named("maesn", adaptation_table()))
@@ -225,9 +240,11 @@ def test_memory_beyond_its_trials_is_noted_and_short_updates_are_seen(tmp_path: 
     check_saved_whole(plot_curves(both), tmp_path)
 
 
-def test_a_crowd_has_a_legend_that_fits(tmp_path: Path) -> None:
+def test_a_crowd_has_labels_that_fit(tmp_path: Path) -> None:
     lines = [named(name, adaptation_table(seed=i)) for i, name in enumerate(METHOD_STYLES)]
     drawn = plot_curves(comparison(*lines))
     names = [style.label for style in METHOD_STYLES.values()]
-    assert legend(drawn.figure) == [*names, "baseline", "oracle"]
+    assert sorted(labels(drawn.figure.axes[0])) == sorted([*names, "baseline", "oracle"])
+    coloured = {one.get_color() for one in drawn.figure.axes[0].lines[:12]}
+    assert len(coloured) == 6  # five, and grey
     check_saved_whole(drawn, tmp_path)

@@ -19,6 +19,7 @@ from maesn.reporting.style import MethodStyle
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
+_SHOWN_EPISODES = (0, 1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _NO_SCORE = (
     "a method has no score without an oracle above the baseline on its tasks; give the run of an "
     "oracle with --oracle DIR (maesn train oracle)"
@@ -170,8 +171,9 @@ def _task_table(table: AdaptationTable) -> TextTable:
 
 
 def summary_tables(comparison: Comparison) -> list[TextTable]:
-    """Return where each method ends, in all tasks and in parts of them, and who beats whom."""
+    """Return where each method ends, how it gets there, and who beats whom."""
     tables = [_ends(part, addition) for addition, part in comparison.parts().items()]
+    tables += [_by_episodes(comparison, name) for name in ("mean_return", "success_rate")]
     return [*tables, _improvements(comparison)] if len(comparison.lines) > 1 else tables
 
 
@@ -216,6 +218,22 @@ def _end(comparison: Comparison, line: Line) -> dict[str, str]:
         success.heading: success.text(bootstrap(statistics.mean, line.column(-1, "success_rate"))),
         "score": score,
     }
+
+
+def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
+    """Return a measure of each method after some numbers of episodes in the new task."""
+    unit, rows = UNITS[measure], []
+    for line in comparison.lines:
+        points = curve(line.measure(measure)).points
+        texts = [unit.text(point, brief=True) for point in points]
+        rows.append((line.label, dict(zip(line.table.episodes.tolist(), texts, strict=True))))
+    shown = [n for n in _SHOWN_EPISODES if any(n in texts for _, texts in rows)]
+    return TextTable(
+        f"Episodes in the new task, and {unit.heading}",
+        ("method", *map(str, shown)),
+        tuple((label, *(texts.get(n, "") for n in shown)) for label, texts in rows),
+        sentences(f"± half the {INTERVAL}", note_on_judging(comparison.lines)),
+    )
 
 
 def _improvements(comparison: Comparison) -> TextTable:

@@ -2,8 +2,11 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import scipy.optimize
 from jaxtyping import Float, Real
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,8 +15,10 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 from maesn.reporting import statistics, style
 from maesn.reporting.comparison import Comparison, Line, note_on_judging
 from maesn.reporting.runs import LearningCurve
-from maesn.reporting.style import Drawn, MethodStyle
+from maesn.reporting.style import GREY, Drawn, MethodStyle
 
+_MOST_COLOURED = 5  # lines; more cannot be told apart by colour
+_LABEL_SIZE = 6.5  # points
 _REFERENCES = {"baseline": ":", "oracle": "-"}  # lines of their mean returns
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
@@ -26,9 +31,12 @@ def plot_curves(comparison: Comparison) -> Drawn:
 
     Horizontal lines are the mean returns of baseline and oracle, circles the published curve.
     """
-    lines = comparison.lines
+    lines = tuple(
+        line if number < _MOST_COLOURED else replace(line, style=replace(line.style, colour=GREY))
+        for number, line in enumerate(comparison.lines)
+    )
     figure = style.new_figure(style.TWO_COLUMNS, 2.5)
-    returns, success = figure.subplots(1, 2)
+    returns, success = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     for line in lines:
         for axes, measure in ((returns, "mean_return"), (success, "success_rate")):
             band = statistics.curve(line.measure(measure)).band
@@ -45,7 +53,7 @@ def plot_curves(comparison: Comparison) -> Drawn:
     returns.set_ylabel(f"mean {lines[0].table.reward} return")
     _percent_axis(success, "success rate")
     returns.set_title(comparison.title, loc="left")
-    _legend(figure, returns)
+    _label_lines(figure, returns)
     most = max(line.num_tasks for line in lines)
     fewer = [line for line in lines if line.num_tasks < most]
     notes = [
@@ -94,7 +102,7 @@ def plot_profiles(comparison: Comparison) -> Drawn:
     axes.set_xlabel(f"{lines[0].table.reward} return τ")
     _percent_axis(axes, "tasks that end above τ")
     axes.set_title(comparison.title, loc="left")
-    _legend(figure, axes)
+    figure.legend(loc="outside right upper")
     return Drawn(figure, [f"bands: {statistics.INTERVAL}", note_on_judging(lines)])
 
 
@@ -124,7 +132,7 @@ def plot_learning_curves(
         axes.set_xlabel("meta-iteration")
     _percent_axis(panels[0], "success rate")
     panels[1].set_ylabel(f"mean {reward} return")
-    _legend(figure, panels[2])
+    _label_lines(figure, panels[2])
     share = f"lines: moving average over {_WINDOW_SHARE:.0%} of the iterations"
     return Drawn(figure, [share, "bands: range over the seeds; thin: iterations of a single seed"])
 
@@ -167,11 +175,24 @@ def _draw_curve(
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
-    """Name the lines of a panel, beside all panels."""
-    lines, labels = axes.get_legend_handles_labels()
-    texts = [textwrap.fill(label, width=30) for label in labels]
-    figure.legend(lines, texts, loc="outside right upper")
+def _label_lines(figure: Figure, axes: Axes) -> None:
+    """Write each line's label at the right, as near to its end as others leave room."""
+    figure.draw_without_rendering()
+    named = sorted(
+        (float(np.asarray(line.get_ydata())[-1]), str(line.get_color()), textwrap.fill(label, 30))
+        for line in axes.lines
+        if not (label := str(line.get_label())).startswith("_")
+    )
+    ends = axes.transData.transform([(0, end) for end, _, _ in named])[:, 1]
+    heights = np.array([1.2 * _LABEL_SIZE * (1 + text.count("\n")) for _, _, text in named])
+    heights *= figure.dpi / 72
+    # The least squares of all displacements, with every label above the one before.
+    room = np.cumsum(heights) - heights / 2
+    places = scipy.optimize.isotonic_regression(ends - room).x + room
+    for (_, colour, text), place in zip(named, places, strict=True):
+        at = (1.02, axes.transAxes.inverted().transform((0, place))[1])
+        look: Any = {"color": colour, "fontsize": _LABEL_SIZE, "verticalalignment": "center"}
+        axes.annotate(text, at, xycoords="axes fraction", annotation_clip=False, **look)
 
 
 def _percent_axis(axes: Axes, label: str) -> None:
