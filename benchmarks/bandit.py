@@ -23,6 +23,7 @@ from safetensors.numpy import load_file, save_file
 
 from maesn.envs import Bandit, TaskSet, bandit
 from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect
 from maesn.learners import (
     ProximalStep,
@@ -146,7 +147,8 @@ def train(
 
 def evaluate(policy: RecurrentPolicy, collect: Collect) -> tuple[float, float]:
     """Return mean number of payments in new tasks, one trial each, and its standard error."""
-    outcome = adapt(RecurrentFastLearner(policy, 1), collect, episodes=0, chunk_size=2000)
+    asked = Evaluation(episodes=0, tasks_at_once=2000)
+    outcome = adapt(RecurrentFastLearner(policy, 1), collect, asked)
     returns = outcome.curves.mean_return[:, 0]
     return float(returns.mean()), float(returns.std() / np.sqrt(len(returns)))
 

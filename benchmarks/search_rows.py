@@ -151,16 +151,7 @@ def adapted_rows(run: Run, line: Line, asked: Evaluation) -> Iterator[dict[str, 
             assert isinstance(learner, SearchFastLearner)
             model = line.change(learner.model, learner.settings)
             learner = dataclasses.replace(learner, model=model)
-        outcome = adapt(
-            learner,
-            Collector(world, line.per_update),
-            episodes=line.episodes,
-            deploy=Collector(world, DEPLOYED),
-            deploy_after=asked.deploy_after,
-            seed=asked.seed,
-            chunk_size=asked.tasks_at_once,
-            tasks=range(asked.count(world.tasks)),
-        )
+        outcome = adapt(learner, Collector(world, line.per_update), asked)
     yield from _rows(outcome, line, asked.deploy_after)
 
 

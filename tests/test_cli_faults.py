@@ -47,7 +47,10 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("train maesn --family :x", "`family` is `:x`"),
         ("train maesn --family x:", "`family` is `x:`"),
         ("train maesn --family {}:x", "`family` is"),
-        ("adapt {} --out .", "cannot write `.` (Is a directory): name a file in it."),
+        (
+            "adapt {} --out .",
+            "cannot write `.` (Is a directory): mend that, or choose",
+        ),
         ("adapt " + 5000 * "x", "File name too long"),
         ("adapt {} --tasks " + 5000 * "x", "File name too long"),
         ("export {} " + 5000 * "x", "File name too long"),

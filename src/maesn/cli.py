@@ -70,11 +70,14 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if not _is_mistake(error):
             raise
-        # A user's environment may have raised in a process of its own.
-        notes = getattr(error.__cause__, "__notes__", [])
-        print(f"maesn {name}: {error}", *notes, sep="\n", file=sys.stderr)
+        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
+
+
+def _notes(error: BaseException | None) -> list[str]:
+    """Return what is known beside messages, as when a user's environment raised in a process."""
+    return [*getattr(error, "__notes__", []), *_notes(error.__cause__)] if error else []
 
 
 def _is_mistake(error: Exception) -> bool:

@@ -17,6 +17,7 @@ from maesn.reporting.tables import TextTable, print_adaptation_summary, print_ta
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
+from maesn.settings import check_number
 from maesn.storage import RunError, refusals
 from maesn.studies.execution import ExecutorName
 from maesn.studies.study import Results, Study
@@ -104,6 +105,8 @@ def study(
         only: The one job to compute, as a job of an array does.
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
+    with refusals():
+        check_number("workers", workers, 1)
     asked = Study.load(file)
     if action == "run" and not dry_run:
         where = {"executor": executor, "workers": workers, "only": only}

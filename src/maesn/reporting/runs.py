@@ -141,4 +141,4 @@ def read_record(kind: type[Record], path: Path, remedy: str) -> Record:
     try:
         return kind(**{name: x.astype(float) if x.ndim else x.item() for name, x in arrays.items()})
     except (TypeError, ValueError) as error:
-        raise RunError(f"`{path}` is not of {kind.__name__} ({error}): {remedy}.") from error
+        raise RunError(f"`{path}` holds other arrays than it should: {error}; {remedy}.") from error
