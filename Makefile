@@ -63,7 +63,7 @@ FAST := $(addprefix tests/, context test_public_surface.py \
   $(addprefix envs/test_, catalogue.py foreign_observations.py goals.py robots.py) \
   experience/test_episodes.py worlds/test_hosted.py inner/test_advantage.py learners/test_masking.py \
   $(addprefix runs/test_, checkpoint.py checkpoint_store.py compilation.py config.py serialization.py) \
-  $(addprefix reporting/test_, adaptation_table.py published.py runs.py series.py statistics.py tables.py))
+  $(addprefix reporting/test_, adaptation_table.py published.py runs.py sources.py statistics.py tables.py))
 fast: $(TEST_READY)
 	@echo "== fast tests"
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) $(FAST)

@@ -1,5 +1,6 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
+import signal
 import sys
 from importlib import import_module
 
@@ -43,7 +44,10 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:
@@ -52,6 +56,9 @@ def run(arguments: list[str]) -> int:
     A mistake is said in one sentence. Errors that the library does not expect are raised.
     """
     name, *options = arguments or ["--help"]
+    if not all(arguments or [name]):
+        print("maesn: an argument is empty: check it.", file=sys.stderr)
+        return USAGE_ERROR
     if name in _ANSWERS:
         print(_ANSWERS[name])
         return 0

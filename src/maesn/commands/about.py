@@ -7,6 +7,7 @@ from importlib.metadata import distributions
 from typing import Any
 
 import jax
+import numpy as np
 
 from maesn._version import __version__
 from maesn.commands.options import command
@@ -21,6 +22,7 @@ from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
 from maesn.settings import leaves
+from maesn.storage import RunError, check_writable
 
 # Packages that extras of the installation bring.
 _EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "cmaes", "plotly")
@@ -40,7 +42,12 @@ def doctor() -> None:
     }
     for name, found in facts.items():
         print(f"{name:12s} {', '.join(map(str, found)) or 'none'}")
-    evaluate(Run.open("wheeled"), Evaluation(num_tasks=2, episodes=20, episodes_per_update=10))
+    if cache := cache_directory():
+        check_writable(cache / "probe")
+    asked = Evaluation(num_tasks=2, episodes=20, episodes_per_update=10)
+    outcome, _ = evaluate(Run.open("wheeled"), asked)
+    if not np.isfinite(outcome.curves.mean_return).all():
+        raise RunError("the self test failed: returns of `wheeled` are not finite numbers.")
     print(f"{'self test':12s} `wheeled` drove in two tasks; all is well")
 
 

@@ -31,7 +31,7 @@ class Options:
     """recommended: the defaults are what was found to work on the family, where that is known;
     reference: they are the published ones."""
     run: Path | None = None
-    """Directory of the new run; must be empty or not exist. None: runs/METHOD-FAMILY-SEED."""
+    """Directory of the new run, which must not hold one. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
     """Directory of a run, or name of a policy that comes with the library, whose policy and step
     sizes to start from."""

@@ -1,6 +1,7 @@
 """What agents do in new tasks, recorded for the figures of exploration and for the report page."""
 
 import itertools
+import logging
 from contextlib import closing
 from pathlib import Path
 
@@ -31,8 +32,10 @@ from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file
-from maesn.storage import write_arrays
+from maesn.storage import RunError, write_arrays
 from maesn.worlds.collector import Collector
+
+logger = logging.getLogger(__name__)
 
 # Episodes that figures show, and tasks that they are spread over: where the agent sees what differs
 # between tasks, one would be no fair sample.
@@ -130,7 +133,11 @@ def record_explorer(run: Run) -> None:
     paths = LatentPaths(latents, _thinned(world.env, episodes)[:, 0])
     write_arrays(run.directory / LATENT_PATHS, vars(paths))
     if has_prior:
-        write_arrays(run.directory / SEARCHES, vars(_searches(run)))
+        try:
+            write_arrays(run.directory / SEARCHES, vars(_searches(run)))
+        except RunError as error:  # the prior may be that of an earlier checkpoint
+            (run.directory / SEARCHES).unlink(missing_ok=True)
+            logger.warning("no search is shown: %s", error)
 
 
 def spread_latents(size: int) -> np.ndarray:

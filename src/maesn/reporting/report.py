@@ -40,7 +40,8 @@ def report_runs(directories: Sequence[Path], out: Path, say: Callable[[str], Non
     for comparison in compare_runs(series):
         for kind in _OF_RUNS:
             written += _draw(comparison, {**_EVERYTHING, "name": kind, "kind": kind}, out)
-    if missing := [kind for kind in _OF_RUNS if not any(kind in file.name for file in written)]:
+    drawn = {file.name.partition("-")[0] for file in written}
+    if missing := [kind for kind in _OF_RUNS if kind not in drawn]:
         say(
             f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
             "says where things are in a plane."

@@ -21,8 +21,8 @@ _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
 _SHOWN_EPISODES = (0, 1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _NO_SCORE = (
-    "a method has no score without an oracle above the baseline on its tasks; give the run of an "
-    "oracle with --oracle DIR (maesn train oracle)"
+    "a method has no score without an oracle above the baseline on its tasks: name one (`oracle` "
+    "in a study, --oracle DIR of `maesn compare`)"
 )
 
 

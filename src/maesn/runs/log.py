@@ -1,9 +1,9 @@
 """What a run writes down of every iteration: JSON lines, and events for TensorBoard."""
 
+import contextlib
 import json
 import logging
 import math
-import re
 import struct
 import time
 from pathlib import Path
@@ -13,15 +13,13 @@ from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
+from maesn.runtime.archive import parse_json
 from maesn.storage import explained, write_whole
 
 logger = logging.getLogger(__name__)
 
 METRICS = "metrics.jsonl"
 TIMING = "timing.jsonl"
-
-# The lines of both files, whole ones only, and their iterations.
-_LINE = re.compile(rb'(\{"iteration": (\d{1,9}),[^{}\n]*\}\n)')
 
 
 class Progress(NamedTuple):
@@ -79,15 +77,19 @@ def append(path: Path, content: bytes) -> None:
 
 
 def cut_lines(path: Path, iterations: int) -> None:
-    """Keep the whole lines of iterations 1 ... `iterations`."""
+    """Keep the sound lines of iterations 1 ... `iterations`."""
     with explained("write", path):
         path.touch()
         content = path.read_bytes()
-    lines = [line for line, number in _LINE.findall(content) if int(number) <= iterations]
-    if len(lines) < iterations:
-        lost = iterations - len(lines)
+    numbered: dict[int, bytes] = {}
+    for line in content.split(b"\n")[:-1]:
+        with contextlib.suppress(ValueError, LookupError, TypeError):
+            number = parse_json(line)["iteration"]
+            if type(number) is int and 1 <= number <= iterations:
+                numbered[number] = line + b"\n"
+    if lost := iterations - len(numbered):
         logger.warning(f"`{path}` lacks {lost} of the {iterations} iterations before this one.")
-    if (kept := b"".join(lines)) != content:
+    if (kept := b"".join(numbered[number] for number in sorted(numbered))) != content:
         write_whole(path, kept)
 
 

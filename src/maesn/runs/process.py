@@ -24,13 +24,16 @@ def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 def enable_compilation_cache() -> None:
     """Keep compiled programs on disk, so that the next process starts at once."""
+    directory = cache_directory()
+    if directory is None:
+        return
     settings = {
-        "jax_compilation_cache_dir": str(cache_directory()),
+        "jax_compilation_cache_dir": str(directory),
         # Most programs of the first iteration compile in less than the second of JAX's default.
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }
-    for name, value in settings.items() if cache_directory() else ():
+    for name, value in settings.items():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
 
 

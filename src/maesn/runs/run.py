@@ -88,7 +88,8 @@ class Run:
         state = run.untrained_state() if init_from is None else run._begun_state(init_from)
         check_policy(learner.player(state), run.env())
         with storage.locked(run.directory):
-            if (run.directory / CONFIG).exists():
+            # Of a process that was killed here the first checkpoint may be left.
+            if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
                 what_to_do = f"choose another directory, or go on with it: maesn resume {directory}"
                 raise RunError(f"`{directory}` holds a run; {what_to_do}")
             if settings.tasks not in NAMED_SETS:
@@ -200,7 +201,9 @@ class Run:
                 "file. (To change settings: `maesn resume RUN --change NAME=VALUE`.)"
             )
         state = checkpoint.restore(self.structure(), values, path)
-        iteration, steps = self.learner.iteration(state), metadata["environment_steps"]
+        iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
+        if not steps.isdecimal() or not all(np.isfinite(x).all() for x in values.values()):
+            raise CheckpointError(f"`{path}` is damaged: a number in it cannot be.")
         return Checkpoint(state, int(iteration), int(steps))
 
     def latest(self) -> Checkpoint:

@@ -80,12 +80,6 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def differing(settings: Any, usual: Any) -> dict[str, Any]:
-    """Return the values, by their path, in which settings differ from others of their class."""
-    own, others = (leaves(fields_to_json(one)) for one in (settings, usual))
-    return {path: value for path, value in own.items() if (path, value) not in others.items()}
-
-
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return settings with other JSON values by their path; `KeyError` if there is no such path."""
     document = fields_to_json(settings)

@@ -3,6 +3,7 @@
 A policy that comes with the library is a run directory of its last checkpoint alone.
 """
 
+import contextlib
 import os
 import shutil
 from pathlib import Path
@@ -70,5 +71,7 @@ def working_copy(run: str | Path) -> Path:
         partial = Path(f"{copy}.{os.getpid()}{PARTIAL}")
         with explained("make", copy):
             shutil.copytree(source, partial)
-            partial.rename(copy)
+            with contextlib.suppress(OSError):  # another process was faster
+                partial.rename(copy)
+            shutil.rmtree(partial, ignore_errors=True)
     return copy

@@ -22,11 +22,12 @@ from maesn.experience.episodes import Episodes
 from maesn.numerics.mesh import num_devices
 from maesn.numerics.processes import check_agreement, is_lead, together, total_of_processes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
-from maesn.runs.config import Change, RunSettings, installed_versions, write_config
+from maesn.runs.config import Change, RunSettings, installed_versions, read_config, write_config
 from maesn.runs.log import Progress, RunLog
 from maesn.runs.process import ending_by_signals
-from maesn.runs.run import Run
+from maesn.runs.run import CHECKPOINTS, Run
 from maesn.runs.serialization import replaced
+from maesn.runtime.archive import PARTIAL
 from maesn.settings import check_number
 from maesn.storage import RunError, locked, refusals
 from maesn.worlds import engine_of
@@ -67,6 +68,11 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     with contextlib.ExitStack() as stack:
         if is_lead():
             stack.enter_context(locked(run.directory))
+            for folder in (run.directory, run.directory / CHECKPOINTS):
+                for partial in folder.glob(f"*{PARTIAL}"):  # of processes that were killed
+                    partial.unlink(missing_ok=True)
+        if read_config(run.directory).digest() != run.config.digest():
+            raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
         start = run.latest()
         # Before anything is written: all have read the same by then.
         check_agreement(start.iteration, "the iteration that they begin with")
@@ -179,10 +185,11 @@ def train_live(
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
         more += run.family_option
-        say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
         raise
     if last is None:
-        say(f"{run.directory} has done its {total} iterations: nothing is left.")
+        say(f"{run.directory} has done {total} iterations: nothing is left.")
     return last
 
 
@@ -205,8 +212,13 @@ def describe(progress: Progress) -> str:
 def _live_line(console: Console) -> Iterator[Callable[[str], None]]:
     """Let a line on a terminal take the place of the one before."""
     # A thread that refreshes it would outlive the terminal.
-    with Live("compiling", console=console, auto_refresh=False) as live:
+    live = Live("compiling", console=console, auto_refresh=False)
+    live.start()
+    try:
         yield lambda line: live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+    finally:
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            live.stop()
 
 
 def change_run(run: Run, changes: Mapping[str, Any]) -> Run:

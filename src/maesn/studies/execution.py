@@ -90,7 +90,7 @@ class Execution:
                     self.failed[job.name] = error
                     write_json(self.directory / job.name / FAILED, {"error": error})
                     say(f"failed: {job.name}: {error}")
-                    waiting = [one for one in waiting if not self._is_lost(one)]
+                    waiting = [one for one in waiting if not self._needs_failed(one)]
 
     def only(self, name: str) -> None:
         """Leave one job, of which those that it needs must be done; else it is a `RunError`."""
@@ -115,9 +115,9 @@ class Execution:
         path = self.directory / FINISHED
         return read_json(path) if path.exists() else {}
 
-    def _is_lost(self, job: Job) -> bool:
+    def _needs_failed(self, job: Job) -> bool:
         """Whether a job needs one that failed."""
-        return any(name in self.failed or self._is_lost(self.jobs[name]) for name in job.needs)
+        return any(name in self.failed or self._needs_failed(self.jobs[name]) for name in job.needs)
 
     def status(self, job: Job) -> tuple[str, str]:
         """Return whether a job is done, running, failed or waiting, and a remark."""

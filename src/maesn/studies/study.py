@@ -153,6 +153,8 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
         if all(map(execution.is_done, parts)):
             table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
             _join([jobs / job for job in parts], directory / table)
+            if not (directory / table).exists():
+                continue  # pruned, and never part of this study
             steps = member.training_steps
             for job in member.needs:
                 steps = (execution.done(job) or {})["environment_steps"]
@@ -225,6 +227,8 @@ def compare(
             except RunError as error:
                 say(f"{one.name} takes part as it is: {error}")
     from_scratch = dict(map(_scratch, scratch))
+    if len(from_scratch) < len(scratch):
+        raise RunError("`scratch` must name each method once.")
     lines += [*more, *(LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch)]
     if oracle is not None:
         method = Run.open(oracle, family).settings.method

@@ -179,9 +179,10 @@ def _label_lines(figure: Figure, axes: Axes) -> None:
     """Write each line's label at the right, as near to its end as others leave room."""
     figure.draw_without_rendering()
     named = sorted(
-        (float(np.asarray(line.get_ydata())[-1]), str(line.get_color()), textwrap.fill(label, 30))
+        (_last(line.get_ydata()), str(line.get_color()), textwrap.fill(label, 30))
         for line in axes.lines
         if not (label := str(line.get_label())).startswith("_")
+        and np.isfinite(np.asarray(line.get_ydata(), float)).any()
     )
     ends = axes.transData.transform([(0, end) for end, _, _ in named])[:, 1]
     heights = np.array([1.2 * _LABEL_SIZE * (1 + text.count("\n")) for _, _, text in named])
@@ -193,6 +194,12 @@ def _label_lines(figure: Figure, axes: Axes) -> None:
         at = (1.02, axes.transAxes.inverted().transform((0, place))[1])
         look: Any = {"color": colour, "fontsize": _LABEL_SIZE, "verticalalignment": "center"}
         axes.annotate(text, at, xycoords="axes fraction", annotation_clip=False, **look)
+
+
+def _last(values: Any) -> float:
+    """Return the last number of a curve that may end with what was not measured."""
+    known = np.asarray(values, float)
+    return float(known[np.isfinite(known)][-1])
 
 
 def _percent_axis(axes: Axes, label: str) -> None:
