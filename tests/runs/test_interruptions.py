@@ -147,7 +147,7 @@ def damaged(lines: list[bytes], how: str) -> list[bytes]:
         ("end", {4}),
         ("all", {1, 2, 3, 4}),
         ("byte", {2}),
-        ("break", {2}),
+        ("break", {2, 3}),
         ("half", {4}),
     ],
 )

@@ -25,7 +25,7 @@ def test_progress_is_shown(tmp_path: Path, terminal: bool, width: int) -> None:
     assert "left" in text.getvalue()
     assert ("\x1b[" in text.getvalue()) == terminal
     assert train_live(run, console=console) is None
-    assert f"{run.directory} has done its 6 iterations: nothing is left" in text.getvalue()
+    assert f"{run.directory} has done 6 iterations: nothing is left" in text.getvalue()
 
 
 def test_control_c_tells_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

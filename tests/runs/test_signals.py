@@ -85,7 +85,7 @@ class Gone(io.StringIO):
         return super().write(text)
 
 
-def test_training_whose_terminal_is_closed_is_saved(
+def test_a_closed_terminal_ends_training_as_its_signal_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, terminal, step = create(tmp_path / "run", checkpoint_every=100), Gone(), Drift.step
@@ -97,7 +97,7 @@ def test_training_whose_terminal_is_closed_is_saved(
         return step(learner, key, state, collect)
 
     monkeypatch.setattr(Drift, "step", closing)
-    with pytest.raises(OSError, match="Input/output error"):
+    with pytest.raises(SystemExit, match="129"):
         train_live(run, console=Console(file=terminal, force_terminal=True, width=80))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     assert run.latest().iteration == 3
