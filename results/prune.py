@@ -8,6 +8,7 @@ seconds.
 """
 
 import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import tyro
@@ -20,23 +21,35 @@ from maesn.storage import read_json, write_json
 from maesn.studies.execution import FINISHED
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
-from maesn.studies.study import JOBS
+from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
 
 
-def prune(directory: tyro.conf.Positional[Path]) -> None:
-    """Remove what is not needed from the jobs that are done."""
+def prune(directory: tyro.conf.Positional[Path], studies: Sequence[str] = ("paper",)) -> None:
+    """Remove what is not needed from the jobs that are done, and whose results are in tables."""
     path = directory / JOBS / FINISHED
     finished = read_json(path) if path.exists() else {}
+    waiting = {job for name in studies for job in _unjoined(Study.load(name), directory)}
     for done in sorted((directory / JOBS).glob(f"*/{DONE}")):
-        if (done.parent / RUN / CONFIG).exists():
-            prune_run(done.parent / RUN)
-        else:
-            finished[done.parent.name] = read_json(done)
+        job = done.parent
+        if (job / RUN / CONFIG).exists():
+            prune_run(job / RUN)
+        elif job.name not in waiting:
+            finished[job.name] = read_json(done)
     write_json(path, dict(sorted(finished.items())))
     for name in finished:
         shutil.rmtree(directory / JOBS / name, ignore_errors=True)
+
+
+def _unjoined(study: Study, directory: Path) -> Iterator[str]:
+    """Yield the jobs of lines and seeds of which a part is still to be computed."""
+    execution = study.execution(directory)
+    for comparison in study.comparisons:
+        for line in (*comparison["lines"], *comparison["baselines"], *comparison["oracle"]):
+            for _, parts in line["seeds"]:
+                if not all(map(execution.is_done, parts)):
+                    yield from parts
 
 
 def prune_run(run: Path) -> None:
