@@ -60,7 +60,7 @@ def test_runs_whose_returns_cannot_be_compared_are_refused(
 def test_rules_are_lines_of_the_same_comparison_and_records_belong_to_one(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run")
     table = run / "adaptation" / "test-sparse.csv"
-    table.with_name("test-sparse-10-then-trpo.csv").write_bytes(table.read_bytes())
+    table.with_name("test-sparse-10-then-trpo-a1b2c3.csv").write_bytes(table.read_bytes())
     table.with_name("ood-sparse.csv").write_bytes(table.read_bytes())
     ood, tested = compare_runs(read_series([run]))
     assert [one.label for one in tested.lines] == ["MAESN", "MAESN (10 then trpo)"]

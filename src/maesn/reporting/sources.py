@@ -107,7 +107,7 @@ def _line_of_runs(
     """Return what one rule has left; it is the series' line of that number, from 0."""
     run, tables = one.runs[0], [reading.read_adaptation(file) for file in files.values()]
     table = reading.stack_seeds(tables)
-    rule = name.changed.strip("-").replace("-", " ")
+    rule = " ".join(name.changed.split("-")[1:-1])  # without the digest of its settings
     world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
     is_recorded = name[:2] == (records.RECORDED_TASKS, "sparse")
     return Line(
