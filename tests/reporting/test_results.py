@@ -12,6 +12,8 @@ from maesn.reporting.reading import read_adaptation
 from maesn.runs.config import read_config
 from maesn.runs.run import Run
 from maesn.storage import RunError
+from maesn.studies.jobs import DONE
+from maesn.studies.members import RUN
 
 RESULTS = ROOT / "results"
 RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
@@ -39,6 +41,9 @@ def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
             Run.open(directory)
         return
     run = Run.open(directory)
+    if directory.name == RUN and not (directory.parent / DONE).exists():
+        assert run.latest().iteration > 0  # the study goes on with it
+        return
     assert run.latest().iteration == run.settings.iterations
     assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
 
