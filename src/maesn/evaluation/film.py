@@ -149,7 +149,7 @@ def _filmed(
     if not all(np.isfinite(x[-1]).all() for x in states.values()):  # the physics blew up there
         states = {name: x[:-1] for name, x in states.items()}
     pictures = [at_once[number] for at_once in world.pictures]
-    return Filmed(states, float(returns), bool(solved.any()), pictures)
+    return Filmed(states, float(returns), bool((valid & solved).any()), pictures)
 
 
 def draw(

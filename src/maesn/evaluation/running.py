@@ -135,15 +135,15 @@ class Adapted(NamedTuple):
 
 def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
     """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
-    # In this order: a record never stands beside curves that it does not belong to.
+    # In this order: a record never stands beside curves or latents that it does not belong to.
     table.with_suffix(RECORD).unlink(missing_ok=True)
     write_rows(table, as_rows(outcome))
+    held, latents = held_latents(outcome), None
+    if held is not None:
+        latents = table.with_suffix(LATENTS)
+        write_arrays(latents, vars(held))
     write_json(table.with_suffix(RECORD), dict(record))
-    held = held_latents(outcome)
-    if held is None:
-        return Adapted(outcome, table, None)
-    write_arrays(table.with_suffix(LATENTS), vars(held))
-    return Adapted(outcome, table, table.with_suffix(LATENTS))
+    return Adapted(outcome, table, latents)
 
 
 def held_latents(outcome: AdaptationOutcome) -> Latents | None:

@@ -157,7 +157,9 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
                 continue  # pruned, and never part of this study
             steps = member.training_steps
             for job in member.needs:
-                steps = (execution.done(job) or {})["environment_steps"]
+                trained = execution.done(job)
+                assert trained is not None  # the parts need it
+                steps = trained["environment_steps"]
             seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
     return line | {"seeds": seeds}
 
