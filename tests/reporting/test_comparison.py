@@ -140,7 +140,7 @@ def test_the_summary_says_what_it_resamples() -> None:
     worse = [adaptation_table(seed=7, gain=-50.0)]
     compared = comparison(named("maesn", *tables), named("trpo", *worse))
     text = "".join(table.to_markdown() for table in summary_tables(compared))
-    assert "95 % bootstrap interval over tasks and seeds" in text
+    assert "95 % bootstrap interval over tasks, and over three or more seeds" in text
     assert "| MAESN | TRPO | 1.00 [1.00, 1.00] |" in text
     console = Console(width=80, record=True, file=io.StringIO())
     print_tables(summary_tables(compared), console)

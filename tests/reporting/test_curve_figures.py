@@ -102,7 +102,7 @@ def test_adaptation_curves() -> None:
     assert {axes.get_xlabel() for axes in figure.axes} == {"episodes in the new task"}
     assert labels(returns) == ["MAML", "MAESN, 3 seeds"]
     bands, judged = notes
-    assert bands.startswith("bands: 95 % bootstrap interval over tasks and seeds; circles: as")
+    assert bands.startswith("bands: 95 % bootstrap interval over tasks, and over three or more seeds; circles: as")
     assert judged == "judged on the episodes that were learned from, z drawn, as in the paper"
     published, other = (
         one for one in returns.lines if one.get_marker() == "o" and one.get_linestyle() == "None"

@@ -51,7 +51,7 @@ def test_one_seed_is_the_textbook_bootstrap_of_a_mean() -> None:
     assert interval.high == pytest.approx(values.mean() + half, abs=0.1 * half)
 
 
-@pytest.mark.parametrize(("num_seeds", "num_tasks"), [(2, 30), (3, 100), (6, 2), (5, 1)])
+@pytest.mark.parametrize(("num_seeds", "num_tasks"), [(4, 30), (3, 100), (6, 2), (5, 1)])
 def test_seeds_and_tasks_are_resampled_as_crossed_factors(num_seeds: int, num_tasks: int) -> None:
     values = (
         draw(num_seeds, num_tasks) + 2 * draw(1, num_tasks, seed=1) + draw(num_seeds, 1, seed=2)
@@ -59,6 +59,13 @@ def test_seeds_and_tasks_are_resampled_as_crossed_factors(num_seeds: int, num_ta
     expected = math.sqrt(crossed_variance(values))
     # Few levels make the bootstrap distribution lumpy, which only helps: its tails are shorter.
     assert bootstrap(mean, values).standard_error == pytest.approx(expected, rel=TOLERANCE)
+
+
+def test_two_seeds_are_too_few_to_be_resampled() -> None:
+    values = draw(2, 30) + draw(2, 1, seed=2)
+    expected = values.mean(axis=0).std() / math.sqrt(30)
+    assert bootstrap(mean, values).standard_error == pytest.approx(expected, rel=TOLERANCE)
+    assert not bootstrap(mean, draw(2, 1)).is_known
 
 
 def test_identical_seeds_add_no_certainty_about_the_tasks() -> None:
@@ -176,8 +183,8 @@ def test_the_interval_of_a_score_is_that_of_a_ratio_of_means_over_the_same_tasks
 
 
 def test_one_resample_of_a_score_takes_its_tasks_for_all_and_seeds_of_each() -> None:
-    num_tasks, seeds = 12, {"values": 3, "first": 1, "second": 2, "oracle": 4}
-    stream = np.random.default_rng(1)
+    num_tasks, seeds = 12, {"values": 3, "first": 1, "second": 3, "oracle": 4}
+    stream = np.random.default_rng(2)
     drawn = {
         name: stream.normal(size=(count, num_tasks)) + 2.0 * stream.normal(size=(count, 1))
         for name, count in seeds.items()

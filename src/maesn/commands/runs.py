@@ -13,14 +13,15 @@ from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
+from maesn.reporting.sources import MANIFEST, studies_in
 from maesn.reporting.tables import TextTable, print_adaptation_summary, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.settings import check_number
-from maesn.storage import RunError, refusals
-from maesn.studies.execution import ExecutorName
-from maesn.studies.study import Results, Study
+from maesn.storage import RunError, read_json, refusals
+from maesn.studies.execution import Execution, ExecutorName
+from maesn.studies.study import JOBS, Results, Study
 from maesn.studies.study import compare as compare_runs
 
 
@@ -98,7 +99,8 @@ def study(
 
     Args:
         action: run: compute it. status: show how its jobs are, and the time left.
-        file: A .toml file, or the name of a study that comes with the library.
+        file: A .toml file, or the name of a study that comes with the library. For status also the
+            directory that `--out` named: all studies in it.
         out: Directory of jobs and results; studies there share jobs.
         executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
         workers: Jobs at a time; None: as many as there are CPUs for.
@@ -107,6 +109,9 @@ def study(
     """
     with refusals():
         check_number("workers", workers, 1)
+    if action == "status" and (found := studies_in(Path(file))):
+        print_tables([_jobs_of(directory) for directory in found])
+        return
     asked = Study.load(file)
     if action == "run" and not dry_run:
         where = {"executor": executor, "workers": workers, "only": only}
@@ -122,6 +127,15 @@ def study(
     else:
         states = tuple((name, *execution.status(job)) for name, job in jobs)
         print_tables([TextTable("Jobs", ("job", "status", ""), states, left)])
+
+
+def _jobs_of(study: Path) -> TextTable:
+    """Return which jobs of a study are done, from what it has left."""
+    names, execution = read_json(study / MANIFEST).get("jobs", []), Execution({}, study.parent / JOBS)
+    done = [execution.is_done(name) for name in names]
+    states = (("waiting", "done")[is_done] for is_done in done)
+    title = f"{study.name}: {sum(done)} of {len(done)} jobs are done"
+    return TextTable(title, ("job", "status"), tuple(zip(names, states, strict=True)))
 
 
 @command

@@ -15,7 +15,8 @@ import scipy.stats
 from jaxtyping import Float
 
 CONFIDENCE = 0.95
-INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks and seeds"
+FEWEST_SEEDS = 3  # that tell how seeds differ
+INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over three or more seeds"
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
 _BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB
@@ -101,9 +102,9 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interv
         m* = 1/(S T) Σ_s Σ_t x[a_s, b_t],   a_s uniform on seeds, b_t uniform on tasks, iid
 
     with s in [1, S] and t in [1, T], here of the mean; the interval lies between the quantiles of
-    m*. A factor with one level is not resampled: with one seed the interval says nothing about
-    other seeds. With fewer than five seeds it is narrower than it should be (a bootstrap of S
-    values has (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
+    m*. Fewer than three seeds are not resampled: a_s = s, and the interval says nothing about other
+    seeds. With fewer than five it is narrower than it should be (a bootstrap of S values has
+    (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
 
     Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
     task easy for all cancels. Their seeds are unrelated and drawn independently. The points of
@@ -122,8 +123,11 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interv
     points = [np.ascontiguousarray(x).reshape(-1, *x.shape[-2:]) for x in samples]
     generator = np.random.default_rng(0)  # the same numbers in every table and figure
     resamples = np.full((len(points[0]), NUM_RESAMPLES), np.nan)
-    for first in range(0, NUM_RESAMPLES if max(sizes) > 1 else 0, _BATCH):
+    some = sizes[0] > 1 or max(sizes) >= FEWEST_SEEDS
+    for first in range(0, NUM_RESAMPLES if some else 0, _BATCH):
         tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
+        for few in (one for one in seeds if one.shape[1] < FEWEST_SEEDS):
+            few[:] = np.arange(few.shape[1])
         # Of the flattened values: much faster than two indices.
         chosen = [rows[:, :, None] * sizes[0] + tasks[:, None, :] for rows in seeds]
         for point, values in enumerate(zip(*points, strict=True)):

@@ -56,7 +56,7 @@ def read_study(source: str | Path) -> StudySpec:
     It is a `RunError` if there is none, or if something in it cannot be, with its key.
     """
     path = Path(source)
-    path = path if path.exists() else shipped_studies().get(str(source), path)
+    path = path if path.is_file() else shipped_studies().get(str(source), path)
     if not path.is_file():
         known = ", ".join(shipped_studies())
         raise RunError(f"there is no study `{source}`: give a .toml file, or one of {known}.")
