@@ -14,6 +14,7 @@ from synthetic_runs import line as named
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures.curves import plot_curves
 from maesn.reporting.reading import AdaptationTable
+from maesn.reporting.statistics import INTERVAL
 from maesn.reporting.style import METHOD_STYLES, TWO_COLUMNS
 from maesn.reporting.tables import print_tables, summary_tables
 from maesn.storage import write_rows
@@ -140,7 +141,7 @@ def test_the_summary_says_what_it_resamples() -> None:
     worse = [adaptation_table(seed=7, gain=-50.0)]
     compared = comparison(named("maesn", *tables), named("trpo", *worse))
     text = "".join(table.to_markdown() for table in summary_tables(compared))
-    assert "95 % bootstrap interval over tasks, and over three or more seeds" in text
+    assert INTERVAL in text
     assert "| MAESN | TRPO | 1.00 [1.00, 1.00] |" in text
     console = Console(width=80, record=True, file=io.StringIO())
     print_tables(summary_tables(compared), console)

@@ -14,7 +14,7 @@ from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.figures.curves import moving_mean, plot_curves, plot_learning_curves
 from maesn.reporting.published import PublishedCurve, comparable_curve
 from maesn.reporting.reading import DEPLOY, stack_seeds
-from maesn.reporting.statistics import bootstrap, mean
+from maesn.reporting.statistics import INTERVAL, bootstrap, mean
 from maesn.reporting.style import METHOD_STYLES, Drawn
 
 
@@ -102,7 +102,7 @@ def test_adaptation_curves() -> None:
     assert {axes.get_xlabel() for axes in figure.axes} == {"episodes in the new task"}
     assert labels(returns) == ["MAML", "MAESN, 3 seeds"]
     bands, judged = notes
-    assert bands.startswith("bands: 95 % bootstrap interval over tasks, and over three or more seeds; circles: as")
+    assert bands.startswith(f"bands: {INTERVAL}; circles: as")
     assert judged == "judged on the episodes that were learned from, z drawn, as in the paper"
     published, other = (
         one for one in returns.lines if one.get_marker() == "o" and one.get_linestyle() == "None"

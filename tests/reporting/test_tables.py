@@ -12,7 +12,7 @@ from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.reporting.reading import DEPLOY, MEASURES, AdaptationTable
-from maesn.reporting.statistics import bootstrap, difference, mean
+from maesn.reporting.statistics import INTERVAL, bootstrap, difference, mean
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
@@ -62,7 +62,7 @@ def test_markdown_has_every_interval() -> None:
 
 def test_markdown_says_what_the_brackets_are() -> None:
     text = summary().to_markdown()
-    assert "In brackets: 95 % bootstrap interval over tasks, and over three or more seeds.\nJudged on the" in text
+    assert f"In brackets: {INTERVAL}.\nJudged on the" in text
     assert "**MAESN on 30 tasks**" in text
 
 
@@ -87,7 +87,7 @@ def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
     lines = shown(summary(brief=True)).splitlines()
     assert "MAESN on 30 tasks" in lines[0]
     assert max(map(len, lines)) <= 80
-    assert "± half the 95 % bootstrap interval over tasks, and over three or more seeds" in lines[-2]
+    assert f"± half the {INTERVAL}" in lines[-2]
     assert "Judged on the episodes that were learned from" in lines[-1]
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
     assert len(rows) == NUM_UPDATES + 1

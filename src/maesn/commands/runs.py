@@ -131,7 +131,8 @@ def study(
 
 def _jobs_of(study: Path) -> TextTable:
     """Return which jobs of a study are done, from what it has left."""
-    names, execution = read_json(study / MANIFEST).get("jobs", []), Execution({}, study.parent / JOBS)
+    names = read_json(study / MANIFEST).get("jobs", [])
+    execution = Execution({}, study.parent / JOBS)
     done = [execution.is_done(name) for name in names]
     states = (("waiting", "done")[is_done] for is_done in done)
     title = f"{study.name}: {sum(done)} of {len(done)} jobs are done"
