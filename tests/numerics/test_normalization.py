@@ -1,6 +1,5 @@
 """Normalised observations: the statistics, what they change, and what they must leave alone."""
 
-import json
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,13 @@ from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 from maesn.envs import point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientMetaLearner, GradientState
+from maesn.learners import GradientState
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.export import exported_policy
-from maesn.runs.serialization import digest_of_document, from_json, to_json
+from maesn.runs.serialization import from_json, to_json
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
-
-RESULTS = Path(__file__).resolve().parent.parent / "results"
 
 
 def test_batches_add_up_to_the_statistics_of_all_that_was_seen() -> None:
@@ -152,18 +149,6 @@ def test_a_robot_computes_the_same_policy() -> None:
         seen = (observation - [3, -1]) / np.sqrt(np.array([4, 1e-4]) + 1e-8)
         wanted = fast.policy.mlp(jnp.asarray(np.float32([*seen, *latent])))
         np.testing.assert_allclose(robot.given(latent).mean(observation), wanted, atol=1e-4)
-
-
-def test_learners_without_normalization_are_what_older_files_say() -> None:
-    for directory in sorted(RESULTS.glob("wheeled/*-seed-0")):
-        document = json.loads((directory / "config.json").read_text())["learner"]
-        learner = from_json(document)
-        assert "normalize_observations" not in document
-        if isinstance(learner, GradientMetaLearner):
-            assert learner.normalize_observations is False
-        assert to_json(learner) == document
-        for path in sorted((directory / "checkpoints").glob("*.safetensors")):
-            assert read_checkpoint(path)[1]["learner"] == digest_of_document(document)
 
 
 def test_learners_with_normalization_say_so_in_files() -> None:

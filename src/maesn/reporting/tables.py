@@ -174,7 +174,17 @@ def summary_tables(comparison: Comparison) -> list[TextTable]:
     """Return where each method ends, how it gets there, and who beats whom."""
     tables = [_ends(part, addition) for addition, part in comparison.parts().items()]
     tables += [_by_episodes(comparison, name) for name in ("mean_return", "success_rate")]
-    return [*tables, _improvements(comparison)] if len(comparison.lines) > 1 else tables
+    if len(comparison.lines) > 1:
+        tables.append(_improvements(comparison))
+    if not comparison.name:
+        return tables
+    titles = (f"{comparison.name}: {table.title[0].lower()}{table.title[1:]}" for table in tables)
+    return [table._replace(title=title) for table, title in zip(tables, titles, strict=True)]
+
+
+def to_page(tables: Sequence[TextTable]) -> str:
+    """Return tables as a page of Markdown."""
+    return "\n".join(table.to_markdown() for table in tables)
 
 
 def _ends(comparison: Comparison, addition: str) -> TextTable:
@@ -227,6 +237,11 @@ def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
         points = curve(line.measure(measure)).points
         texts = [unit.text(point, brief=True) for point in points]
         rows.append((line.label, dict(zip(line.table.episodes.tolist(), texts, strict=True))))
+        if line.published is not None and measure == "mean_return":
+            episodes = line.published.update.astype(int) * (line.table.episodes_per_update or 1)
+            texts = map(unit.number, line.published.mean_return)
+            published = dict(zip(episodes.tolist(), texts, strict=True))
+            rows.append((f"{line.label}, published", published))
     shown = [n for n in _SHOWN_EPISODES if any(n in texts for _, texts in rows)]
     return TextTable(
         f"Episodes in the new task, and {unit.heading}",
