@@ -170,6 +170,13 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     study.run(tmp_path, executor=executor)
     assert executor.started == []
     assert files(done.directory / "tables") == tables
+    # What is kept of a run is enough to find its metrics again, and to see where they differ.
+    repeat, log = load_script("results/repeat.py").repeat, run / "metrics.jsonl"
+    with pytest.raises(SystemExit, match="0"):
+        repeat(run.parent, iterations=2)
+    log.write_text(log.read_text().replace('"iteration": 2', '"iteration": 3'))
+    with pytest.raises(SystemExit, match="1"):
+        repeat(run.parent, iterations=2)
 
 
 def test_figures_train_no_run_that_is_not_compared() -> None:

@@ -1,0 +1,39 @@
+"""Train a run of a study again, and compare the first lines of its metrics, digit by digit.
+
+    python results/repeat.py results/jobs/train-wheeled-maesn-seed-0-5dc048f6e6d0a961
+
+Processors round differently: only on the machine that trained the run are the lines the same.
+"""
+
+import os
+import tempfile
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+
+import tyro
+
+from maesn.runs.log import METRICS
+from maesn.runs.run import Run
+from maesn.runs.training import train
+from maesn.studies.execution import thread_variables
+from maesn.studies.members import RUN
+
+
+def repeat(job: tyro.conf.Positional[Path], iterations: int = 20) -> None:
+    """Train again for some iterations; the exit status says whether the metrics are the same."""
+    first = Run.open(job / RUN)
+    with tempfile.TemporaryDirectory() as directory:
+        again = Run.create(Path(directory) / RUN, first.learner, first.settings)
+        with closing(train(again)) as trained:
+            list(islice(trained, iterations))
+        found = [(run.directory / METRICS).read_bytes().splitlines() for run in (first, again)]
+    same = [old == new for old, new in zip(*found, strict=False)][:iterations]
+    print(f"{job.name}: {sum(same)} of {len(same)} lines are the same")
+    raise SystemExit(0 if all(same) and len(same) == iterations else 1)
+
+
+if __name__ == "__main__":
+    # Before JAX starts its threads: sums depend on their number.
+    os.environ.update(thread_variables(1))
+    tyro.cli(repeat)
