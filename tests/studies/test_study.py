@@ -20,6 +20,8 @@ from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
+from maesn.reporting import report
+from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import report_study
 from maesn.storage import LOCK, RunError, read_json
 from maesn.studies.execution import AbstractExecutor, LocalPool, Ray
@@ -177,6 +179,22 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     log.write_text(log.read_text().replace('"iteration": 2', '"iteration": 3'))
     with pytest.raises(SystemExit, match="1"):
         repeat(run.parent, iterations=2)
+
+
+def test_a_figure_can_show_one_of_several_evaluations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[list[str]] = []
+
+    def note(comparison: Comparison) -> None:
+        drawn.append([line.name for line in comparison.lines])
+
+    monkeypatch.setitem(report._KINDS, "curves", note)
+    figures = (FigureSpec("one", lines=("mine-more",)), FigureSpec("both", lines=("mine",)))
+    evaluations = {"few": FEW, "more": EvaluationSpec(dataclasses.replace(FEW.usual, episodes=6))}
+    spec = dataclasses.replace(SMALL, figures=figures, evaluations=evaluations)
+    Study(spec).run(tmp_path, executor=Here())
+    assert drawn == [["mine-more"], ["mine-few", "mine-more"]]
 
 
 def test_figures_train_no_run_that_is_not_compared() -> None:

@@ -67,16 +67,15 @@ def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTab
 
 
 def _figures(study: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the figures that a study asks for, with one of all lines' curves among them."""
+    """Return the figures that a study asks for, with one of curves among them."""
     asked: list[Mapping[str, Any]] = study["figures"]
-    has_all = any({**_EVERYTHING, "name": one["name"]} == one for one in asked)
-    return asked if has_all else [_EVERYTHING, *asked]
+    return asked if any(one["kind"] == "curves" for one in asked) else [_EVERYTHING, *asked]
 
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
     """Draw a figure, as the file of a study describes it, if there is something to draw."""
-    sources = figure["lines"] or [line.source for line in comparison.lines]
-    lines = tuple(line for line in comparison.lines if line.source in sources)
+    chosen = {*figure["lines"]}
+    lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
     if not lines or comparison.family not in (figure["families"] or [comparison.family]):
         return []
     drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))

@@ -239,7 +239,7 @@ def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
         rows.append((line.label, dict(zip(line.table.episodes.tolist(), texts, strict=True))))
         if line.published is not None and measure == "mean_return":
             episodes = line.published.update.astype(int) * (line.table.episodes_per_update or 1)
-            texts = map(unit.number, line.published.mean_return)
+            texts = [unit.number(value) for value in line.published.mean_return]
             published = dict(zip(episodes.tolist(), texts, strict=True))
             rows.append((f"{line.label}, published", published))
     shown = [n for n in _SHOWN_EPISODES if any(n in texts for _, texts in rows)]

@@ -91,9 +91,7 @@ class _Planner:
     ) -> Iterator[tuple[Evaluation, Entry]]:
         """Yield a line with each of its evaluations."""
         study, source = self.study, spec.run or spec.scratch
-        names = spec.evaluation or tuple(study.evaluations)
-        rivals = [one for one in study.all_lines if source == (one.run or one.scratch)]
-        for evaluation in names if members else ():
+        for evaluation, name in study.names_of(spec).items() if members else ():
             chosen = study.evaluations[evaluation]
             asked = chosen.on.get(self.family, chosen.usual)
             if spec.scratch:
@@ -104,7 +102,6 @@ class _Planner:
                 most = study.scratch[source].num_tasks or asked.num_tasks
                 if most is not None:
                     asked = dataclasses.replace(asked, num_tasks=min(most, asked.num_tasks or most))
-            name = f"{source}-{evaluation}" if len(names) > 1 or len(rivals) > 1 else source
             yield self.line(name, source, members, asked)
 
     def line(
@@ -172,7 +169,9 @@ class _Planner:
         figures = [one for one in self.study.figures if one.kind in RECORDED]
         here = [one for one in figures if self.family in (one.families or [self.family])]
         for name in sources:
-            drawn = any(name in one.lines or not one.lines for one in here)
+            lines = [line for line in self.study.all_lines if name == line.run]
+            names = {name, *(one for line in lines for one in self.study.names_of(line).values())}
+            drawn = any(not one.lines or names & {*one.lines} for one in here)
             for member in self.runs.get(name, ())[:1]:
                 env = member.run.env()
                 if drawn and env.planar:

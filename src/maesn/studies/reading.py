@@ -146,13 +146,14 @@ def _check_names(study: StudySpec, place: Place) -> None:
     for name, scratch in study.scratch.items():
         here = place / "scratch" / name / "method"
         here.check(scratch.method or name, learners.SCRATCH, "method from scratch")
+    names = [name for line in study.all_lines for name in study.names_of(line).values()]
     known: dict[str, Iterable[str]] = {
         "families": study.families,
         "on": study.families,
         "run": study.runs,
         "scratch": study.scratch,
         "evaluation": study.evaluations,
-        "lines": [*study.runs, *study.scratch],
+        "lines": [*study.runs, *study.scratch, *names],
     }
     for key in ("runs", "evaluations", "lines", "figures"):
         specs = getattr(study, key)

@@ -106,7 +106,7 @@ class FigureSpec:
     exploration, paths before any adaptation; noise, the same with z held; latents, before and after
     adaptation."""
     lines: tuple[str, ...] = ()
-    """Names of runs and methods; none: all."""
+    """Names of runs and methods, or of one evaluation of these: `maesn-search`. None: all."""
     families: tuple[str, ...] = ()
 
 
@@ -138,11 +138,18 @@ class StudySpec:
     lines: tuple[LineSpec, ...] = ()
     """None: each run and each method from scratch, with all evaluations."""
     figures: tuple[FigureSpec, ...] = ()
-    """Beside that of all lines."""
+    """None: the curves of all lines."""
 
     def __post_init__(self) -> None:
         check_number("threads", self.threads, 1)
         check_number("evaluation_seed", self.evaluation_seed, 0, 2**32 - 1)
+
+    def names_of(self, line: LineSpec) -> dict[str, str]:
+        """Return the name of a line with each of its evaluations: that of its source if alone."""
+        source, asked = line.run or line.scratch, line.evaluation or tuple(self.evaluations)
+        rivals = sum(source == (one.run or one.scratch) for one in self.all_lines)
+        is_alone = len(asked) == rivals == 1
+        return {one: source if is_alone else f"{source}-{one}" for one in asked}
 
     def world(self, family: str) -> RunSettings:
         """Return what all runs have in common on a family."""
