@@ -24,7 +24,7 @@ class AnnealedGaussianMLP(AbstractPolicySettings):
 
     network: GaussianMLP = GaussianMLP()
     """The policy, but for the bound."""
-    final_std: float = 0.5
+    final_std: float = 0.25
     """Bound on the standard deviation of every action at the end."""
     first_iteration: int = 250
     """Meta-iteration in which the bound is 1, and begins to fall."""
