@@ -27,7 +27,12 @@ LINES = 20  # of the metrics
 
 
 def prune(directory: tyro.conf.Positional[Path], studies: Sequence[str] = ("paper",)) -> None:
-    """Remove what is not needed from the jobs that are done, and whose results are in tables."""
+    """Remove what is not needed from the jobs that are done.
+
+    Args:
+        directory: of jobs and results.
+        studies: those that go on there; what they still need for their tables stays.
+    """
     path = directory / JOBS / FINISHED
     finished = read_json(path) if path.exists() else {}
     waiting = {job for name in studies for job in _unjoined(Study.load(name), directory)}
@@ -39,17 +44,16 @@ def prune(directory: tyro.conf.Positional[Path], studies: Sequence[str] = ("pape
             finished[job.name] = read_json(done)
     write_json(path, dict(sorted(finished.items())))
     for name in finished:
-        shutil.rmtree(directory / JOBS / name, ignore_errors=True)
+        if name not in waiting:
+            shutil.rmtree(directory / JOBS / name, ignore_errors=True)
 
 
 def _unjoined(study: Study, directory: Path) -> Iterator[str]:
-    """Yield the jobs of lines and seeds of which a part is still to be computed."""
+    """Yield the jobs of tables that are not there, or of which a part is still to be computed."""
     execution = study.execution(directory)
-    for comparison in study.comparisons:
-        for line in (*comparison["lines"], *comparison["baselines"], *comparison["oracle"]):
-            for _, parts in line["seeds"]:
-                if not all(map(execution.is_done, parts)):
-                    yield from parts
+    for path, parts in study.files(directory):
+        if not path.exists() or not all(map(execution.is_done, parts)):
+            yield from parts
 
 
 def prune_run(run: Path) -> None:

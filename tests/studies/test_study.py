@@ -164,7 +164,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     assert not list(done.directory.rglob("*.latents.npz"))
     # A pruned study has the same tables, and repeats nothing.
     tables = files(done.directory / "tables")
-    load_script("results/prune.py").prune(tmp_path)
+    load_script("results/prune.py").prune(tmp_path, studies=())
     (run,) = jobs.glob("train-*/run")
     assert {path.name for path in run.iterdir()} == {"checkpoints", "config.json", "metrics.jsonl"}
     assert [path.name for path in run.glob("checkpoints/*")] == ["iteration-000002.safetensors"]
@@ -172,6 +172,11 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     study.run(tmp_path, executor=executor)
     assert executor.started == []
     assert files(done.directory / "tables") == tables
+    # Another one, which never had them, computes again what it shares; but trains nothing.
+    other = Study(dataclasses.replace(study.spec, name="other")).run(tmp_path, executor=executor)
+    assert {name.partition("-")[0] for name in executor.started} == {"adapt", "record"}
+    again = files(other.directory / "tables")
+    assert {name: again[name] for name in again if not name.endswith(".npz")} == tables
     # What is kept of a run is enough to find its metrics again, and to see where they differ.
     repeat, log = load_script("results/repeat.py").repeat, run / "metrics.jsonl"
     with pytest.raises(SystemExit, match="0"):

@@ -109,7 +109,10 @@ def study(
     """
     with refusals():
         check_number("workers", workers, 1)
-    if action == "status" and (found := studies_in(Path(file))):
+    if action == "status" and Path(file).is_dir():
+        found = studies_in(Path(file))
+        if not found:
+            raise RunError(f"no study has begun in `{file}`: start one with maesn study run.")
         print_tables([_jobs_of(directory) for directory in found])
         return
     asked = Study.load(file)
@@ -134,9 +137,9 @@ def _jobs_of(study: Path) -> TextTable:
     names = read_json(study / MANIFEST).get("jobs", [])
     execution = Execution({}, study.parent / JOBS)
     done = [execution.is_done(name) for name in names]
-    states = (("waiting", "done")[is_done] for is_done in done)
+    states = ("done" if is_done else "" for is_done in done)
     title = f"{study.name}: {sum(done)} of {len(done)} jobs are done"
-    return TextTable(title, ("job", "status"), tuple(zip(names, states, strict=True)))
+    return TextTable(title, ("job", ""), tuple(zip(names, states, strict=True)))
 
 
 @command

@@ -60,6 +60,8 @@ class Execution:
     directory: Path
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
     """Job -> its error."""
+    needed: set[str] = dataclasses.field(default_factory=set)
+    """Jobs whose own directories must be there: no table has their results."""
 
     def run(self, executor: AbstractExecutor, say: Say) -> None:
         """Compute all that can be computed; what fails is in `failed` then."""
@@ -104,7 +106,9 @@ class Execution:
     def done(self, name: str) -> dict[str, Any] | None:
         """Return what a job has written down at its end; None if it is not done."""
         path = self.directory / name / DONE
-        return read_json(path) if path.exists() else self._finished.get(name)
+        if path.exists():
+            return read_json(path)
+        return None if name in self.needed else self._finished.get(name)
 
     def is_done(self, name: str) -> bool:
         """Whether the result of a job is there, or has become part of a table."""

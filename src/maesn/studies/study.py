@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -101,6 +101,8 @@ class Study:
                 executor = LocalPool(at_once, threads)
             elif executor == "ray":
                 executor = Ray(at_once, threads, execution.directory)
+            if only is None:
+                self.write_results(out)  # for those who ask meanwhile what there is
             with contextlib.closing(executor):
                 say(execution.left(executor.slots))
                 execution.run(executor, say)
@@ -122,9 +124,34 @@ class Study:
         }
         storage.write_json(directory / MANIFEST, document)
 
+    def files(self, out: str | Path) -> Iterator[tuple[Path, list[str]]]:
+        """Yield each file that the report reads, with the jobs whose results it joins."""
+        for comparison in self.comparisons:
+            name, directory = comparison["name"], Path(out) / self.spec.name
+            for source, job in comparison["recorded"].items():
+                yield directory / _recorded(name, source), [job]
+            for line in (line for group in _GROUPS for line in comparison[group]):
+                for member, parts in line["seeds"]:
+                    yield directory / _table(name, line, member.seed), parts
+
     def execution(self, out: str | Path) -> Execution:
         """Return the jobs and their state in a directory."""
-        return Execution(self.jobs, Path(out) / JOBS)
+        execution = Execution(self.jobs, Path(out) / JOBS)
+        for path, parts in self.files(out):
+            if not path.exists():
+                execution.needed.update(parts)
+        return execution
+
+
+_GROUPS = ("lines", "baselines", "oracle")
+
+
+def _table(comparison: str, line: Entry, seed: int) -> str:
+    return f"tables/{comparison}/{line['name']}-seed-{seed}.csv.gz"
+
+
+def _recorded(comparison: str, source: str) -> str:
+    return f"recorded/{comparison}/{source}.npz"
 
 
 def _collect(comparison: Entry, execution: Execution, directory: Path) -> Entry:
@@ -135,14 +162,14 @@ def _collect(comparison: Entry, execution: Execution, directory: Path) -> Entry:
     recorded = {}
     for name, job in comparison["recorded"].items():
         if execution.is_done(job):
-            recorded[name] = f"recorded/{comparison['name']}/{name}.npz"
+            recorded[name] = _recorded(comparison["name"], name)
             path = execution.directory / job / EXPLORATION
             if path.exists():
                 storage.write_whole(directory / recorded[name], path.read_bytes())
     found = comparison | {"recorded": recorded}
-    for kind in ("lines", "baselines", "oracle"):
-        lines = [_line(line, comparison["name"], execution, directory) for line in comparison[kind]]
-        found[kind] = [line for line in lines if line["seeds"]]
+    for group in _GROUPS:
+        lines = [_line(x, comparison["name"], execution, directory) for x in comparison[group]]
+        found[group] = [line for line in lines if line["seeds"]]
     return found
 
 
@@ -151,10 +178,8 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
     jobs, seeds = execution.directory, []
     for member, parts in line["seeds"]:
         if all(map(execution.is_done, parts)):
-            table = f"tables/{comparison}/{line['name']}-seed-{member.seed}.csv.gz"
+            table = _table(comparison, line, member.seed)
             _join([jobs / job for job in parts], directory / table)
-            if not (directory / table).exists():
-                continue  # pruned, and never part of this study
             steps = member.training_steps
             for job in member.needs:
                 trained = execution.done(job)
