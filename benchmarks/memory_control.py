@@ -1,6 +1,6 @@
 """Does a policy with memory use what it remembers? Second episodes with memories exchanged.
 
-    python benchmarks/memory_control.py results/wheeled/rl2-seed-0
+    python benchmarks/memory_control.py results/jobs/train-wheeled-rl2-seed-0-6021905c39ef085c/run
 
 The run's policy plays first episodes of trials, and then one and the same second episode (starts
 and noise) several times: with what its own trial has left, with what the trial of another task

@@ -1,6 +1,6 @@
 """Make the policy that the package ships for a family out of a finished run.
 
-    python results/ship.py results/wheeled/maesn-20x50-spread-0-seed-0 --commit 87cd55a
+    python results/ship.py runs/wheeled --commit 87cd55a
 
 writes `src/maesn/trained/FAMILY`: the run's last checkpoint, its `config.json` with where the
 policy comes from as an entry `provenance`, and its prior for the rule `search`. `maesn adapt

@@ -148,7 +148,6 @@ def test_tasks_without_a_success_had_nothing_to_learn_from(tmp_path: Path) -> No
 
 def test_zero_has_no_minus() -> None:
     assert UNITS["mean_return"].number(-0.04) == "0.0"
-    assert UNITS["mean_return"].number(-0.04, sign="+") == "+0.0"
     assert UNITS["mean_return"].number(-0.06) == "-0.1"
 
 

@@ -142,6 +142,16 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
             "`figures.1.kind`: `kind` must be of type",
         ),
         (
+            'family = "point"\n[runs.maesn]\n[[figures]]\nlines = ["maesn-serch"]',
+            "`figures.1.lines`: there is no name `maesn-serch`.",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[runs.maesn-b]\npreset = "maesn"\n[evaluations.a]\n'
+            '[evaluations.b]\n[[lines]]\nrun = "maesn"\n[[lines]]\nrun = "maesn-b"\n'
+            'evaluation = "a"',
+            "`lines`: two lines have the name `maesn-b`: rename a run.",
+        ),
+        (
             'family = "point"\n[runs.maesn.on.ant]\niterations = 3',
             "`runs.maesn.on`: there is no name `ant`.",
         ),

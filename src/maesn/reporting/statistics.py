@@ -1,10 +1,10 @@
 """How sure the reported means are: bootstrap intervals over tasks and seeds.
 
 The tasks of a set are the same for every seed and every method, so seeds and tasks are crossed
-factors. An interval draws tasks with replacement *once for all seeds and methods*, and seeds with
-replacement independently of that (the "pigeonhole bootstrap"; Owen, "The pigeonhole bootstrap",
-Annals of Applied Statistics 1(2), 2007). Drawing tasks afresh within every seed would treat an easy
-task as several lucky ones and make the interval too narrow.
+factors. An interval draws tasks with replacement *once for all seeds and methods* and, where there
+are three or more, seeds with replacement independently of that (the "pigeonhole bootstrap"; Owen,
+"The pigeonhole bootstrap", Annals of Applied Statistics 1(2), 2007). Drawing tasks afresh within
+every seed would treat an easy task as several lucky ones and make the interval too narrow.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 CONFIDENCE = 0.95
 FEWEST_SEEDS = 3  # that tell how seeds differ
-INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over three or more seeds"
+INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over seeds if three or more"
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
 _BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB
@@ -66,11 +66,6 @@ def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
     NeurIPS 2021)
     """
     return np.asarray(scipy.stats.trim_mean(x.reshape(*x.shape[:-2], -1), 0.25, axis=-1))
-
-
-def difference(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
-    """Return the mean of x minus that of y."""
-    return mean(x) - mean(y)
 
 
 def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:

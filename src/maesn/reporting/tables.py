@@ -33,18 +33,18 @@ class Unit(NamedTuple):
     scale: float = 1.0
     digits: int = 1
 
-    def number(self, value: float, sign: str = "") -> str:
-        """Return the number as text, 0 without a minus; `sign` as in format specifications."""
-        return format(self.scale * value, f"{sign}z.{self.digits}f")
+    def number(self, value: float) -> str:
+        """Return the number as text, 0 without a minus."""
+        return format(self.scale * value, f"z.{self.digits}f")
 
-    def text(self, interval: Interval, sign: str = "", *, brief: bool = False) -> str:
+    def text(self, interval: Interval, *, brief: bool = False) -> str:
         """Return the mean and the ends of its interval or, if `brief`, half its width."""
-        mean = self.number(interval.mean, sign)
+        mean = self.number(interval.mean)
         if not interval.is_known:
             return mean
         if brief:
             return f"{mean} ±{self.number((interval.high - interval.low) / 2)}"
-        return f"{mean} [{self.number(interval.low, sign)}, {self.number(interval.high, sign)}]"
+        return f"{mean} [{self.number(interval.low)}, {self.number(interval.high)}]"
 
 
 UNITS = {
@@ -232,7 +232,7 @@ def _end(comparison: Comparison, line: Line) -> dict[str, str]:
 
 def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
     """Return a measure of each method after some numbers of episodes in the new task."""
-    unit, rows = UNITS[measure], []
+    unit, rows, notes = UNITS[measure], [], [f"± half the {INTERVAL}"]
     for line in comparison.lines:
         points = curve(line.measure(measure)).points
         texts = [unit.text(point, brief=True) for point in points]
@@ -242,12 +242,13 @@ def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
             texts = [unit.number(value) for value in line.published.mean_return]
             published = dict(zip(episodes.tolist(), texts, strict=True))
             rows.append((f"{line.label}, published", published))
+            notes = [notes[0], "published: means over other tasks, one seed"]
     shown = [n for n in _SHOWN_EPISODES if any(n in texts for _, texts in rows)]
     return TextTable(
         f"Episodes in the new task, and {unit.heading}",
         ("method", *map(str, shown)),
         tuple((label, *(texts.get(n, "") for n in shown)) for label, texts in rows),
-        sentences(f"± half the {INTERVAL}", note_on_judging(comparison.lines)),
+        sentences(*notes, note_on_judging(comparison.lines)),
     )
 
 

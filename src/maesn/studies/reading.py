@@ -2,6 +2,7 @@
 
 import dataclasses
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
@@ -161,3 +162,9 @@ def _check_names(study: StudySpec, place: Place) -> None:
         for which, spec in named:
             for field in known.keys() & vars(spec):
                 (place / key / which / field).check(getattr(spec, field), known[field])
+    for family in study.families:
+        lines = [line for line in study.all_lines if family in (line.families or [family])]
+        count = Counter(name for line in lines for name in study.names_of(line).values())
+        with (place / "lines").refusing():
+            if twice := [name for name in count if count[name] > 1]:
+                raise ValueError(f"two lines have the name `{twice[0]}`: rename a run.")

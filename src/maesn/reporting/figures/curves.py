@@ -17,7 +17,7 @@ from maesn.reporting.comparison import Comparison, Line, note_on_judging
 from maesn.reporting.runs import LearningCurve
 from maesn.reporting.style import GREY, Drawn, MethodStyle
 
-_MOST_COLOURED = 5  # lines; more cannot be told apart by colour
+_MOST_COLOURS = 5  # more cannot be told apart
 _LABEL_SIZE = 6.5  # points
 _REFERENCES = {"baseline": ":", "oracle": "-"}  # lines of their mean returns
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
@@ -31,9 +31,11 @@ def plot_curves(comparison: Comparison) -> Drawn:
 
     Horizontal lines are the mean returns of baseline and oracle, circles the published curve.
     """
+    colours = dict.fromkeys(line.style.colour for line in comparison.lines)
+    told = {GREY, *[one for one in colours if one != GREY][:_MOST_COLOURS]}
     lines = tuple(
-        line if number < _MOST_COLOURED else replace(line, style=replace(line.style, colour=GREY))
-        for number, line in enumerate(comparison.lines)
+        line if line.style.colour in told else replace(line, style=replace(line.style, colour=GREY))
+        for line in comparison.lines
     )
     figure = style.new_figure(style.TWO_COLUMNS, 2.5)
     returns, success = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
