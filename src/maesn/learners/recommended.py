@@ -40,8 +40,8 @@ _DAMPING_ON_BLOCKPUSH = Recommendation(
 
 _SPREAD_ON_ANT = Recommendation(
     0.0,
-    "results/settings.md: a dense return after the update of 421 in iterations 71 to 75 of 20 x 20, "
-    "where draws lead to 391",
+    "results/settings.md: a dense return after the update of 421 where draws lead to 391, in "
+    "iterations 71 to 75 of 20 x 20",
 )
 _FALLING_NOISE_ON_ANT = Recommendation(
     AnnealedGaussianMLP(),
