@@ -109,10 +109,7 @@ def study(
     """
     with refusals():
         check_number("workers", workers, 1)
-    if action == "status" and Path(file).is_dir():
-        found = studies_in(Path(file))
-        if not found:
-            raise RunError(f"no study has begun in `{file}`: start one with maesn study run.")
+    if action == "status" and (found := studies_in(Path(file))):
         print_tables([_jobs_of(directory) for directory in found])
         return
     asked = Study.load(file)
