@@ -1,59 +1,46 @@
-"""Keep of a study's directory what its report and its runs need; the rest can be computed again.
+"""Keep of a directory of studies what their reports and runs need; the rest can be computed again.
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; of
-all other jobs that are done, a line in one file. A search makes the prior of a run again, in
-seconds.
+Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay. Jobs
+whose results are in the tables of all studies that have them go.
 """
 
 import shutil
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import tyro
 
+from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.storage import read_json, write_json
-from maesn.studies.execution import FINISHED
+from maesn.storage import read_json
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
-from maesn.studies.study import JOBS, Study
+from maesn.studies.study import JOBS
 
 LINES = 20  # of the metrics
 
 
-def prune(directory: tyro.conf.Positional[Path], studies: Sequence[str] = ("paper",)) -> None:
+def prune(directory: tyro.conf.Positional[Path]) -> None:
     """Remove what is not needed from the jobs that are done.
 
     Args:
         directory: of jobs and results.
-        studies: those that go on there; what they still need for their tables stays.
     """
-    path = directory / JOBS / FINISHED
-    finished = read_json(path) if path.exists() else {}
-    waiting = {job for name in studies for job in _unjoined(Study.load(name), directory)}
-    for done in sorted((directory / JOBS).glob(f"*/{DONE}")):
-        job = done.parent
-        if (job / RUN / CONFIG).exists():
-            prune_run(job / RUN)
-        elif job.name not in waiting:
-            finished[job.name] = read_json(done)
-    write_json(path, dict(sorted(finished.items())))
-    for name in finished:
-        if name not in waiting:
-            shutil.rmtree(directory / JOBS / name, ignore_errors=True)
-
-
-def _unjoined(study: Study, directory: Path) -> Iterator[str]:
-    """Yield the jobs of tables that are not there, or of which a part is still to be computed."""
-    execution = study.execution(directory)
-    for path, parts in study.files(directory):
-        if not path.exists() or not all(map(execution.is_done, parts)):
-            yield from parts
+    joined: set[str] = set()
+    needed: set[str] = set()
+    for study in studies_in(directory):
+        here = {job for jobs in joined_files(study).values() for job in jobs}
+        joined |= here
+        needed |= {*read_json(study / MANIFEST)["jobs"]} - here
+    for name in joined - needed:
+        shutil.rmtree(directory / JOBS / name, ignore_errors=True)
+    for done in (directory / JOBS).glob(f"*/{DONE}"):
+        if (done.parent / RUN / CONFIG).exists():
+            prune_run(done.parent / RUN)
 
 
 def prune_run(run: Path) -> None:

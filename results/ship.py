@@ -84,7 +84,7 @@ def ship(run: Run, commit: str, target: Path) -> None:
             f"`{run.directory}` must be finished, but has done {done} of "
             f"{run.settings.iterations} iterations: go on with `maesn resume {run.directory}`."
         )
-    provenance = {"command": command(run.config), "commit": commit}
+    provenance = run.config.provenance | {"command": command(run.config), "commit": commit}
     shipped = dataclasses.replace(
         run, directory=target, config=dataclasses.replace(run.config, provenance=provenance)
     )

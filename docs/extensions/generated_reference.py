@@ -1,7 +1,7 @@
 """The parts of the reference that are made from the library itself, while the site is built.
 
 A page that contains a line `<!-- generated: NAME -->` gets what `GENERATORS[NAME]` returns there,
-as Markdown.
+as Markdown, in place of the next line, which is for readers of the file.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 WIDTH = 100  # characters of a help text
-MARKER = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+MARKER = re.compile(r"^<!-- generated: ([\w-]+) -->\n.+$", re.MULTILINE)
 
 SINGLE_BACKTICKS = re.compile(r"(?<!`)`([^`]+)`(?!`)")
 ATTRIBUTES: dict[str, list[str]] = {}

@@ -23,7 +23,7 @@ from maesn.reporting.report import report_runs, report_study
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
-from maesn.rules import GradientRule, SearchRule
+from maesn.rules import GradientRule, SearchRule, Trained
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
@@ -214,8 +214,11 @@ def export(
         search = found, rule.settings
     elif not isinstance(rule, GradientRule | None):
         raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
-    learner = opened.learner.fast_learner(checkpoint.state)
     try:
+        learner = opened.learner.fast_learner(checkpoint.state)
+        if isinstance(rule, GradientRule):
+            trained = Trained(opened.learner, checkpoint.state)
+            learner = rule.fast_learner(trained, opened.env())
         write_policy(path, exported_policy(learner, opened.env(), about, start, search))
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
@@ -243,7 +246,7 @@ def report(
     training, `adapt` renews it. For a study, or a directory with several, nothing is played.
 
     Beside the figures goes `report.html`, a page that lets you move through the latents and watch a
-    search. It needs no network; to write it needs the extra `maesn[page]`.
+    search. It needs no network; to write it needs the extra `page`.
 
     Args:
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in

@@ -133,6 +133,16 @@ def locked(directory: Path) -> Iterator[None]:
         yield
 
 
+def is_locked(directory: Path) -> bool:
+    """Whether a process works in a directory; what a killed one has left there does not count."""
+    with contextlib.suppress(FileNotFoundError), (directory / LOCK).open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
 @contextlib.contextmanager
 def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
     """Turn whatever goes wrong while a file is read into a `RunError`."""

@@ -114,7 +114,7 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     assert table.episodes_per_update == 1
     assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
-    (summary,) = update_tables([table], "RL2", brief=True)
+    (summary,) = update_tables(table, "RL2")
     assert summary.notes[0] == (
         "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
     )

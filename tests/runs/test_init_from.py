@@ -10,6 +10,7 @@ from small_runs import create, goals, reopened, tiny_maesn, tiny_settings
 
 from maesn.context import BiasContext, LatentContext
 from maesn.policies import GaussianMLP
+from maesn.reporting.sources import read_series
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
@@ -39,6 +40,17 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
     jax.tree.map(np.testing.assert_array_equal, kept, wanted)
     if is_latent:
         assert begun.state.parameters.context_table.mean.shape == (7, 2)
+
+
+def test_a_run_that_began_with_another_is_no_seed_of_one_that_did_not(tmp_path: Path) -> None:
+    source = create(tmp_path / "source")
+    create(tmp_path / "fresh", seed=1)
+    Run.create(tmp_path / "begun", tiny_maesn(), tiny_settings(seed=2), init_from=source.directory)
+    series = read_series([tmp_path / name for name in ("source", "fresh", "begun")])
+    assert [[run.path.name for run in one.runs] for one in series] == [
+        ["source", "fresh"],
+        ["begun"],
+    ]
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.sources import TRAINED, find_run, policy_names, working_copy
 from maesn.runtime import Explorer
+from maesn.search.stored import prior_file
 
 POLICIES = policy_names()
 LARGEST = 400_000  # bytes
@@ -100,6 +101,15 @@ def test_each_can_be_exported_without_a_copy(name: str, folder: Path) -> None:
     assert cli.run(["export", name, "policy.npz"]) == 0
     assert [path.name for path in folder.iterdir()] == ["policy.npz"]
     assert Explorer.load("policy.npz", seed=0).update == 0
+
+
+def test_a_prior_for_another_radius_goes_into_a_copy(folder: Path) -> None:
+    run = Run.open("wheeled")
+    places = {
+        radius: prior_file(run, run.world(reward_kind="sparse", sparse_radius=radius)).parents[1]
+        for radius in (None, 1.5)
+    }
+    assert places == {None: TRAINED / "wheeled", 1.5: Path("maesn-wheeled")}
 
 
 def test_training_can_begin_with_one(folder: Path) -> None:

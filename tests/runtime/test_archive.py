@@ -26,20 +26,6 @@ def test_arrays_come_back_with_their_types(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_only_what_is_needed_is_read(tmp_path: Path) -> None:
-    write_arrays(tmp_path / "file.npz", ARRAYS)
-    assert list(read_arrays(tmp_path / "file.npz", ("block", "goal"))) == ["block", "goal"]
-
-
-def test_a_missing_array_is_named_with_those_that_are_there(tmp_path: Path) -> None:
-    write_arrays(tmp_path / "file.npz", {"goal": np.zeros(2), "block": np.zeros(2)})
-    with pytest.raises(ValueError, match=r"array `layout` is missing.*holds `goal`, `block`"):
-        read_arrays(tmp_path / "file.npz", ("goal", "layout"))
-    np.savez(tmp_path / "empty.npz")
-    with pytest.raises(ValueError, match=r"array `goal` is missing.*holds none"):
-        read_arrays(tmp_path / "empty.npz", ("goal",))
-
-
 def test_other_files_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "single.npy", np.zeros(2))
     np.savez(tmp_path / "objects.npz", goal=np.array([{"a": 1}], dtype=object))

@@ -55,6 +55,20 @@ def test_the_command_does_the_same(
     assert Explorer.load(tmp_path / "policy.npz").update == 2
 
 
+def test_the_settings_of_the_rule_are_exported(
+    adapted: tuple[Path, Adapted], tmp_path: Path
+) -> None:
+    run, _ = adapted
+    rule = maesn.GradientRule(step_scale=0.5, full_steps=7, start_std=2.0)
+    path = api.export(run, tmp_path / "changed.npz", rule=rule)
+    changed = Explorer.load(path)
+    usual = Explorer.load(api.export(run, tmp_path / "usual.npz"))
+    old, new = usual.exported.rule, changed.exported.rule
+    np.testing.assert_allclose(new.mean_step, 0.5 * old.mean_step)
+    assert (old.full_steps, new.full_steps) == (2, 7)
+    np.testing.assert_allclose(changed.latent_std, 2.0 * usual.latent_std)
+
+
 def test_what_cannot_be_a_start_is_refused(adapted: tuple[Path, Adapted], tmp_path: Path) -> None:
     run, done = adapted
     assert done.latents is not None

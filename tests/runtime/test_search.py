@@ -214,6 +214,19 @@ def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
     for z in robot_searched(explorer, np.asarray([0.0, 3.0]), 5):
         assert np.linalg.norm(z) <= 1.5
     assert np.linalg.norm(explorer.begin_episode(explore=False)) <= 1.5
+    # So does one that was saved in the middle of an episode.
+    explorer.save(policy.with_name("saved.npz"))
+    explorer = Explorer.load(policy.with_name("saved.npz"))
+    explorer.discard()
+    explorer.begin_episode()
+    episode(explorer, 0.0)
+    explorer.adapt()
+    assert np.linalg.norm(explorer.latent_mean) <= 1.5
+
+
+def test_a_search_refuses_to_take_steps_back(policy: Path) -> None:
+    with pytest.raises(ValueError, match="`max_return_drop` takes back steps of the policy gradie"):
+        Explorer.load(policy, safeguards=Safeguards(max_return_drop=1.0))
 
 
 def test_beliefs_are_those_of_a_search(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
-from maesn.reporting.sources import MANIFEST, studies_in
+from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.reporting.tables import TextTable, print_adaptation_summary, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
@@ -118,7 +118,7 @@ def study(
         _say_results(asked.run(out, **where, say=print))  # type: ignore[arg-type]
         return
     execution = asked.execution(out)
-    jobs, left = execution.jobs.items(), (execution.left(workers or 1),)
+    jobs, left = execution.jobs.items(), (execution.left(asked.workers(workers)),)
     if dry_run:
         rows = [(name, f"{job.steps:,}") for name, job in jobs]
         rows.append(("all", f"{sum(job.steps for _, job in jobs):,}"))
@@ -132,7 +132,8 @@ def study(
 def _jobs_of(study: Path) -> TextTable:
     """Return which jobs of a study are done, from what it has left."""
     names = read_json(study / MANIFEST).get("jobs", [])
-    execution = Execution({}, study.parent / JOBS)
+    joined = {job for jobs in joined_files(study).values() for job in jobs}
+    execution = Execution({}, study.parent / JOBS, joined)
     done = [execution.is_done(name) for name in names]
     states = ("done" if is_done else "" for is_done in done)
     title = f"{study.name}: {sum(done)} of {len(done)} jobs are done"

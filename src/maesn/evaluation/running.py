@@ -24,7 +24,6 @@ from maesn.reporting.runs import Latents, read_record
 from maesn.rules import Trained
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest_of_document, to_json
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
 from maesn.settings import check_number
@@ -76,7 +75,7 @@ def evaluate(
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(learner, Collector(world, budget.per_update), evaluation, tasks=tasks)
     return outcome, {
-        **identity_of_run(run),
+        **run.identity(),
         "rule": evaluation.rule_text,
         "label": evaluation.label,
         "world": describe_env(world.env),
@@ -90,12 +89,6 @@ def evaluate(
         "episodes": budget.episodes,
         "trial_episodes": outcome.trial_episodes,
     }
-
-
-def identity_of_run(run: Run) -> dict[str, str]:
-    """Return which learner the latest checkpoint of a run is, and a digest of its weights."""
-    learner = f"{run.settings.method} {digest_of_document(to_json(run.learner))}"
-    return {"learner": learner, "weights": digest_of_arrays(run.latest_state())}
 
 
 def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
@@ -161,7 +154,7 @@ def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
         RunError: the file is no latents, or of other weights than the run's, or lacks the task.
     """
     record = path.with_suffix("").with_suffix(RECORD)
-    if record.exists() and read_json(record).get("weights") != identity_of_run(run)["weights"]:
+    if record.exists() and read_json(record).get("weights") != run.identity()["weights"]:
         raise RunError(
             f"`{path}` was adapted with other weights than the latest checkpoint of "
             f"`{run.directory}` has: adapt this run, and give the latents that this writes."

@@ -43,7 +43,7 @@ def write_page(path: Path, document: Document) -> None:
     except ModuleNotFoundError as error:
         raise PlotlyMissing(
             "no page is written, because plotly is missing: install it with `pip install "
-            "'maesn[page]'`."
+            "-e '.[page]'` in the clone."
         ) from error
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
@@ -86,7 +86,6 @@ def study_page(directory: Path) -> Document:
         "subtitle": ", ".join(one.name for one in comparisons) or "nothing compared yet",
         "comparisons": [_comparison(one) for one in comparisons],
         "provenance": [
-            ["command", f"maesn study run {study['study']}"],
             *map(list, study["versions"].items()),
             *(["job", job] for job in study["jobs"]),
         ],

@@ -128,6 +128,13 @@ def studies_in(directory: Path) -> list[Path]:
     return sorted(path.parent for path in found)
 
 
+def joined_files(directory: Path) -> dict[str, list[str]]:
+    """Return which files a study's directory has, and the jobs whose results each joins."""
+    path = directory / MANIFEST
+    files = read_json(path).get("files", {}) if path.exists() else {}
+    return {name: jobs for name, jobs in files.items() if (directory / name).exists()}
+
+
 def compare_study(directory: Path) -> tuple[Document, list[Comparison]]:
     """Read a study's manifest, and its comparisons; a `RunError` says which file is damaged."""
     document = read_json(directory / MANIFEST, "run the study again")

@@ -86,13 +86,8 @@ class TextTable(NamedTuple):
     def to_markdown(self) -> str:
         """Return the table as Markdown."""
         ruler = ["---" if self._first_is_name else "---:", *["---:"] * (len(self.headings) - 1)]
-        lines = [markdown_row(row) for row in (self.headings, ruler, *self.rows)]
+        lines = [f"| {' | '.join(row)} |" for row in (self.headings, ruler, *self.rows)]
         return "\n".join([f"**{self.title}**", "", *lines, "", *self.notes, ""])
-
-
-def markdown_row(cells: Sequence[str]) -> str:
-    """Return one row of a Markdown table."""
-    return f"| {' | '.join(cells)} |"
 
 
 def print_tables(tables: Sequence[TextTable], console: Console | None = None) -> None:
@@ -102,24 +97,20 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
 
-def update_tables(
-    tables: Sequence[AdaptationTable], title: str, *, brief: bool = False
-) -> list[TextTable]:
-    """Summarise adaptation, update by update: one table per seed of the same method is given.
+def update_tables(table: AdaptationTable, title: str) -> list[TextTable]:
+    """Summarise adaptation, update by update, in 80 columns.
 
-    A second summary leaves out the tasks that are solved at reset, where there are some. Summaries
-    that are `brief` fit into 80 columns.
+    A second summary leaves out the tasks that are solved at reset, where there are some.
     """
-    seeds = tuple(range(len(tables)))
-    comparison = Comparison((Line("", MethodStyle("the method"), seeds, stack_seeds(tables)),))
+    comparison = Comparison((Line("", MethodStyle("the method"), (0,), stack_seeds([table])),))
     parts = comparison.parts().items()
-    return [_update_table(part.lines[0], title + addition, brief) for addition, part in parts]
+    return [_update_table(part.lines[0], title + addition) for addition, part in parts]
 
 
-def _update_table(line: Line, title: str, brief: bool) -> TextTable:
+def _update_table(line: Line, title: str) -> TextTable:
     table = line.table
     columns = [
-        [unit.text(one, brief=brief) for one in curve(line.measure(name)).points]
+        [unit.text(one, brief=True) for one in curve(line.measure(name)).points]
         for name, unit in UNITS.items()
     ]
     return TextTable(
@@ -129,7 +120,7 @@ def _update_table(line: Line, title: str, brief: bool) -> TextTable:
         sentences(
             note_on_solved(table.is_solved_at_reset),
             line.beyond,
-            f"± half the {INTERVAL}" if brief else f"in brackets: {INTERVAL}",
+            f"± half the {INTERVAL}",
             note_on_judging([line]),
         ),
     )
@@ -143,7 +134,7 @@ def print_adaptation_summary(path: Path, console: Console | None = None) -> None
     """
     console = console or Console()
     table = read_adaptation(path)
-    shown = update_tables([table], f"Adaptation: {path.stem}", brief=True)
+    shown = update_tables(table, f"Adaptation: {path.stem}")
     if table.num_tasks <= _FEW_TASKS:
         shown.append(_task_table(table))
     print_tables(shown, console)

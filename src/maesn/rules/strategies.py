@@ -73,7 +73,7 @@ class CrossEntropyRule(AbstractRule):
 
 
 class CmaEsRule(AbstractRule):
-    """CMA-ES over latents, by the library `cmaes`, an extra: `pip install maesn[cmaes]`.
+    """CMA-ES over latents, by the library `cmaes`, an extra: `pip install -e '.[cmaes]'`.
 
     Covariance matrix adaptation evolution strategy. Deploys the mean of the draws.
     """
@@ -98,7 +98,7 @@ class CmaEsRule(AbstractRule):
             library = import_module("cmaes")
         except ImportError as error:
             raise ValueError(
-                "the rule `cma_es` needs the library `cmaes`: install `maesn[cmaes]`."
+                "the rule `cma_es` needs the library `cmaes`: pip install -e '.[cmaes]'."
             ) from error
 
         def start(zero: FloatArray) -> AbstractStrategy:

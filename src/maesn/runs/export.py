@@ -50,7 +50,8 @@ def exported_policy(
         ValueError: the runtime cannot learn as this learner does.
     """
     learner = _checked(learner)
-    prior = jax.tree.map(lambda x: x[0], learner.context.start_new(learner.context_table, 1))
+    start_new = learner.context.start_new(learner.context_table, 1).widened(learner.start_std)
+    prior = jax.tree.map(lambda x: x[0], start_new)
     latent, update = (prior, 0) if start is None else start
     if latent.mean.shape != prior.mean.shape:
         raise ValueError(

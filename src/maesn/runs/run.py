@@ -21,6 +21,7 @@ from maesn.runs import checkpoint, sources
 from maesn.runs.checkpoint import Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import CONFIG, RunConfig, RunSettings, new_config, read_config, write_config
 from maesn.runs.log import METRICS
+from maesn.runs.serialization import digest_of_document, to_json
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_policy, make_world
 
@@ -85,7 +86,13 @@ class Run:
             learner.check_batch(settings.episodes_per_task)
         if settings.tasks == "training":
             warn_of_known_tests(family, tasks)
-        state = run.untrained_state() if init_from is None else run._begun_state(init_from)
+        state = run.untrained_state()
+        if init_from is not None:
+            source = run.source(init_from)
+            state = run._begun_state(state, source)
+            begun = {"init_from": " ".join(source.identity().values())}
+            config = dataclasses.replace(config, provenance=begun)
+            run = dataclasses.replace(run, config=config)
         check_policy(learner.player(state), run.env())
         with storage.locked(run.directory):
             # Of a process that was killed here the first checkpoint may be left.
@@ -160,6 +167,11 @@ class Run:
         """Return the shapes and types of a state, for that many tasks more than the run has."""
         return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
+    def identity(self) -> dict[str, str]:
+        """Return which learner the latest checkpoint is, and a digest of its weights."""
+        learner = f"{self.settings.method} {digest_of_document(to_json(self.learner))}"
+        return {"learner": learner, "weights": checkpoint.digest_of_arrays(self.latest_state())}
+
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged per iteration: name -> number, None if not finite."""
         return storage.read_json_lines(self.directory / METRICS)
@@ -219,11 +231,14 @@ class Run:
         """Return the state of the latest checkpoint; see `latest`."""
         return self.latest().state
 
-    def _begun_state(self, init_from: str | Path) -> Any:
-        """Return a first state with what another run has learned; see `create`."""
+    def source(self, init_from: str | Path) -> "Run":
+        """Open the run that this one is to start from; see `create`."""
         same_family = read_config(sources.find_run(init_from)).family == self.config.family
-        source = Run.open(init_from, self.family if same_family else None)
-        fresh, values = self.untrained_state(), named_leaves(source.latest_state())
+        return Run.open(init_from, self.family if same_family else None)
+
+    def _begun_state(self, fresh: Any, source: "Run") -> Any:
+        """Return a fresh state with what another run has learned; see `create`."""
+        values = named_leaves(source.latest_state())
         larger = named_leaves(self.structure(more_tasks=1))
         for name, leaf in named_leaves(fresh).items():
             per_task = leaf.shape != larger[name].shape  # a row for each

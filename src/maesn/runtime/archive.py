@@ -13,7 +13,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -77,14 +77,9 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
-    sync_directory(target.parent)
-
-
-def sync_directory(directory: str | os.PathLike[str]) -> None:
-    """Make the names in a directory survive a power cut; raises OSError if that fails."""
-    descriptor = os.open(directory, os.O_RDONLY)
+    descriptor = os.open(target.parent, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        os.fsync(descriptor)  # the name survives a power cut as well
     finally:
         os.close(descriptor)
 
@@ -101,37 +96,25 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.g
     write_whole(path, content.getvalue())
 
 
-def read_arrays(
-    path: str | os.PathLike[str],
-    names: Collection[str] | None = None,
-    largest: int = LARGEST_FILE,
-) -> Arrays:
+def read_arrays(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Arrays:
     """Return the arrays of an `.npz` file by name. Nothing in it is executed.
 
     Args:
         path: path of the file.
-        names: arrays that are needed; others are left unread. None for all.
         largest: bytes that all arrays of the file may have in memory.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: it is damaged, something else or too large, or an array is missing. The message
-            does not name the file.
+        ValueError: it is damaged, something else or too large. The message does not name the file.
     """
     refuse_special(path)
     with Path(path).open("rb") as file:
         try:
             with zipfile.ZipFile(file) as members:
                 found = _members(members, largest)
-                wanted = found if names is None else [name for name in names if name in found]
-                arrays = {name: _array(members, found[name]) for name in wanted}
+                return {name: _array(members, one) for name, one in found.items()}
         except _UNREADABLE as error:
             raise ValueError(f"it is no .npz file of plain arrays, or damaged ({error})") from error
-    missing = [name for name in names or () if name not in arrays]
-    if missing:
-        held = ", ".join(f"`{name}`" for name in found) or "none"
-        raise ValueError(f"array `{missing[0]}` is missing from the file, which holds {held}")
-    return arrays
 
 
 def refuse_special(path: str | os.PathLike[str]) -> None:

@@ -49,7 +49,13 @@ class Explorer:
         self.safeguards = Safeguards() if safeguards is None else safeguards
         self._limiter = Limiter(exported.actuators, self.safeguards)
         self._generator = np.random.default_rng(seed)
-        self._state = ExplorerState.new_task(exported) if state is None else state
+        if exported.search is not None and self.safeguards.max_return_drop is not None:
+            raise ValueError(
+                "`max_return_drop` takes back steps of the policy gradient: leave it out for a "
+                "search."
+            )
+        state = ExplorerState.new_task(exported) if state is None else state
+        self._state = state.within(self.safeguards.max_latent_norm)
         self._policy = self._conditioned()
 
     @staticmethod
@@ -154,10 +160,9 @@ class Explorer:
                 "`explore=False` holds z at the latent's mean, so that `z` cannot be chosen as "
                 "well: leave out one of them."
             )
-        size, bound = self.exported.latent_size, self.safeguards.max_latent_norm
+        size = self.exported.latent_size
         chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
-        most = np.inf if bound is None else bound
-        self._state = self._state.begun(explore, chosen, most, self._generator)
+        self._state = self._state.begun(explore, chosen, self._generator)
         self._policy = self._conditioned()
         return self._running("begin_episode").latent.copy()
 
@@ -262,7 +267,7 @@ class Explorer:
 
         Raises:
             RuntimeError: an episode is running, there are fewer than two finished episodes to
-                learn from, or the update is not finite. The episodes are kept.
+                learn from (one with a search), or the update is not finite. The episodes are kept.
         """
         self._refuse_if_running("adapt")
         search = self.exported.search

@@ -62,23 +62,25 @@ class ExplorerState:
             search = LatentSearch.start(exported.search.model, exported.search.settings)
         return ExplorerState(exported.start, exported.start_update, search=search)
 
+    def within(self, max_norm: float | None) -> "ExplorerState":
+        """Return the state whose search chooses no z of a larger Euclidean norm; None: of any."""
+        if self.search is None:
+            return self
+        bound = np.inf if max_norm is None else max_norm
+        return replace(self, search=replace(self.search, max_norm=bound))
+
     def begun(
-        self,
-        explore: bool,
-        z: FloatArray | None,
-        max_norm: float,
-        generator: np.random.Generator,
+        self, explore: bool, z: FloatArray | None, generator: np.random.Generator
     ) -> "ExplorerState":
         """Return the state with a new episode running.
 
         Args:
             explore: False holds z at the latent's mean, or at the best point of a search.
             z: the z to play, `[latent]`; None for a draw, or for the choice of a search.
-            max_norm: Euclidean norm of z beyond which a search chooses no point.
             generator: draws z.
         """
         if self.search is not None:
-            search = replace(self.search, max_norm=max_norm)
+            search = self.search
             if not explore:
                 best = search.latent(search.best).copy()
                 return replace(self, running=RunningEpisode(best, "deploy"))

@@ -15,6 +15,7 @@ from rich.progress import Progress as ProgressBar
 from maesn.envs import RewardKind, describe_env
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
+from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_learner
@@ -31,9 +32,14 @@ _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as i
 
 
 def prior_file(run: Run, world: AbstractWorld) -> Path:
-    """Return the path of a run's prior for a world's reward."""
+    """Return the path of a run's prior for a world's reward.
+
+    What a policy that comes with the library does not have goes into a copy of it.
+    """
     env = world.env
-    return run.directory / PRIORS / f"{env.reward_kind}-{env.sparse_radius:g}.safetensors"
+    name = f"{env.reward_kind}-{env.sparse_radius:g}.safetensors"
+    path = run.directory / PRIORS / name
+    return path if path.exists() else working_copy(run.directory) / PRIORS / name
 
 
 def run_prior(

@@ -10,18 +10,18 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from maesn.runs.process import enable_compilation_cache, ending_by_signals
-from maesn.storage import LOCK, RunError, read_json, write_json
+from maesn.storage import RunError, is_locked, read_json, write_json
 from maesn.studies.jobs import DONE, Job, computed
 from maesn.worlds.budget import STEPS_PER_SECOND
 
@@ -29,8 +29,6 @@ ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
-# In the directory of jobs, of those whose own directories were removed: job -> its `done.json`.
-FINISHED = "finished.json"
 ATTEMPTS = 3  # at a job, which may have failed because its process was killed
 
 
@@ -58,10 +56,10 @@ class Execution:
 
     jobs: Mapping[str, Job]
     directory: Path
+    joined: Set[str] = frozenset()
+    """Jobs whose results a table of the study has: their own directories may be gone."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
     """Job -> its error."""
-    needed: set[str] = dataclasses.field(default_factory=set)
-    """Jobs whose own directories must be there: no table has their results."""
 
     def run(self, executor: AbstractExecutor, say: Say) -> None:
         """Compute all that can be computed; what fails is in `failed` then."""
@@ -73,14 +71,16 @@ class Execution:
         running: dict[Future[str | None], Job] = {}
         attempts: Counter[str] = Counter()
         while waiting or running:
-            ready = [job for job in waiting if all(map(self.is_done, job.needs))]
+            ready = [job for job in waiting if self._can_begin(job)]
             for job in ready[: executor.slots - len(running)]:
                 waiting.remove(job)
                 attempts[job.name] += 1
                 running[executor.submit(job, self.directory)] = job
+            if not running:
+                time.sleep(1.0)  # another study computes what is left
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
-                error = f"it was lost ({lost!r})" if lost else future.result()
+                error = f"it ended with {lost!r}" if lost else future.result()
                 if error is None:
                     done += 1
                     (self.directory / job.name / FAILED).unlink(missing_ok=True)
@@ -108,16 +108,14 @@ class Execution:
         path = self.directory / name / DONE
         if path.exists():
             return read_json(path)
-        return None if name in self.needed else self._finished.get(name)
+        return {} if name in self.joined else None
 
     def is_done(self, name: str) -> bool:
         """Whether the result of a job is there, or has become part of a table."""
         return self.done(name) is not None
 
-    @cached_property
-    def _finished(self) -> dict[str, Any]:
-        path = self.directory / FINISHED
-        return read_json(path) if path.exists() else {}
+    def _can_begin(self, job: Job) -> bool:
+        return all(map(self.is_done, job.needs)) and not is_locked(self.directory / job.name)
 
     def _needs_failed(self, job: Job) -> bool:
         """Whether a job needs one that failed."""
@@ -126,9 +124,9 @@ class Execution:
     def status(self, job: Job) -> tuple[str, str]:
         """Return whether a job is done, running, failed or waiting, and a remark."""
         folder = self.directory / job.name
-        if done := self.done(job.name):
-            return "done", f"{done['seconds']:.0f} s"
-        if (folder / LOCK).exists():
+        if (done := self.done(job.name)) is not None:
+            return "done", f"{done['seconds']:.0f} s" if done else ""
+        if is_locked(folder):
             return "running", f"{job.progress(folder):.0%}"
         if (folder / FAILED).exists():
             return "failed", str(read_json(folder / FAILED)["error"])
@@ -212,7 +210,7 @@ class Ray(AbstractExecutor):
         try:
             self._ray: Any = __import__("ray")
         except ImportError as error:
-            raise RunError("the executor `ray` needs Ray: pip install 'maesn[ray]'.") from error
+            raise RunError("the executor `ray` needs Ray: pip install -e '.[ray]'.") from error
         local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
         self._ray.init(
             log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local

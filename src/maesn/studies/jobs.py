@@ -22,7 +22,7 @@ from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.log import METRICS
 from maesn.runs.run import Run
 from maesn.runs.training import train
-from maesn.search.stored import prior_file, run_prior
+from maesn.search.stored import bound_to, prior_file, read_prior, run_prior
 from maesn.studies.members import RUN, AbstractMember, TrainedRun
 
 DONE, ROWS, LATENTS, EXPLORATION = "done.json", "rows.csv", "latents.npz", "exploration.npz"
@@ -56,10 +56,10 @@ def computed(job: Job, jobs: Path) -> str | None:
     try:
         with storage.locked(directory):
             if not (directory / DONE).exists():
-                start = time.perf_counter()
+                start, left = time.perf_counter(), 1 - job.progress(directory)
                 found = job.compute(directory)
                 seconds = round(time.perf_counter() - start, 1)
-                done = {"steps": job.steps, "seconds": seconds, **found}
+                done = {"steps": round(job.steps * left), "seconds": seconds, **found}
                 storage.write_json(directory / DONE, done)
     except (storage.RunError, EngineError, MemoryError, OSError, RuntimeError) as error:
         return str(error) or repr(error)
@@ -85,8 +85,8 @@ def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[s
     """Make the prior over returns that a search needs, beside the run's checkpoints."""
     run = member.open(directory.parent)
     with closing(run.world(None, asked.reward, sparse_radius=asked.sparse_radius)) as world:
-        path = prior_file(run, world)
-    if not path.exists():
+        path, wanted = prior_file(run, world), bound_to(run, run.latest_state(), world).items()
+    if not (path.exists() and wanted <= read_prior(path)[1].items()):
         run_prior(run, reward=asked.reward, sparse_radius=asked.sparse_radius)
     return {"file": path.name}
 

@@ -16,7 +16,7 @@ from maesn.envs import AnyEnv
 from maesn.envs.sources import find_tasks, imported, resolve_family
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
-from maesn.evaluation.running import evaluate, identity_of_run
+from maesn.evaluation.running import evaluate
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner
 from maesn.policies import USUAL
 from maesn.rules import Trained, written_out
@@ -182,7 +182,7 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
         seed=run.settings.seed,
         method=run.settings.method,
         settings=leaves({**config["settings"], "learner": config["learner"]}),
-        identity=identity or " ".join(identity_of_run(run).values()),
+        identity=identity or " ".join(run.identity().values()),
         run=run,
         family=run.own_family,
         **where,
@@ -193,7 +193,8 @@ def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
     run = Run.open(directory, family)
     if run.env().variant != study.variant:
         raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
-    return trained_run(run, directory=directory, training_steps=run.latest().environment_steps)
+    where = str(run.directory.resolve())
+    return trained_run(run, directory=where, training_steps=run.latest().environment_steps)
 
 
 def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
@@ -206,14 +207,15 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
     config = new_config(settings, learner, resolved, tasks)
     run = Run(Path(name), config, resolved, tasks, settings.own_family)
     check_policy(learner.player(_blank_state(run)), run.env())
-    start = study.runs[name].init_from
-    document = config.document()
-    document["init_from"] = " ".join(identity_of_run(Run.open(start)).values()) if start else ""
+    named, document = study.runs[name].init_from, config.document()
+    source = run.source(named) if named else None
+    document["init_from"] = "" if source is None else " ".join(source.identity().values())
     for immaterial in ("versions", "provenance", "changes"):
         del document[immaterial]
     del document["settings"]["checkpoint_every"]
     digest = digest_of_document(document)
     job = f"train-{resolved.name}-{settings.method}-seed-{seed}-{digest}"
+    start = "" if source is None else str(source.directory.resolve())
     return trained_run(run, digest, needs=(job,), init_from=start)
 
 

@@ -1,7 +1,7 @@
 """From what a study says to the jobs that compute it, and the comparisons that they are for."""
 
 import dataclasses
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import USUAL as USUAL_PRIOR
+from maesn.storage import RunError
 from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run
 from maesn.studies.members import (
     AbstractMember,
@@ -42,7 +43,15 @@ def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[Entry]]:
     """
     jobs: dict[str, Job] = {}
     planned = [_Planner(study, family, jobs).compare() for family in study.families]
-    return jobs, [one for comparisons in planned for one in comparisons]
+    found = [one for comparisons in planned for one in comparisons]
+    names = Counter(one["name"] for one in found)
+    for name, count in names.items():
+        if count > 1:
+            raise RunError(
+                f"`{study.file}` has {count} comparisons of the name `{name}`: rename a family, or "
+                "a file of tasks."
+            )
+    return jobs, found
 
 
 @dataclasses.dataclass
@@ -72,7 +81,7 @@ class _Planner:
         for world, lines in worlds.items():
             texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
             told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
-            name = "-".join([self.family.rpartition(":")[2], *told])
+            name = "-".join([resolve_family(self.family).name, *told])
             yield self.comparison(name, lines)
 
     def run(self, name: str) -> Sequence[TrainedRun]:

@@ -15,7 +15,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
 from maesn.settings import suggestion
-from maesn.storage import RunError
+from maesn.storage import RunError, explained
 from maesn.studies.spec import EvaluationSpec, RunSpec, StudySpec
 
 
@@ -61,9 +61,11 @@ def read_study(source: str | Path) -> StudySpec:
     if not path.is_file():
         known = ", ".join(shipped_studies())
         raise RunError(f"there is no study `{source}`: give a .toml file, or one of {known}.")
+    with explained("read", path):
+        content = path.read_bytes()
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        table = tomllib.loads(content.decode())
+    except (ValueError, RecursionError) as error:
         raise RunError(f"`{path}` is not TOML: {error}.") from error
     if "families" not in table:
         table["families"] = table.pop("family", [])

@@ -17,7 +17,7 @@ from maesn.learners import SCRATCH
 from maesn.reporting.reading import latents_beside, read_rows
 from maesn.reporting.report import report_study
 from maesn.reporting.runs import read_run
-from maesn.reporting.sources import MANIFEST, group_series
+from maesn.reporting.sources import MANIFEST, group_series, joined_files
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import RunSettings, installed_versions
 from maesn.runs.process import ending_by_signals
@@ -94,8 +94,7 @@ class Study:
                 folder.mkdir(parents=True, exist_ok=True)
         if only is not None:
             execution.only(only)
-        threads = self.spec.threads
-        at_once = workers or max(1, len(os.sched_getaffinity(0)) // threads)
+        threads, at_once = self.spec.threads, self.workers(workers)
         with contextlib.nullcontext() if only else storage.locked(directory), ending_by_signals():
             if executor == "local":
                 executor = LocalPool(at_once, threads)
@@ -112,6 +111,10 @@ class Study:
             tables = report_study(directory, lambda path: say(str(path)))
             return Results(directory, tables, execution.failed)
 
+    def workers(self, asked: int | None) -> int:
+        """Return how many jobs run at a time; None: as many as there are CPUs for."""
+        return asked or max(1, len(os.sched_getaffinity(0)) // self.spec.threads)
+
     def write_results(self, out: str | Path) -> None:
         """Write tables of what is done, and the manifest that names them, for the report."""
         execution, directory = self.execution(out), Path(out) / self.spec.name
@@ -120,27 +123,27 @@ class Study:
             "comparisons": [_collect(one, execution, directory) for one in self.comparisons],
             "figures": [dataclasses.asdict(one) for one in self.spec.figures],
             "jobs": sorted(self.jobs),
+            "files": {x: jobs for x, jobs in self.files() if all(map(execution.is_done, jobs))},
             "versions": installed_versions("mujoco.batch"),
         }
         storage.write_json(directory / MANIFEST, document)
 
-    def files(self, out: str | Path) -> Iterator[tuple[Path, list[str]]]:
+    def files(self) -> Iterator[tuple[str, list[str]]]:
         """Yield each file that the report reads, with the jobs whose results it joins."""
         for comparison in self.comparisons:
-            name, directory = comparison["name"], Path(out) / self.spec.name
+            name = comparison["name"]
             for source, job in comparison["recorded"].items():
-                yield directory / _recorded(name, source), [job]
+                yield _recorded(name, source), [job]
             for line in (line for group in _GROUPS for line in comparison[group]):
                 for member, parts in line["seeds"]:
-                    yield directory / _table(name, line, member.seed), parts
+                    yield _table(name, line, member.seed), parts
 
     def execution(self, out: str | Path) -> Execution:
         """Return the jobs and their state in a directory."""
-        execution = Execution(self.jobs, Path(out) / JOBS)
-        for path, parts in self.files(out):
-            if not path.exists():
-                execution.needed.update(parts)
-        return execution
+        there, files = joined_files(Path(out) / self.spec.name), dict(self.files())
+        missing = {job for name, jobs in files.items() if there.get(name) != jobs for job in jobs}
+        joined = {job for jobs in files.values() for job in jobs} - missing
+        return Execution(self.jobs, Path(out) / JOBS, joined)
 
 
 _GROUPS = ("lines", "baselines", "oracle")
@@ -177,14 +180,13 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
     """Return a line with the seeds that are done, each with a table of all its tasks."""
     jobs, seeds = execution.directory, []
     for member, parts in line["seeds"]:
-        if all(map(execution.is_done, parts)):
+        trained = [execution.done(job) for job in member.needs]
+        if None not in trained and all(map(execution.is_done, parts)):
             table = _table(comparison, line, member.seed)
             _join([jobs / job for job in parts], directory / table)
             steps = member.training_steps
-            for job in member.needs:
-                trained = execution.done(job)
-                assert trained is not None  # the parts need it
-                steps = trained["environment_steps"]
+            for done in filter(None, trained):
+                steps = done["environment_steps"]
             seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
     return line | {"seeds": seeds}
 
@@ -240,7 +242,9 @@ def compare(
     opened = {run.directory: run for run in [Run.open(one, family) for one in runs]}
     if family is None and not opened:
         raise RunError("`family` must be given where no run says it: --family NAME.")
-    evaluations = {"usual": EvaluationSpec(evaluation.changed(rule=None, wrappers=()))}
+    with storage.refusals("each run takes part without `--rule` as well, for which "):
+        usual = dataclasses.replace(evaluation, rule=None, wrappers=())
+    evaluations = {"usual": EvaluationSpec(usual)}
     specs, lines, more = {}, [], []
     for one in group_series([read_run(path) for path in opened]):
         paths = [run.path for run in one.runs]
