@@ -44,12 +44,19 @@ def test_every_so_manieth_step(stride: int) -> None:
 
 
 def test_a_thinning_is_drawn_such_that_every_step_can_be() -> None:
-    drawn = [Thinning.draw(key, 3, 7) for key in jax.random.split(jax.random.key(0), 50)]
+    played = jnp.ones((2, 7), bool)
+    drawn = [Thinning.draw(key, 3, played) for key in jax.random.split(jax.random.key(0), 50)]
     steps = [int(one.offset) + one.stride * np.arange(7 // 3) for one in drawn]
     assert set(np.concatenate(steps).tolist()) == set(range(7))
-    beyond = Thinning.draw(jax.random.key(0), 12, 7)
+    beyond = Thinning.draw(jax.random.key(0), 12, played)
     assert beyond.stride == 7
     assert 0 <= int(beyond.offset) < 7
+
+
+def test_a_thinning_of_episodes_that_all_end_early_takes_a_step_that_was_played() -> None:
+    valid = jnp.asarray(np.arange(200) < np.array([[3], [8]]))  # [episode, time]
+    drawn = [Thinning.draw(key, 20, valid) for key in jax.random.split(jax.random.key(0), 50)]
+    assert {int(one.offset) for one in drawn} == set(range(8))
 
 
 def test_weights_of_the_steps_make_a_mean_over_tasks_of_means_over_valid_steps() -> None:

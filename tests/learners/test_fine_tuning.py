@@ -23,7 +23,8 @@ from maesn.learners import (
 )
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import GaussianMLP, Recurrent
+from maesn.policies import AnnealedGaussianMLP, GaussianMLP, Recurrent
+from maesn.rules import NoAdaptation, Trained
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -107,6 +108,12 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
     for learner in (gradient, BonusFastLearner(gradient, CuriosityBonus(), 2, 2)):
         with pytest.raises(ValueError, match="`learner` must not be recurrent"):
             FineTuning(learner, IMPROVEMENTS["trpo"])
+    trained = Trained(rl2(), rl2().init(jax.random.key(0), 2, 2, 40))
+    still = NoAdaptation().fast_learner(trained, point.make_env())
+    with pytest.raises(ValueError, match="`learner` must not be recurrent"):
+        FineTuning(still, IMPROVEMENTS["trpo"])
+    with pytest.raises(ValueError, match="`policy` must not be annealed"):
+        PolicyGradient(2, 2, AnnealedGaussianMLP())
     with pytest.raises(ValueError, match="`policy` must not be recurrent, got Recurrent:"):
         PolicyGradient(2, 2, Recurrent())
     with pytest.raises(ValueError, match="`learner` must learn from rewards"):

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.learners import ProximalStep, TrustRegionStep
+from maesn.learners import GradientStep, ProximalStep, TrustRegionStep
+from maesn.learners.policy_steps import AbstractPolicyStep
 from maesn.learners.trials import Trials
 from maesn.numerics import Categorical, MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
@@ -122,9 +123,7 @@ distributions = eqx.filter_jit(Trials.distributions)
 
 
 @eqx.filter_jit
-def take(
-    step: ProximalStep | TrustRegionStep, policy: RecurrentPolicy, state: Any, *data: Any
-) -> Any:
+def take(step: AbstractPolicyStep, policy: RecurrentPolicy, state: Any, *data: Any) -> Any:
     """One program for each kind of step, as the learner compiles it."""
     return step(jax.random.key(0), policy, state, *data)
 
@@ -138,13 +137,11 @@ def own_trials() -> tuple[RecurrentPolicy, Trials, jax.Array]:
     return policy, replace(trials, behaviour=played), jnp.asarray(advantages, float)
 
 
-every_step = pytest.mark.parametrize(
-    "step",
-    [
-        ProximalStep(descent=MinibatchDescent(3e-3, minibatches=2)),
-        TrustRegionStep(TrustRegion(cg_steps=5), curvature_stride=1),
-    ],
-)
+BOUNDED = [
+    ProximalStep(descent=MinibatchDescent(3e-3, minibatches=2)),
+    TrustRegionStep(TrustRegion(cg_steps=5), curvature_stride=1),
+]
+every_step = pytest.mark.parametrize("step", BOUNDED)
 
 
 @every_step
@@ -160,8 +157,8 @@ def test_a_step_makes_what_was_good_likelier(step: ProximalStep | TrustRegionSte
     assert 0 < float(info.kl) < 0.05
 
 
-@every_step
-def test_what_is_not_finite_is_rejected(step: ProximalStep | TrustRegionStep) -> None:
+@pytest.mark.parametrize("step", [*BOUNDED, GradientStep()])
+def test_what_is_not_finite_is_rejected(step: AbstractPolicyStep) -> None:
     policy, trials, advantages = own_trials()
     broken = advantages.at[2, 0].set(jnp.nan)
     state = step.init(policy)

@@ -1,12 +1,14 @@
 """A bound on the noise of actions that falls during meta-training."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 
-from maesn.learners import GradientState, maesn
+from maesn.learners import GradientState, RecurrentMetaLearner, maesn
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP
 
 TASKS = 4
@@ -52,6 +54,14 @@ def test_a_meta_iteration_ends_within_the_bound_and_is_the_usual_one_else() -> N
         strict=True,
     ):
         np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_learner_of_trials_keeps_within_the_bound() -> None:
+    learner = RecurrentMetaLearner(policy=SETTINGS, trial_episodes=1, meta_batch_size=TASKS)
+    state = learner.init(jax.random.key(1), OBSERVATION, ACTION, TASKS)
+    state = replace(state, iteration=jnp.asarray(14))
+    after = learner.step(jax.random.key(2), state, AnalyticCollect(TASKS))[0]
+    assert (np.exp(after.policy.log_std) < 0.501).all()
 
 
 def test_choices_have_no_noise_to_bound() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from maesn.axes import RecurrentState
+from maesn.context import LatentContext
+from maesn.learners.recurrent.value import RecurrentValue
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import (
     AbstractPolicy,
@@ -129,6 +131,19 @@ def test_kinds_of_actions() -> None:
 def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Recurrent(**settings)
+    if "initial_std" not in settings:
+        with pytest.raises(ValueError, match=message):
+            RecurrentValue(**settings)
+
+
+def test_what_is_no_number_is_refused() -> None:
+    for refused in (
+        lambda: LatentContext(kl_weight=np.nan),
+        lambda: LatentContext(initial_spread=np.nan),
+        lambda: GaussianMLP(initial_std=np.nan),
+    ):
+        with pytest.raises(ValueError, match=r"must be .*, got nan"):
+            refused()
 
 
 @pytest.mark.usefixtures("no_type_checks")

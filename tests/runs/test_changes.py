@@ -75,6 +75,7 @@ def test_the_world_changes_with_its_settings(tmp_path: Path) -> None:
         ({"sparse_radius": None}, "`sparse_radius` must be a number of metres"),
         ({"engine": "mjx"}, '`engine` must be "native" for `point`'),
         ({"trust_region.damping": -1.0}, "`damping` must be"),
+        ({"meta_batch_size": 500}, "`meta_batch_size`"),
     ],
 )
 def test_what_cannot_change_is_refused(directory: Path, changes: dict[str, Any], said: str) -> None:

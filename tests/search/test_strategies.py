@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import cmaes
@@ -14,10 +15,19 @@ from maesn import api, cli
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import maml
 from maesn.policies import GaussianMLP
-from maesn.rules import BestOfRule, CmaEsRule, CrossEntropyRule, Trained
+from maesn.rules import (
+    AbstractRule,
+    BestOfRule,
+    CmaEsRule,
+    CrossEntropyRule,
+    ThenTrpo,
+    Trained,
+    VimeBonus,
+)
 from maesn.runs.run import Run
 from maesn.search.strategies import LEAST_STD, AbstractStrategy, BestOf, CmaEs, CrossEntropy
 from maesn.storage import RunError
+from maesn.worlds.collector import Collector
 
 OPTIMUM = np.array([2.0, -1.0])
 
@@ -132,7 +142,37 @@ def test_cma_es_without_its_library_is_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "cmaes", None)
     assert cli.run(["adapt", str(trained), "--rule", "cma_es"]) == 2
-    assert "needs the library `cmaes`: install `maesn[cmaes]`." in capsys.readouterr().err
+    assert "needs the library `cmaes`: pip install -e '.[cmaes]'." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rule", [BestOfRule(), CrossEntropyRule(round_size=2), CmaEsRule()])
+def test_fine_tuning_goes_on_from_the_latent_to_deploy(
+    rule: AbstractRule, trained: Path, few: str, tmp_path: Path
+) -> None:
+    alone = api.adapt(trained, tasks=few, rule=rule, episodes=3, out=tmp_path / "a.csv")
+    then = (ThenTrpo(after=3), VimeBonus())
+    ask = Evaluation(few, rule=rule, wrappers=then, episodes=5)
+    tuned = api.adapt(trained, ask, out=tmp_path / "b.csv").outcome.contexts
+    for update in (3, 4, 5):
+        np.testing.assert_array_equal(tuned.mean[:, update], tuned.mean[:, 3])
+    if isinstance(rule, BestOfRule):  # without a bonus, the draws and the best of them are these
+        ask = Evaluation(few, rule=rule, wrappers=then[:1], episodes=5)
+        tuned = api.adapt(trained, ask, out=tmp_path / "c.csv").outcome.contexts
+        np.testing.assert_array_equal(tuned.mean[:, 3:], alone.outcome.contexts.mean[:, [3, 3, 3]])
+    np.testing.assert_allclose(tuned.log_std, np.log(1e-6), rtol=1e-6)
+
+
+def test_an_update_leaves_the_state_before_as_it_was(trained: Path) -> None:
+    run = Run.open(trained)
+    learner = BestOfRule().fast_learner(Trained(run.learner, run.latest_state()), run.env())
+    state = learner.init(jax.random.split(jax.random.key(3), 2))
+    index = jax.numpy.arange(2)
+    with closing(run.world()) as world:
+        episodes = Collector(world, 1)(
+            jax.random.split(jax.random.key(4), 2), learner.agents(state), index
+        )
+    first, second = (learner.update(state, episodes) for _ in range(2))
+    np.testing.assert_array_equal(first.chosen, second.chosen)
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path, few: str) -> None:

@@ -2,12 +2,14 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from playing import agents, keys, play
 
+from maesn.axes import Readings
 from maesn.envs import AbstractPureEnv, DelayedTarget, HiddenSide, Point, TaskSet
 from maesn.experience.agent import Agents
 from maesn.worlds import DeviceWorld, make_world
@@ -77,6 +79,25 @@ def test_a_batch_equals_a_plain_loop(env: AbstractPureEnv[Any], tasks: TaskSet) 
             for name, value in expected.items():
                 got = np.asarray(getattr(episodes, name)[slot, episode])
                 np.testing.assert_allclose(got, value, rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+class Shifted(Point):
+    """A user's environment that holds an array."""
+
+    shift: np.ndarray = eqx.field(default_factory=lambda: np.zeros(2, np.float32))
+
+    def observe(self, state: Readings) -> jax.Array:
+        return super().observe(state) + self.shift
+
+
+def test_an_environment_may_hold_arrays() -> None:
+    first, same, other = Shifted(), Shifted(), Shifted(shift=np.ones(2, np.float32))
+    assert first == same
+    assert hash(first) == hash(same)
+    assert first != other
+    seen = [play(env, GOALS, [0, 1, 2]).observation for env in (first, same, other)]
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert (np.asarray(seen[2])[:, :, 0] != np.asarray(seen[0])[:, :, 0]).all()
 
 
 def test_pure_environments_are_played_on_the_device() -> None:

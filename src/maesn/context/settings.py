@@ -210,9 +210,9 @@ class LatentContext(AbstractContextSettings[Latent]):
         if self.size < 1:
             raise ValueError(f"`size` of LatentContext must be at least 1, got {self.size}.")
         check_choice("gradient", self.gradient, LatentGradient)
-        if self.kl_weight < 0:
+        if not self.kl_weight >= 0:
             raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
-        if self.initial_spread < 0:
+        if not self.initial_spread >= 0:
             raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
 
     @property

@@ -56,6 +56,12 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     `observe` receives no task. Only `instruction` can show a task to the agent.
     """
 
+    def __hash__(self) -> int:
+        """Count arrays by their shape, as JAX hashes static arguments; equality compares values."""
+        leaves = jax.tree.leaves(self)
+        plain = (x if isinstance(x, bool | int | float | str) else jnp.shape(x) for x in leaves)
+        return hash((type(self), *plain))
+
     name: eqx.AbstractClassVar[str]
     engine: eqx.AbstractClassVar[str]
     """What moves the world; the key of `maesn.worlds.make_world`."""

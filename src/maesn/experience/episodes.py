@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import Key, TaskKeys
 from maesn.experience.agent import Agents
 from maesn.experience.trial_state import TrialState
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import AbstractDistribution, mesh
 from maesn.policies import PolicyInput
 
 
@@ -23,11 +23,14 @@ class Thinning(NamedTuple):
     """From 0 to stride - 1 + time % stride, for episodes of `time` steps."""
 
     @staticmethod
-    def draw(key: Key, stride: int, time: int) -> "Thinning":
-        """Draw the offset for episodes of `time` steps. Every step can be chosen."""
+    def draw(key: Key, stride: int, valid: Bool[Array, "*batch time"]) -> "Thinning":
+        """Draw the offset. Every step can be chosen, and some episode has been played up to it."""
+        time = valid.shape[-1]
         stride = min(stride, time)
         # The remainder lets offsets reach the last steps where the stride does not divide the time.
-        return Thinning(stride, jax.random.randint(key, (), 0, stride + time % stride))
+        offset = jax.random.randint(key, (), 0, stride + time % stride)
+        played = mesh.total(valid.reshape(-1, time).any(0).astype(int)) > 0
+        return Thinning(stride, offset % jnp.maximum(played.sum(), 1))
 
     def take(self, x: Array, axis: int) -> Array:
         """Return the chosen steps of an array with the time along `axis`."""

@@ -70,6 +70,8 @@ class GradientStepInfo(eqx.Module):
     loss: Float[Array, ""]
     """Loss before the step."""
     gradient_norm: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    """False if the result was not finite: weights and optimiser stay as they were."""
 
 
 class GradientStep(AbstractPolicyStep):
@@ -110,8 +112,9 @@ class GradientStep(AbstractPolicyStep):
             return -mesh.part_of_mean(log_prob * advantages, trials.valid)
 
         value, gradient = mesh.total(jax.value_and_grad(loss)(policy))
-        moved, opt_state = first_order_step(self._optimizer, policy, gradient, opt_state)
-        return moved, opt_state, GradientStepInfo(value, optax.tree.norm(gradient))
+        moved = first_order_step(self._optimizer, policy, gradient, opt_state)
+        new, accepted = if_finite(moved, (policy, opt_state))
+        return *new, GradientStepInfo(value, optax.tree.norm(gradient), accepted)
 
 
 class ProximalInfo(eqx.Module):

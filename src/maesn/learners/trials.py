@@ -54,7 +54,7 @@ class Trials(eqx.Module):
 
     def sample_steps(self, key: Key, stride: int) -> "Trials":
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""
-        thinning = Thinning.draw(key, stride, self.valid.shape[1])
+        thinning = Thinning.draw(key, stride, self.valid)
         steps = self.inputs, self.action, self.reward, self.valid, self.behaviour
         return _join(jax.tree.map(lambda x: thinning.take(x, 1), steps), self.z)
 

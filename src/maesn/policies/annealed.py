@@ -27,7 +27,7 @@ class AnnealedGaussianMLP(AbstractPolicySettings):
     final_std: float = 0.25
     """Bound on the standard deviation of every action at the end."""
     first_iteration: int = 250
-    """Meta-iteration in which the bound is 1, and begins to fall."""
+    """Meta-iteration in which the bound is 1, and begins to fall. A shorter run has no bound."""
     last_iteration: int = 300
     """Meta-iteration from which on it is `final_std`."""
 

@@ -38,7 +38,7 @@ class GaussianMLP(AbstractPolicySettings):
     def __check_init__(self) -> None:
         if any(size < 1 for size in self.hidden_sizes):
             raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
-        if self.initial_std <= 0:
+        if not self.initial_std > 0:
             raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
 
     def for_actions(self, kind: ActionKind) -> AbstractPolicySettings:

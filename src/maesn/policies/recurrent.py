@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
-from maesn.networks import RecurrentNetwork, init_recurrent_network
+from maesn.networks import RecurrentNetwork, check_sizes, init_recurrent_network
 from maesn.numerics import AbstractDistribution
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
 from maesn.policies.heads import AbstractHead, make_head
@@ -74,11 +74,7 @@ class Recurrent(AbstractPolicySettings):
     the paper (dense in training, sparse in new tasks), or `sparse` for the sparse one in both."""
 
     def __check_init__(self) -> None:
-        for name in ("encoder_sizes", "readout_sizes"):
-            if any(size < 1 for size in getattr(self, name)):
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
-        if self.hidden_size < 1:
-            raise ValueError(f"`hidden_size` must be at least 1, got {self.hidden_size}.")
+        check_sizes(self)
         if not self.initial_std > 0:
             raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
         check_choice("action_kind", self.action_kind, ActionKind)

@@ -103,7 +103,8 @@ class FixedAgents(AbstractFastLearner[Any]):
 
     @property
     def capabilities(self) -> Capabilities:
-        return Capabilities(learns_from_reward=False)
+        is_recurrent = self.learner.capabilities.is_recurrent
+        return Capabilities(is_recurrent=is_recurrent, learns_from_reward=False)
 
     def init(self, keys: TaskKeys) -> Any:
         return self.learner.init(keys)

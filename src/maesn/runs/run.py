@@ -165,7 +165,8 @@ class Run:
 
     def structure(self, more_tasks: int = 0) -> Any:
         """Return the shapes and types of a state, for that many tasks more than the run has."""
-        return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
+        with refusals():
+            return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def identity(self) -> dict[str, str]:
         """Return which learner the latest checkpoint is, and a digest of its weights."""

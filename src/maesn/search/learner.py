@@ -1,5 +1,6 @@
 """The fast learner that searches the latent space, by a model of the returns."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -44,9 +45,7 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def agents(self, state: SearchState, purpose: Purpose = "explore") -> Agents:
         explores = purpose == "explore"
         context = _latents(state, state.chosen) if explores else self.adapted(state)
-        return Agents(
-            self.policy, context.at_mean(), shares_policy=True, statistics=self.statistics
-        )
+        return Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
 
     def adapted(self, state: SearchState) -> Latent:
         """Return the latents to deploy."""
@@ -67,15 +66,15 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
 def _latents(state: SearchState, points: Sequence[int]) -> Latent:
     pairs = zip(state.searches, points, strict=True)
     mean = jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32)
-    return Latent(mean, jnp.zeros_like(mean))
+    return Latent(mean, jnp.zeros_like(mean)).at_mean()
 
 
 def _propose(
     searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
 ) -> SearchState:
     """Return the state in which each search has chosen the point to play next."""
-    pairs = zip(searches, generators, strict=True)
-    proposed = [search.proposed(generator) for search, generator in pairs]
+    own = copy.deepcopy(tuple(generators))  # those of the state before stay as they are
+    proposed = [search.proposed(one) for search, one in zip(searches, own, strict=True)]
     # A search may have added the point that it proposes.
     searches_after, chosen = zip(*proposed, strict=True)
-    return SearchState(searches_after, chosen, tuple(generators))
+    return SearchState(searches_after, chosen, own)

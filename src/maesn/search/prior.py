@@ -15,6 +15,7 @@ from maesn.experience.agent import Agents
 from maesn.learners import GradientFastLearner
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.judging import returns_under, situations
+from maesn.settings import check_number, check_positive
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -43,6 +44,13 @@ class PriorSettings:
     """Seed of the draws and the episodes."""
     simulations: int = 1000
     """Episodes that are played at once; bounds the memory."""
+
+    def __post_init__(self) -> None:
+        check_number("draws", self.draws, 0 if self.adapted else 1)
+        check_number("episodes", self.episodes, 2)  # for their variance
+        check_number("seed", self.seed, 0, 2**32 - 1)
+        check_number("simulations", self.simulations, 1)
+        check_positive(self, "spread")
 
     def steps(self, env: AnyEnv, tasks: TaskSet) -> int:
         """Return the number of environment steps to play the archive."""

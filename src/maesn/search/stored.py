@@ -69,6 +69,8 @@ def run_prior(
     state = run.latest_state()
     with refusals(f"`{run.settings.method}` cannot search: "):
         learner = latent_learner(run.learner.fast_learner(state))
+        if len(run.training_tasks) < 2:
+            raise ValueError("it was trained on one task, and a search needs several to compare.")
     size = learner.context_table.size
     latents = [drawn_latents(size, settings.draws, settings.spread, settings.seed)]
     if settings.adapted:

@@ -1,5 +1,6 @@
 """The fast learner in which a search strategy chooses one latent per update."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -41,9 +42,7 @@ class StrategyFastLearner(AbstractFastLearner[StrategyState]):
 
     def agents(self, state: StrategyState, purpose: Purpose = "explore") -> Agents:
         context = _latents(state.chosen) if purpose == "explore" else self.adapted(state)
-        return Agents(
-            self.policy, context.at_mean(), shares_policy=True, statistics=self.statistics
-        )
+        return Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
 
     def adapted(self, state: StrategyState) -> Latent:
         """Return the latents to deploy."""
@@ -68,13 +67,14 @@ def task_generators(keys: TaskKeys) -> tuple[np.random.Generator, ...]:
 
 def _latents(means: Sequence[FloatArray]) -> Latent:
     mean = jnp.asarray(np.stack(means), jnp.float32)
-    return Latent(mean, jnp.zeros_like(mean))
+    return Latent(mean, jnp.zeros_like(mean)).at_mean()
 
 
 def _propose(
     strategies: Sequence[AbstractStrategy], generators: tuple[np.random.Generator, ...]
 ) -> StrategyState:
     """Return the state in which each strategy has drawn the latent to play next."""
+    generators = copy.deepcopy(generators)  # those of the state before stay as they are
     pairs = zip(strategies, generators, strict=True)
     chosen = tuple(strategy.proposed(generator) for strategy, generator in pairs)
     return StrategyState(tuple(strategies), chosen, generators)

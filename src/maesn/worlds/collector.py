@@ -46,17 +46,9 @@ _DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
 }
 
 
+@lru_cache(maxsize=64)
 def _programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
     """Return the jitted functions of a collector, the same ones for equal arguments."""
-    try:
-        hash(env)
-    except TypeError:  # a user's environment, which may hold arrays
-        return _cached_programs.__wrapped__(env, episodes_per_task)
-    return _cached_programs(env, episodes_per_task)
-
-
-@lru_cache(maxsize=64)
-def _cached_programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
     batch = _Batch(env, episodes_per_task)
     return _Programs(jax.jit(batch.begin), jax.jit(batch.decide), jax.jit(batch.assemble))
 

@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
@@ -253,7 +253,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         objective = MetaObjective.of_parts(common, rows[0])
         updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
-        outer, inner = self._thinnings(key, objective.post.action.shape[-2])
+        outer, inner = self._thinnings(key, objective.post.valid)
         improved, step = self.trust_region.step(
             parameters,
             objective.evaluate,
@@ -266,11 +266,13 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         after = GradientState(replace(improved, policy=policy), done, objective.statistics_after())
         return (after, describe_step(objective, parameters, improved, step)), None
 
-    def _thinnings(self, key: Key, time: int) -> tuple[Thinning, Thinning]:
+    def _thinnings(
+        self, key: Key, valid: Bool[Array, "task episode time"]
+    ) -> tuple[Thinning, Thinning]:
         """Draw the time steps of the curvature: of the outer loss, and of the inner updates."""
         if self.hessian_stride is None:
-            both = Thinning.draw(key, self.curvature_stride, time)
+            both = Thinning.draw(key, self.curvature_stride, valid)
             return both, both
         outer_key, inner_key = jax.random.split(key)
-        outer = Thinning.draw(outer_key, self.curvature_stride, time)
-        return outer, Thinning.draw(inner_key, self.hessian_stride, time)
+        outer = Thinning.draw(outer_key, self.curvature_stride, valid)
+        return outer, Thinning.draw(inner_key, self.hessian_stride, valid)

@@ -172,6 +172,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         policy, opt_state, step = self.policy_step(
             policy_key, state.policy, state.opt_state, trials, standard
         )
+        policy = self.policy.after_iteration(policy, state.iteration + 1)
         value, accepted = self.value.fit(value_key, state.value, trials, advantages + expected)
         info = _describe(episodes, trials, advantages, expected, accepted, step)
         return (RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info), None

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.learners.trials import Trials
-from maesn.networks import RecurrentNetwork, init_recurrent_network
+from maesn.networks import RecurrentNetwork, check_sizes, init_recurrent_network
 from maesn.numerics import MinibatchDescent, if_finite, mesh
 from maesn.policies import input_features, input_size
 
@@ -47,6 +47,9 @@ class RecurrentValue(eqx.Module):
     """Widths of the hidden layers after the recurrent layer."""
     descent: MinibatchDescent = MinibatchDescent()
     """The optimiser of the fit."""
+
+    def __check_init__(self) -> None:
+        check_sizes(self)
 
     def init(self, key: Key, observation_size: int, action_size: int) -> ValueState:
         """Return an untrained value function."""

@@ -25,7 +25,12 @@ from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.tasks import map_tasks
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import AbstractPolicy, AbstractPolicySettings, GaussianMLP
+from maesn.policies import (
+    AbstractPolicy,
+    AbstractPolicySettings,
+    AnnealedGaussianMLP,
+    GaussianMLP,
+)
 
 # Damping as in Stable-Baselines3 and Spinning Up: with the reference's 1e-5, the step follows
 # directions that one task's small batch says nothing of, and is cut back to nearly nothing. Steps
@@ -108,6 +113,8 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
 
     def __check_init__(self) -> None:
         refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
+        if isinstance(self.policy, AnnealedGaussianMLP):
+            raise ValueError("`policy` must not be annealed: there are no meta-iterations here.")
 
     def init(self, keys: TaskKeys) -> PolicyGradientState:
         split = jax.vmap(jax.random.split)(keys)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key, TaskKeys
+from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import check_observed
@@ -69,6 +70,9 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     def agents(self, state: BonusFastState, purpose: Purpose = "explore") -> Agents:
         return self.learner.agents(state.learner, purpose)
 
+    def adapted(self, state: BonusFastState) -> AbstractContext:
+        return self.learner.adapted(state.learner)
+
     @property
     def capabilities(self) -> Capabilities:
         return self.learner.capabilities._replace(has_bonus=True)
@@ -76,9 +80,9 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
         """Learn from reward and bonus, then let the models learn from the transitions."""
         keys = _update_keys(state.keys, state.update)
-        models, bonus = self._judge(keys[:, 0], state.curiosity, episodes)
+        models, bonus = _judge(self.curiosity, keys[:, 0], state.curiosity, episodes)
         learned = self.learner.update(state.learner, with_bonus(episodes, bonus))
-        models = self._learn(keys[:, 1], models)
+        models = _learn(self.curiosity, keys[:, 1], models)
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
     def _initial_model(self, key: Key) -> CuriosityState:
@@ -86,16 +90,19 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
             return self.curiosity.start(self.trained)
         return self.curiosity.init(key, self.observation_size, self.action_size)
 
-    @eqx.filter_jit
-    def _judge(
-        self, keys: TaskKeys, models: CuriosityState, episodes: Episodes
-    ) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
-        # In turn, to bound the memory: every transition has a gradient of its own.
-        return map_tasks(self.curiosity.judge, keys, models, episodes, how="serial")
 
-    @eqx.filter_jit
-    def _learn(self, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
-        return map_tasks(self.curiosity.learn, keys, models, how="vmap")
+# Functions of the settings alone: a user's learner need not be anything that JAX can trace.
+@eqx.filter_jit
+def _judge(
+    curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState, episodes: Episodes
+) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
+    # In turn, to bound the memory: every transition has a gradient of its own.
+    return map_tasks(curiosity.judge, keys, models, episodes, how="serial")
+
+
+@eqx.filter_jit
+def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
+    return map_tasks(curiosity.learn, keys, models, how="vmap")
 
 
 def inside(

@@ -5,6 +5,7 @@ not recurrent. The paper's claim about asymptotic performance rests on it: what 
 reach, the weights can.
 """
 
+from dataclasses import replace
 from typing import Any, Generic
 
 import equinox as eqx
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
+from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
@@ -78,6 +80,11 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
             return FineTuningState(state.learner, tuned, state.keys, count)
         return self._next(self.learner.update(state.learner, episodes), state.keys, count)
 
+    def adapted(self, state: FineTuningState[Any]) -> AbstractContext:
+        if state.tuning is None:
+            return self.learner.adapted(state.learner)
+        return state.tuning.agents.context
+
     @property
     def capabilities(self) -> Capabilities:
         return self.learner.capabilities._replace(learns_from_reward=True)
@@ -86,5 +93,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         """Return the state after an update of the learner. After its last one, tuning begins."""
         tuning = None
         if int(count) >= self.after:
-            tuning = self.improvement.begin(keys, self.learner.agents(learned))
+            # Not the contexts that a search would try next.
+            agents = replace(self.learner.agents(learned), context=self.learner.adapted(learned))
+            tuning = self.improvement.begin(keys, agents)
         return FineTuningState(learned, tuning, keys, count)
