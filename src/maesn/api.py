@@ -4,8 +4,7 @@ In Python a run is given as a `Run`, its directory or its policy's name, and a f
 as `module:name`.
 """
 
-import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -18,7 +17,7 @@ from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
-from maesn.reporting.page import PAGE, PlotlyMissing, run_page, study_page, write_page
+from maesn.reporting.page import PAGE, run_page, study_page, write_page
 from maesn.reporting.report import report_runs, report_study
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import studies_in
@@ -33,8 +32,6 @@ from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, played_live, run_prior
 from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import warn_of_duration
-
-logger = logging.getLogger(__name__)
 
 
 def train(
@@ -272,7 +269,7 @@ def report(
         tables: list[TextTable] = []
         for path in studies:
             tables += report_study(path, files.append)
-            files += _page(page or path / PAGE, study_page, path)
+            files += write_page(page or path / PAGE, study_page(path))
         return Reported(files, tables)
     opened = [running.open_run(run, family) for run in of]
     for run in opened:
@@ -284,14 +281,4 @@ def report(
     directories = [run.directory for run in opened]
     folder = page.parent if page else Path(out or directories[0] / "figures")
     files = report_runs(directories, folder, print)
-    return Reported(files + _page(page or folder / PAGE, run_page, directories), [])
-
-
-def _page(path: Path, document: Callable[[Any], dict[str, Any]], of: Any) -> list[Path]:
-    """Write the page of runs or a study; return its path, or say why there is none."""
-    try:
-        write_page(path, document(of))
-    except PlotlyMissing as error:
-        logger.warning("%s", error)
-        return []
-    return [path]
+    return Reported(files + write_page(page or folder / PAGE, run_page(directories)), [])

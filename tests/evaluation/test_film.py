@@ -259,10 +259,10 @@ def test_episodes_stand_in_rows_and_reached_goals_are_framed() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--task", "100"], "`task` must be from 0 to 99, got 100"),
+        (["--task", "100"], "`task` must be at most 99, got 100"),
         (["--after", "-50"], "`after` must be numbers of episodes, multiples of"),
         (["--after", "75"], "multiples of `episodes_per_update`, 50, from 0 to `episodes`, 500"),
-        (["--shown", "51"], "`shown` must be from 1 to 50, got 51"),
+        (["--shown", "51"], "`shown` must be at most 50, got 51"),
         (["--tasks", "tset"], "`tasks` must be one of"),
     ],
 )

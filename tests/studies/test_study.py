@@ -241,7 +241,7 @@ def test_families_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.Mo
         folder: EvaluationSpec(dataclasses.replace(FEW.usual, tasks=f"{folder}/goals.npz"))
         for folder in ("a", "b")
     }
-    with pytest.raises(RunError, match="2 comparisons of the name `point-goals`: rename"):
+    with pytest.raises(RunError, match="two files of tasks, have the same name: rename one"):
         Study(dataclasses.replace(SMALL, evaluations=evaluations))
 
 

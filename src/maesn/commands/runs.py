@@ -18,7 +18,6 @@ from maesn.reporting.tables import TextTable, print_adaptation_summary, print_ta
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
-from maesn.settings import check_number
 from maesn.storage import RunError, read_json, refusals
 from maesn.studies.execution import Execution, ExecutorName
 from maesn.studies.study import JOBS, Results, Study
@@ -107,8 +106,6 @@ def study(
         only: The one job to compute, as a job of an array does.
         dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
-    with refusals():
-        check_number("workers", workers, 1)
     if action == "status" and (found := studies_in(Path(file))):
         print_tables([_jobs_of(directory) for directory in found])
         return
@@ -134,10 +131,9 @@ def _jobs_of(study: Path) -> TextTable:
     names = read_json(study / MANIFEST).get("jobs", [])
     joined = {job for jobs in joined_files(study).values() for job in jobs}
     execution = Execution({}, study.parent / JOBS, joined)
-    done = [execution.is_done(name) for name in names]
-    states = ("done" if is_done else "" for is_done in done)
-    title = f"{study.name}: {sum(done)} of {len(done)} jobs are done"
-    return TextTable(title, ("job", ""), tuple(zip(names, states, strict=True)))
+    rows = tuple((name, "done" if execution.is_done(name) else "") for name in names)
+    title = f"{study.name}: {sum('done' in row for row in rows)} of {len(rows)} jobs are done"
+    return TextTable(title, ("job", ""), rows)
 
 
 @command

@@ -24,7 +24,8 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
 from maesn.reporting import style
-from maesn.storage import RunError, refusals, write_whole
+from maesn.settings import check_number
+from maesn.storage import refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
@@ -85,11 +86,9 @@ def render(
     after = sorted(set(after or (0, asked.budget.episodes // each // 2 * each)))
     with refusals():
         asked.check_reached("after", after)
-    if not 1 <= shown <= _MOST_SHOWN:
-        raise RunError(f"`shown` must be from 1 to {_MOST_SHOWN}, got {shown}.")
+        check_number("shown", shown, 1, _MOST_SHOWN)
+        check_number("task", task, 0, len(run.task_set(asked.tasks)) - 1)
     with new_tasks(run, asked) as (world, learner):
-        if not 0 <= task < len(world.tasks):
-            raise RunError(f"`task` must be from 0 to {len(world.tasks) - 1}, got {task}.")
         env = world.env
         stride = math.ceil(env.horizon / _MOST_PICTURES)
         draws_itself = world.film(shown, stride, _SIZE)

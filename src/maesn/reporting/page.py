@@ -1,6 +1,7 @@
 """The report page: one HTML file that shows runs or a study, and needs no network."""
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -18,7 +19,9 @@ from maesn.reporting.sources import Series, compare_runs, compare_study, read_se
 from maesn.reporting.style import LineStyle, MethodStyle
 from maesn.reporting.tables import summary_tables
 from maesn.settings import leaves
-from maesn.storage import RunError, read_json, write_whole
+from maesn.storage import read_json, write_whole
+
+logger = logging.getLogger(__name__)
 
 Document = dict[str, Any]
 
@@ -27,24 +30,18 @@ PAGE = "report.html"
 _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
-class PlotlyMissing(RunError):
-    """The page needs plotly, an extra of the installation."""
+def write_page(path: Path, document: Document) -> list[Path]:
+    """Write a document of `run_page` or `study_page` as one HTML file, if plotly is installed.
 
-
-def write_page(path: Path, document: Document) -> None:
-    """Write a document of `run_page` or `study_page` as one HTML file.
-
-    Raises:
-        PlotlyMissing: plotly is not installed.
+    Returns:
+        What was written: the path, or nothing and a warning.
     """
     own, text = files("maesn.reporting"), json.dumps(document, allow_nan=False)
     try:
         plotly = files("plotly") / "package_data" / "plotly.min.js"
-    except ModuleNotFoundError as error:
-        raise PlotlyMissing(
-            "no page is written, because plotly is missing: install it with `pip install "
-            "-e '.[page]'` in the clone."
-        ) from error
+    except ModuleNotFoundError:
+        logger.warning("no page is written: plotly is missing. pip install -e '.[page]'.")
+        return []
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
         "style": own.joinpath("page.css").read_text("utf-8"),
@@ -54,6 +51,7 @@ def write_page(path: Path, document: Document) -> None:
     }.items():
         page = page.replace(f"<!-- {name} -->", content, 1)
     write_whole(path, page.encode())
+    return [path]
 
 
 def run_page(directories: Sequence[Path]) -> Document:

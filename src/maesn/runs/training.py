@@ -200,8 +200,7 @@ def describe(progress: Progress) -> str:
         parts.append(f"return {info['return_before']:.1f} -> {info['return_after']:.1f}")
     if "success_after" in info:
         parts.append(f"success {info['success_after']:.0%}")
-    kl = progress.find("kl")
-    if kl is not None:
+    if (kl := progress.find("kl")) is not None:
         rejected = progress.find("accepted") == 0.0
         parts.append("step rejected" if rejected else f"KL {kl:.4f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")

@@ -1,7 +1,7 @@
 """From what a study says to the jobs that compute it, and the comparisons that they are for."""
 
 import dataclasses
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -44,13 +44,9 @@ def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[Entry]]:
     jobs: dict[str, Job] = {}
     planned = [_Planner(study, family, jobs).compare() for family in study.families]
     found = [one for comparisons in planned for one in comparisons]
-    names = Counter(one["name"] for one in found)
-    for name, count in names.items():
-        if count > 1:
-            raise RunError(
-                f"`{study.file}` has {count} comparisons of the name `{name}`: rename a family, or "
-                "a file of tasks."
-            )
+    if len({one["name"] for one in found}) < len(found):
+        wrong = "two families, or two files of tasks, have the same name: rename one"
+        raise RunError(f"`{study.file}`: {wrong}.")
     return jobs, found
 
 
