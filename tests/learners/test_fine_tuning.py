@@ -1,6 +1,7 @@
 """Fine-tuning: first the learner's own updates, then policy gradient on its agents' weights."""
 
 from dataclasses import replace
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from playing import keys
 
 from maesn.envs import point
 from maesn.evaluation.evaluate import adapt
+from maesn.experience.episodes import concatenate
 from maesn.learners import (
     IMPROVEMENTS,
     SCRATCH,
@@ -45,7 +47,7 @@ def fast(preset: object = maesn) -> GradientFastLearner:
 @pytest.mark.parametrize("rule", IMPROVEMENTS)
 def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Collector) -> None:
     inner = fast()
-    learner = FineTuning(inner, IMPROVEMENTS[rule], after=10)
+    learner = FineTuning(inner, IMPROVEMENTS[rule], after=10, least_batch=5)
     state, alone, agents = learner.init(keys(TASKS)), inner.init(keys(TASKS)), []
     for update in range(4):
         agents.append(learner.agents(state))
@@ -76,7 +78,7 @@ def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Co
 
 def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collector) -> None:
     inner, improvement = fast(), IMPROVEMENTS["trpo"]
-    learner = FineTuning(inner, improvement, after=0)
+    learner = FineTuning(inner, improvement, after=0, least_batch=5)
     state = learner.init(keys(TASKS))
     episodes = collect(keys(TASKS), learner.agents(state), jnp.arange(TASKS))
     # z was drawn for every episode.
@@ -88,10 +90,27 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
         np.testing.assert_array_equal(one, other)
 
 
+def test_episodes_of_small_updates_are_saved_for_one_step(collect: Collector) -> None:
+    inner, improvement = fast(), IMPROVEMENTS["reinforce"]
+    learner = FineTuning(inner, improvement, after=5, least_batch=15)
+    states = [learner.init(keys(TASKS))]
+    played = []
+    for update in range(5):
+        played.append(collect(keys(TASKS, update), learner.agents(states[-1]), jnp.arange(TASKS)))
+        states.append(learner.update(states[-1], played[-1]))
+    weights = [np.asarray(learner.agents(one).policy.log_std) for one in states[1:]]
+    np.testing.assert_array_equal(weights[1:3], weights[:1] * 2)
+    assert (weights[3] != weights[2]).all()
+    np.testing.assert_array_equal(weights[4], weights[3])
+    batch = reduce(concatenate, played[1:4])
+    expected = improvement(states[1].tuning, batch).agents.policy
+    np.testing.assert_array_equal(weights[3], expected.log_std)
+
+
 @pytest.mark.long
 def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
     for preset in (maesn, maml):
-        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5)
+        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5, least_batch=5)
         returns = adapt(learner, collect, episodes=75).curves.mean_return
         # Of means over a few episodes each, the first two and the last four.
         assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)

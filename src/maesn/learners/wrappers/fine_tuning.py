@@ -15,7 +15,7 @@ from jaxtyping import Array, Int
 from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes
+from maesn.experience.episodes import Episodes, concatenate
 from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
@@ -33,6 +33,8 @@ class FineTuningState(eqx.Module, Generic[FastState]):
     keys: TaskKeys
     episodes: Int[Array, ""]
     """Episodes of each task so far."""
+    saved: Episodes | None = None
+    """Episodes that the weights have yet to learn from."""
 
 
 class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
@@ -50,6 +52,9 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     """Episodes of each task that the learner has before. The update that reaches them is its last
     one. With 50 episodes per update this is ten updates, after which the latents hardly move: the
     reference's steps are halved from the third update on."""
+    least_batch: int = 20
+    """Episodes that a step of the weights learns from, at least. Those of smaller updates, as a
+    search has them, are saved until there are as many."""
 
     def __check_init__(self) -> None:
         if self.after < 0:
@@ -75,10 +80,14 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     def update(self, state: FineTuningState[Any], episodes: Episodes) -> FineTuningState[Any]:
         """Update the learner, or the weights once the learner has had its episodes."""
         count = state.episodes + episodes.valid.shape[1]
-        if state.tuning is not None:
-            tuned = self.improvement(state.tuning, episodes)
-            return FineTuningState(state.learner, tuned, state.keys, count)
-        return self._next(self.learner.update(state.learner, episodes), state.keys, count)
+        if state.tuning is None:
+            return self._next(self.learner.update(state.learner, episodes), state.keys, count)
+        batch = episodes if state.saved is None else concatenate(state.saved, episodes)
+        if batch.valid.shape[1] < self.least_batch:
+            return replace(state, episodes=count, saved=batch)
+        return replace(
+            state, tuning=self.improvement(state.tuning, batch), episodes=count, saved=None
+        )
 
     def adapted(self, state: FineTuningState[Any]) -> AbstractContext:
         if state.tuning is None:
