@@ -91,9 +91,9 @@ class TrustRegion(eqx.Module):
                 is not differentiated.
             loss_and_gradient: returns the same loss, and its gradient.
             distribution: returns the action distributions `[*batch, action]`, for the curvature.
-            weight: weight of each of them in the mean KL; sums to 1. Where devices share the tasks
-                (`maesn.numerics.mesh`), `distribution` and `weight` are a device's own part, and
-                the losses are those of all tasks.
+            weight: weight of each of them in the mean KL; they sum to 1 where all tasks have steps.
+                Where devices share the tasks (`maesn.numerics.mesh`), `distribution` and `weight`
+                are a device's own part, and the losses are those of all tasks.
         """
         flat, unravel = ravel_pytree(parameters)
         loss_before, gradient_tree = loss_and_gradient(parameters)

@@ -72,7 +72,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Batches of episodes that the outer step learns from."""
     curvature_stride: int = 20
     """The curvature of the trust region is averaged over one of so many time steps (neighbouring
-    steps resemble each other); 1 for all. The reference uses all."""
+    steps resemble each other); 1 for all. Chosen for episodes of 50 to 200 steps. The reference
+    uses all."""
     hessian_stride: int | None = None
     """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
     step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
