@@ -2,8 +2,9 @@
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay. Jobs
-whose results are in the tables of all studies that have them go.
+Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; large
+checkpoints, as those of RL2, of seed 0 alone. Jobs whose results are in the tables of all studies
+that have them go.
 """
 
 import shutil
@@ -22,6 +23,7 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS
 
 LINES = 20  # of the metrics
+LARGE = 200_000  # bytes of a checkpoint
 
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
@@ -49,8 +51,10 @@ def prune_run(run: Path) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    for checkpoint in sorted((run / CHECKPOINTS).glob("*.safetensors"))[:-1]:
-        checkpoint.unlink()
+    seed, checkpoints = read_json(run / CONFIG)["settings"]["seed"], (run / CHECKPOINTS).glob("*")
+    for later, checkpoint in enumerate(sorted(checkpoints, reverse=True)):
+        if later or (seed and checkpoint.stat().st_size > LARGE):
+            checkpoint.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))
 
