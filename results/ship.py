@@ -9,18 +9,19 @@ FAMILY` then adapts it on every installation.
 
 import dataclasses
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import tyro
 
-from maesn.learners import METHODS
+from maesn.learners import METHODS, AbstractMetaLearner, recommended, recommended_run
 from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
 from maesn.search.stored import run_prior
+from maesn.settings import leaves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,37 +35,39 @@ class Settings:
 
 
 def command(config: RunConfig) -> str:
-    """Return the command that trains such a run: the settings that are not the method's own.
+    """Return the command that trains such a run, with the settings that are not the usual ones.
 
     Raises:
         ValueError: no command trains such a learner.
     """
-    method = config.settings.method
+    method, family = config.settings.method, config.settings.family
     if method not in METHODS:
         raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
-    found = _options(fields_to_json(config.settings)) | _options(to_json(config.learner))
-    usual = _options(fields_to_json(RunSettings())) | _options(to_json(METHODS[method]()))
-    chosen = {name: value for name, value in found.items() if usual.get(name) != value}
-    slots = [name for name in chosen if name.split(".")[-1] == TAG]
-    if slots:
+    chosen = _changes(config, RunSettings(), METHODS[method]())
+    words = ["maesn train", method, "--settings reference"]
+    if _slots(chosen):
+        suited = RunSettings(**recommended_run(method, family)), recommended(method, family)
+        chosen, words = _changes(config, *suited), words[:2]
+    if slots := _slots(chosen):
         raise ValueError(f"no option of `maesn train {method}` changes {', '.join(slots)}.")
-    del chosen["method"]
-    words = [f"--{name.replace('_', '-')} {value}" for name, value in chosen.items()]
-    return " ".join(["maesn train", method, "--settings reference", *words])
+    return " ".join([*words, *(f"--{name.replace('_', '-')} {x}" for name, x in chosen.items())])
 
 
-def _options(document: dict[str, Any]) -> dict[str, str]:
-    return dict(_leaves("", document))
+def _changes(
+    config: RunConfig, settings: RunSettings, learner: AbstractMetaLearner[Any, Any]
+) -> dict[str, str]:
+    """Return by name the options that differ from these settings, as the command line has them."""
+    found = leaves(fields_to_json(config.settings) | to_json(config.learner))
+    usual = leaves(fields_to_json(settings) | to_json(learner))
+    return {
+        name: " ".join(map(str, value if isinstance(value, list) else [value]))
+        for name, value in found.items()
+        if usual.get(name) != value and name != "method"
+    }
 
 
-def _leaves(prefix: str, document: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the name and the value of every option, as the command line has them."""
-    for name, value in document.items():
-        if isinstance(value, dict):
-            yield from _leaves(f"{prefix}{name}.", value)
-        else:
-            values = value if isinstance(value, list) else [value]
-            yield prefix + name, " ".join(map(str, values))
+def _slots(options: Iterable[str]) -> list[str]:
+    return [name for name in options if name.split(".")[-1] == TAG]
 
 
 def ship(run: Run, commit: str, target: Path) -> None:

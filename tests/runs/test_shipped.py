@@ -18,7 +18,7 @@ from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.evaluation import exploration, film
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import AbstractMetaLearner, maesn
+from maesn.learners import AbstractMetaLearner, maesn, recommended
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.config import RunConfig, RunSettings, new_config
@@ -163,14 +163,21 @@ def test_list_names_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in trained for name in POLICIES)
 
 
-def test_the_command_of_a_run_builds_its_learner_and_settings() -> None:
-    learner = maesn(
-        context=LatentContext(kl_weight=0.5),
-        policy=GaussianMLP((32, 16)),
-        trust_region=TrustRegion(damping=1e-2),
-        meta_batch_size=10,
-    )
-    config = config_of(learner, sparse_radius=0.25, seed=3)
+CHANGED = maesn(
+    context=LatentContext(kl_weight=0.5),
+    policy=GaussianMLP((32, 16)),
+    trust_region=TrustRegion(damping=1e-2),
+    meta_batch_size=10,
+)
+
+
+@pytest.mark.parametrize(
+    ("learner", "family"), [(CHANGED, "point"), (recommended("maesn", "ant"), "ant")]
+)
+def test_the_command_of_a_run_builds_its_learner_and_settings(
+    learner: AbstractMetaLearner[Any, Any], family: str
+) -> None:
+    config = config_of(learner, family=family, sparse_radius=0.25, seed=3)
     words = ship.command(config).split()
     assert words[:3] == ["maesn", "train", "maesn"]
     options = read_options("maesn", words[3:])
