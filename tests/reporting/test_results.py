@@ -71,7 +71,10 @@ def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
     if directory.name == RUN and not (directory.parent / DONE).exists():
         assert run.latest().iteration > 0  # the study goes on with it
         return
-    assert run.latest().iteration == run.settings.iterations
+    if run.checkpoints():
+        assert run.latest().iteration == run.settings.iterations
+    else:  # they are large, and one seed's are kept
+        assert (run.settings.method, run.settings.seed > 0) == ("rl2", True)
     assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
 
 
