@@ -2,9 +2,10 @@
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; large
-checkpoints, as those of RL2, of seed 0 alone. Jobs whose results are in the tables of all studies
-that have them go.
+Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; a large
+checkpoint (RL2's) only of seed 0. To evaluate such a run in another way, remove its job's
+directory: the study trains it again. Other jobs go once every study that lists them has their
+results in a table.
 """
 
 import shutil
@@ -51,7 +52,10 @@ def prune_run(run: Path) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    seed, checkpoints = read_json(run / CONFIG)["settings"]["seed"], (run / CHECKPOINTS).glob("*")
+    seed, checkpoints = (
+        read_json(run / CONFIG)["settings"]["seed"],
+        (run / CHECKPOINTS).glob("*.safe*"),
+    )
     for later, checkpoint in enumerate(sorted(checkpoints, reverse=True)):
         if later or (seed and checkpoint.stat().st_size > LARGE):
             checkpoint.unlink()

@@ -106,7 +106,7 @@ def main(settings: Settings) -> None:
     run = Run.open(settings.run)
     target = TRAINED / run.family.name
     ship(run, settings.commit, target)
-    print(target, run_prior(Run.open(target))[0])
+    print(target, run_prior(Run.open(target), directory=target)[0])
 
 
 if __name__ == "__main__":

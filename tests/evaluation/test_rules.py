@@ -22,6 +22,7 @@ from maesn.learners import (
 )
 from maesn.policies import GaussianMLP
 from maesn.rules import (
+    BestOfRule,
     FixedAgents,
     GradientRule,
     NoAdaptation,
@@ -59,12 +60,12 @@ def rows(table: Path) -> list[str]:
 
 
 def test_fine_tuning_has_a_table_of_its_own(trained: Path, few: str, tmp_path: Path) -> None:
-    asked = Evaluation(few, episodes=9, episodes_per_update=3)
-    plain = api.adapt(trained, asked)
-    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--then", "trpo", "after=3"]
+    plain = api.adapt(trained, Evaluation(few, episodes=60, episodes_per_update=20))
+    budget = ["--episodes", "60", "--episodes-per-update", "20"]
+    command = ["adapt", str(trained), "--tasks", few, *budget, "--then", "trpo", "after=20"]
     assert cli.run(command) == 0
-    (tuned,) = (trained / "adaptation").glob("file-few-*-sparse-3-episodes-then-trpo-*.csv")
-    # The same until the policy is tuned: after 0 and 3 episodes.
+    (tuned,) = (trained / "adaptation").glob("file-few-*-sparse-20-episodes-then-trpo-*.csv")
+    # The same until the policy is tuned: after 0 and 20 episodes.
     assert rows(plain.table)[:3] == rows(tuned)[:3]
     assert rows(plain.table)[4] != rows(tuned)[4]
 
@@ -154,10 +155,11 @@ def test_deployed_agents_are_judged_on_fresh_episodes(trained: Path, few: str) -
 
 def test_the_record_says_by_which_rule(trained: Path, few: str) -> None:
     curiosity = CuriosityBonus(updates=3)
-    added = (ThenTrpo(after=3), VimeBonus(curiosity))
-    done = api.adapt(trained, tasks=few, wrappers=added, **FEW)
+    added = (ThenTrpo(after=20), VimeBonus(curiosity))
+    asked = Evaluation(few, episodes=40, episodes_per_update=20, wrappers=added)
+    done = api.adapt(trained, asked)
     record = json.loads(done.table.with_suffix(".settings.json").read_text())
-    for settings in (ThenTrpo(after=3), curiosity):
+    for settings in (ThenTrpo(after=20), curiosity):
         for name, value in vars(settings).items():
             assert f"{name}={written_out(value)}" in record["rule"]
 
@@ -165,9 +167,10 @@ def test_the_record_says_by_which_rule(trained: Path, few: str) -> None:
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
 def test_the_weights_learn_from_the_bonus_as_well(trained: Path, order: slice) -> None:
     run, env = Run.open(trained), point.make_env()
-    added = (ThenTrpo(after=3), VimeBonus())[order]
+    added = (ThenTrpo(after=20), VimeBonus())[order]
     trained_as = Trained(run.learner, run.latest_state())
-    both = Evaluation(wrappers=added, **FEW).fast_learner(trained_as, "maesn", env)
+    asked = Evaluation(wrappers=added, episodes=40, episodes_per_update=20)
+    both = asked.fast_learner(trained_as, "maesn", env)
     assert isinstance(both, BonusFastLearner)
     assert isinstance(both.learner, FineTuning)
     assert isinstance(both.learner.learner, GradientFastLearner)
@@ -209,6 +212,8 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         api.adapt(trained, wrappers=(ThenTrpo(),))
     with pytest.raises(RunError, match="`after` must be a multiple of `episodes_per_update`"):
         api.adapt(trained, wrappers=(ThenReinforce(after=30),))
+    with pytest.raises(RunError, match="`episodes` must be at least 20 more than `after`, got 20"):
+        api.adapt(trained, rule=BestOfRule(), episodes=20, wrappers=(ThenTrpo(after=10),))
     with pytest.raises(RunError, match="`deploy_episodes` must be 0 or equal"):
         api.adapt(recurrent, deploy_episodes=7)
     with pytest.raises(RunError, match="an update needs at least 2 episodes of a task, got 1"):

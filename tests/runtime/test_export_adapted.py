@@ -55,6 +55,17 @@ def test_the_command_does_the_same(
     assert Explorer.load(tmp_path / "policy.npz").update == 2
 
 
+def test_from_what_a_search_has_found_the_gradient_goes_on_as_from_the_prior(
+    adapted: tuple[Path, Adapted], tmp_path: Path
+) -> None:
+    run, _ = adapted
+    found = api.adapt(run, rule=maesn.BestOfRule(), episodes=2, num_tasks=2, deploy_episodes=1)
+    path = api.export(run, tmp_path / "policy.npz", latents=found.latents, task=1)
+    explorer = Explorer.load(path)
+    np.testing.assert_array_equal(explorer.latent_mean, found.outcome.contexts.mean[1, -1])
+    assert explorer.latent_std.tolist() == [1.0, 1.0]
+
+
 def test_the_settings_of_the_rule_are_exported(
     adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:

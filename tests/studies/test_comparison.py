@@ -80,7 +80,7 @@ def test_runs_take_part_a_second_time_with_what_is_added(
 ) -> None:
     rule = GradientRule(step_scale=2.0)
     asked = Evaluation(
-        num_tasks=2, episodes=6, episodes_per_update=3, rule=rule, wrappers=(ThenTrpo(after=3),)
+        num_tasks=2, episodes=40, episodes_per_update=20, rule=rule, wrappers=(ThenTrpo(after=20),)
     )
     said: list[str] = []
     done = compare(
@@ -92,7 +92,7 @@ def test_runs_take_part_a_second_time_with_what_is_added(
     )
     (one,) = read_json(done.directory / "study.json")["comparisons"]
     labels = [line["label"] for line in one["lines"]]
-    assert labels == ["MAESN", "oracle", "MAESN (steps × 2; 3 episodes, then TRPO)"]
+    assert labels == ["MAESN", "oracle", "MAESN (steps × 2; 20 episodes, then TRPO)"]
     assert [line["addition"] for line in one["lines"]] == [False, False, True]
     assert any("oracle takes part as it is" in sentence for sentence in said)
 
@@ -122,8 +122,8 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
         ("{1} --episodes 75 --out {0}", "`episodes` must be a multiple of `episodes_per_update`"),
         ("{1} --episodes -50 --out {0}", "`episodes` must be at least 0, got -50"),
         ("{1} --oracle {0} --out {0}", "there is no run in"),
-        ("{1} --oracle {1} --out {0}", "`oracle` must be a run of `maesn train oracle`"),
-        ("{2} --oracle {2} --out {0}", "and the only one"),
+        ("{1} --oracle {1} --out {0}", "must be the only run of the method `oracle`, got `maesn`"),
+        ("{2} --oracle {2} --out {0}", "must be the only run of the method `oracle`, got `oracle`"),
         ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
         ("{1} --seed 4294967296 --out {0}", "`seed` must be at most 4294967295"),
     ],

@@ -232,7 +232,9 @@ def test_a_training_that_was_removed_is_done_again(tmp_path: Path) -> None:
     assert executor.started == [training.name]
 
 
-def test_families_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_tasks_of_one_name_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for folder in ("a", "b"):
         Path(folder).mkdir()
@@ -256,6 +258,7 @@ def test_what_another_study_computes_is_waited_for(tmp_path: Path) -> None:
         assert executor.started == []
         write_json(tmp_path / job.name / "done.json", {"steps": 1, "seconds": 1, "by": "them"})
     working.join()
+    assert executor.started == [job.name]  # and finds it done
     assert execution.failed == {}
     assert execution.done(job.name) == {"steps": 1, "seconds": 1, "by": "them"}
 

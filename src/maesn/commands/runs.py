@@ -1,6 +1,7 @@
 """Commands that work on runs and studies, and the demo."""
 
 from functools import wraps
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -129,8 +130,7 @@ def study(
 def _jobs_of(study: Path) -> TextTable:
     """Return which jobs of a study are done, from what it has left."""
     names = read_json(study / MANIFEST).get("jobs", [])
-    joined = {job for jobs in joined_files(study).values() for job in jobs}
-    execution = Execution({}, study.parent / JOBS, joined)
+    execution = Execution({}, study.parent / JOBS, {*chain(*joined_files(study).values())})
     rows = tuple((name, "done" if execution.is_done(name) else "") for name in names)
     title = f"{study.name}: {sum('done' in row for row in rows)} of {len(rows)} jobs are done"
     return TextTable(title, ("job", ""), rows)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeV
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
@@ -57,9 +58,9 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     """
 
     def __hash__(self) -> int:
-        """Count arrays by their shape, as JAX hashes static arguments; equality compares values."""
+        """Hash arrays by their shape: they have no hash, and equality compares their values."""
         leaves = jax.tree.leaves(self)
-        plain = (x if isinstance(x, bool | int | float | str) else jnp.shape(x) for x in leaves)
+        plain = (x if isinstance(x, bool | int | float | str) else np.shape(x) for x in leaves)
         return hash((type(self), *plain))
 
     name: eqx.AbstractClassVar[str]

@@ -163,4 +163,6 @@ def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
     with refusals():
         check_number("task", task, 0, len(read.mean) - 1)
     mean, log_std = (jnp.asarray(x[task, -1], jnp.float32) for x in (read.mean, read.log_std))
+    if (log_std <= Latent(mean, log_std).at_mean().log_std).all():
+        log_std = jnp.zeros_like(mean)  # a search leaves a point: on from it as from the prior
     return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

@@ -24,7 +24,7 @@ class Thinning(NamedTuple):
 
     @staticmethod
     def draw(key: Key, stride: int, valid: Bool[Array, "*batch time"]) -> "Thinning":
-        """Draw the offset. Every step can be chosen, and some episode has been played up to it."""
+        """Draw the offset, a step that some episode has reached; any played step can be chosen."""
         time = valid.shape[-1]
         stride = min(stride, time)
         # The remainder lets offsets reach the last steps where the stride does not divide the time.

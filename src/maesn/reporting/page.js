@@ -437,7 +437,7 @@ function runPage() {
 function studyPage() {
   if (!data.comparisons.length) section("Nothing compared yet", quiet("`maesn study run` goes on with the study."));
   data.comparisons.forEach(comparison);
-  section("Provenance", details("Command, versions, and the jobs with their digests", table(["", "value"], data.provenance)));
+  section("Provenance", details("Versions, and the jobs with their digests", table(["", "value"], data.provenance)));
 }
 
 // ---- the page ---------------------------------------------------------------------------------

@@ -36,8 +36,8 @@ def read_run(path: Path) -> RecordedRun:
     remedy = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
     config = read_json(path / "config.json", remedy)
     try:
-        begun = {name: x for name, x in config.get("provenance", {}).items() if name == "init_from"}
-        settings = {**config["settings"], **begun, "learner": config["learner"]}
+        begun = config.get("provenance", {}).get("init_from", "").rpartition(" ")[0]  # no weights
+        settings = {**config["settings"], "init_from": begun, "learner": config["learner"]}
         method, family, seed = (settings[name] for name in ("method", "family", "seed"))
         return RecordedRun(path, method, family, seed, settings)
     except (KeyError, TypeError) as error:

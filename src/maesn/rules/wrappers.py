@@ -43,6 +43,12 @@ class AbstractThen(AbstractWrapper):
                 f"`episodes` must be more than `after`, got {episodes} and {self.after}: no "
                 "episode would be left to fine-tune the policy with."
             )
+        least = FineTuning.least_batch
+        if self.after + least > episodes:
+            raise ValueError(
+                f"`episodes` must be at least {least} more than `after`, got {episodes} and "
+                f"{self.after}: a step of the weights learns from so many."
+            )
         if self.after % episodes_per_update:
             raise ValueError(
                 "`after` must be a multiple of `episodes_per_update`, got "

@@ -95,8 +95,8 @@ class RunConfig:
     engine: str  # what moves the world
     versions: dict[str, str]  # of Python and of the packages that took part
     changes: tuple[Change, ...] = ()  # since the run began, the earliest first
-    # Where it comes from: what a run with `init_from` began with; of a policy that comes with the
-    # library command and commit.
+    # `init_from`: learner and weights that the run began with. `command` and `commit`: how a policy
+    # that comes with the library was trained.
     provenance: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:

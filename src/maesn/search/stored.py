@@ -32,14 +32,16 @@ _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as i
 
 
 def prior_file(run: Run, world: AbstractWorld) -> Path:
-    """Return the path of a run's prior for a world's reward.
+    """Return where a run's prior for a world's reward is, or will be if there is none.
 
-    What a policy that comes with the library does not have goes into a copy of it.
+    A policy that comes with the library is never written to: a missing prior goes into its copy.
     """
-    env = world.env
-    name = f"{env.reward_kind}-{env.sparse_radius:g}.safetensors"
-    path = run.directory / PRIORS / name
-    return path if path.exists() else working_copy(run.directory) / PRIORS / name
+    path = run.directory / PRIORS / _file_name(world)
+    return path if path.exists() else working_copy(run.directory) / PRIORS / path.name
+
+
+def _file_name(world: AbstractWorld) -> str:
+    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}.safetensors"
 
 
 def run_prior(
@@ -49,6 +51,7 @@ def run_prior(
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
     progress: Progress = lambda played, of: None,
+    directory: Path | None = None,
 ) -> tuple[Path, ReturnPrior]:
     """Make the prior over returns of a run's latest checkpoint, and save it.
 
@@ -58,6 +61,8 @@ def run_prior(
         reward: reward of the new tasks.
         sparse_radius: sparse radius of the new tasks, in metres; None for the run's own.
         progress: called as `make_prior` says.
+        directory: of the run that gets the file; None for the run itself, or a copy of a policy
+            that comes with the library.
 
     Returns:
         The file and the prior in it.
@@ -81,7 +86,7 @@ def run_prior(
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
         prior = make_prior(learner, world, archive, settings, progress)
-        path = prior_file(run, world)
+        path = (directory or working_copy(run.directory)) / PRIORS / _file_name(world)
         arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
         numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
         metadata = bound_to(run, state, world) | {"numbers": json.dumps(numbers)}

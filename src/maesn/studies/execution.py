@@ -78,7 +78,9 @@ class Execution:
                 running[executor.submit(job, self.directory)] = job
             if not running:
                 time.sleep(1.0)  # another study computes what is left
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            # What others compute may be done before a job of ours is.
+            timeout = 10.0 if waiting and len(running) < executor.slots else None
+            for future in wait(running, timeout, FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
                 error = f"it ended with {lost!r}" if lost else future.result()
                 if error is None:
@@ -136,7 +138,7 @@ class Execution:
         """Return a sentence on the time until all is done, by the speed of what is done."""
         done = [one for one in map(self.done, self.jobs) if one]
         steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
-        speed = steps / seconds if seconds else STEPS_PER_SECOND / 2
+        speed = steps / seconds if steps and seconds else STEPS_PER_SECOND / 2
         missing = sum(
             job.steps * (1 - job.progress(self.directory / job.name))
             for job in self.jobs.values()

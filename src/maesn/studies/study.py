@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -86,20 +87,18 @@ class Study:
             only: name of the one job to compute, if those that it needs are done.
             say: receives messages of progress.
         """
-        with storage.refusals():
-            check_number("workers", workers, 1)
         execution, directory = self.execution(out), Path(out) / self.spec.name
         for folder in (execution.directory, directory):
             with storage.explained("make", folder):
                 folder.mkdir(parents=True, exist_ok=True)
         if only is not None:
             execution.only(only)
-        threads, at_once = self.spec.threads, self.workers(workers)
+        at_once = self.workers(workers)
         with contextlib.nullcontext() if only else storage.locked(directory), ending_by_signals():
             if executor == "local":
-                executor = LocalPool(at_once, threads)
+                executor = LocalPool(at_once, self.spec.threads)
             elif executor == "ray":
-                executor = Ray(at_once, threads, execution.directory)
+                executor = Ray(at_once, self.spec.threads, execution.directory)
             if only is None:
                 self.write_results(out)  # for those who ask meanwhile what there is
             with contextlib.closing(executor):
@@ -113,6 +112,8 @@ class Study:
 
     def workers(self, asked: int | None) -> int:
         """Return how many jobs run at a time; None: as many as there are CPUs for."""
+        with storage.refusals():
+            check_number("workers", asked, 1)
         return asked or max(1, len(os.sched_getaffinity(0)) // self.spec.threads)
 
     def write_results(self, out: str | Path) -> None:
@@ -142,8 +143,7 @@ class Study:
         """Return the jobs and their state in a directory."""
         there, files = joined_files(Path(out) / self.spec.name), dict(self.files())
         missing = {job for name, jobs in files.items() if there.get(name) != jobs for job in jobs}
-        joined = {job for jobs in files.values() for job in jobs} - missing
-        return Execution(self.jobs, Path(out) / JOBS, joined)
+        return Execution(self.jobs, Path(out) / JOBS, {*chain(*files.values())} - missing)
 
 
 _GROUPS = ("lines", "baselines", "oracle")
@@ -166,8 +166,7 @@ def _collect(comparison: Entry, execution: Execution, directory: Path) -> Entry:
     for name, job in comparison["recorded"].items():
         if execution.is_done(job):
             recorded[name] = _recorded(comparison["name"], name)
-            path = execution.directory / job / EXPLORATION
-            if path.exists():
+            if (path := execution.directory / job / EXPLORATION).exists():
                 storage.write_whole(directory / recorded[name], path.read_bytes())
     found = comparison | {"recorded": recorded}
     for group in _GROUPS:
@@ -180,13 +179,11 @@ def _line(line: Entry, comparison: str, execution: Execution, directory: Path) -
     """Return a line with the seeds that are done, each with a table of all its tasks."""
     jobs, seeds = execution.directory, []
     for member, parts in line["seeds"]:
-        trained = [execution.done(job) for job in member.needs]
-        if None not in trained and all(map(execution.is_done, parts)):
+        trained = [execution.done(job) or {} for job in member.needs]
+        if all(trained) and all(map(execution.is_done, parts)):
             table = _table(comparison, line, member.seed)
             _join([jobs / job for job in parts], directory / table)
-            steps = member.training_steps
-            for done in filter(None, trained):
-                steps = done["environment_steps"]
+            steps = trained[0]["environment_steps"] if trained else member.training_steps
             seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
     return line | {"seeds": seeds}
 
@@ -264,8 +261,7 @@ def compare(
     if oracle is not None:
         method = Run.open(oracle, family).settings.method
         if method != "oracle" or "oracle" in specs:
-            wanted = "a run of `maesn train oracle`, and the only one"
-            raise RunError(f"`oracle` must be {wanted}, got one of `{method}`.")
+            raise RunError(f"`oracle` must be the only run of the method `oracle`, got `{method}`.")
         specs["oracle"] = RunSpec(directories=(str(oracle),))
     spec = StudySpec(
         name="comparison",
@@ -297,8 +293,8 @@ def _scratch(text: str) -> tuple[str, ScratchSpec]:
     """Read NAME or NAME:COUNT."""
     name, _, count = text.partition(":")
     if name not in SCRATCH or not (count or "1").isdecimal():
-        known = ", ".join(SCRATCH)
-        raise RunError(f"`scratch` must be one of {known}, perhaps as in vime:30, got `{text}`.")
+        known = f"one of {', '.join(SCRATCH)}, perhaps as in vime:30"
+        raise RunError(f"`scratch` must be {known}, got `{text}`.")
     method = SCRATCH[name].__name__
     with storage.refusals():
         return method, ScratchSpec(method, num_tasks=int(count) if count else None)

@@ -9,13 +9,14 @@ from dataclasses import replace
 from typing import Any, Generic
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes, concatenate
+from maesn.experience.episodes import Episodes
 from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
@@ -33,7 +34,7 @@ class FineTuningState(eqx.Module, Generic[FastState]):
     keys: TaskKeys
     episodes: Int[Array, ""]
     """Episodes of each task so far."""
-    saved: Episodes | None = None
+    saved: tuple[Episodes, ...] = ()
     """Episodes that the weights have yet to learn from."""
 
 
@@ -82,17 +83,15 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         count = state.episodes + episodes.valid.shape[1]
         if state.tuning is None:
             return self._next(self.learner.update(state.learner, episodes), state.keys, count)
-        batch = episodes if state.saved is None else concatenate(state.saved, episodes)
-        if batch.valid.shape[1] < self.least_batch:
-            return replace(state, episodes=count, saved=batch)
-        return replace(
-            state, tuning=self.improvement(state.tuning, batch), episodes=count, saved=None
-        )
+        saved = (*state.saved, episodes)
+        if sum(one.valid.shape[1] for one in saved) < self.least_batch:
+            return replace(state, episodes=count, saved=saved)
+        batch = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=1), *saved)
+        tuned = self.improvement(state.tuning, batch)
+        return replace(state, tuning=tuned, episodes=count, saved=())
 
     def adapted(self, state: FineTuningState[Any]) -> AbstractContext:
-        if state.tuning is None:
-            return self.learner.adapted(state.learner)
-        return state.tuning.agents.context
+        return self.learner.adapted(state.learner)
 
     @property
     def capabilities(self) -> Capabilities:
@@ -102,7 +101,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         """Return the state after an update of the learner. After its last one, tuning begins."""
         tuning = None
         if int(count) >= self.after:
-            # Not the contexts that a search would try next.
+            # The latents to deploy, not those that a search would try next.
             agents = replace(self.learner.agents(learned), context=self.learner.adapted(learned))
             tuning = self.improvement.begin(keys, agents)
         return FineTuningState(learned, tuning, keys, count)

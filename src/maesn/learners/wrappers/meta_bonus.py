@@ -46,7 +46,7 @@ class BonusMetaInfo(eqx.Module, Generic[Info]):
 class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
     """A meta-learner with a curiosity bonus, from one model of the dynamics for all tasks.
 
-    The model is trained at the end of each meta-iteration, so it does not change during it.
+    The model is trained at the end of each meta-iteration, and stays the same during it.
     New tasks start from the trained model.
     """
 
