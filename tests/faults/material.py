@@ -1,5 +1,6 @@
 """What is attacked: small runs, and one file of each kind that the library writes."""
 
+import dataclasses
 import json
 import shutil
 from dataclasses import dataclass, field
@@ -28,9 +29,7 @@ MORE = 8
 LONG = 150
 ADAPTATION: dict[str, Any] = {"num_tasks": 2, "episodes": 4, "episodes_per_update": 2}
 PRIOR = PriorSettings(draws=12, adapted=False, episodes=2)
-SAFEGUARDS = Safeguards(
-    lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7, max_return_drop=9.0
-)
+SAFEGUARDS = Safeguards(lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7)
 
 Outcome = tuple[bytes, dict[str, bytes]]
 """The log of a run, and the tensors of its last checkpoint."""
@@ -159,7 +158,9 @@ class Material:
         return {"run": self.run.directory, "latent": self.latent.directory, "policies": policies}
 
     def _saved(self, policy: Path) -> Path:
-        explorer = Explorer.load(policy, seed=3, safeguards=SAFEGUARDS)
+        drop = 9.0 if policy == self.policies[0] else None  # a search takes no step back
+        guards = dataclasses.replace(SAFEGUARDS, max_return_drop=drop)
+        explorer = Explorer.load(policy, seed=3, safeguards=guards)
         for number in range(5):
             explorer.begin_episode()
             for observation in ([0.0, 0.1], [0.2, -0.1]):

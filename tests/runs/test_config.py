@@ -122,7 +122,7 @@ def test_a_word_that_is_none_of_the_choices_is_refused_at_once(name: str) -> Non
 
 
 def test_numbers_that_are_not_finite_are_no_settings(tmp_path: Path) -> None:
-    learner = tiny_maesn(context=LatentContext(kl_weight=float("nan")))
+    learner = tiny_maesn(context=LatentContext(kl_weight=float("inf")))
     with pytest.raises(RunError, match="must hold finite numbers"):
         Run.create(tmp_path / "run", learner, tiny_settings())
 

@@ -43,8 +43,8 @@ def test_a_run_begins_with_what_another_has_learned(tmp_path: Path, context: Any
 
 
 def test_a_run_that_began_with_another_is_no_seed_of_one_that_did_not(tmp_path: Path) -> None:
-    source = create(tmp_path / "source")
-    create(tmp_path / "fresh", seed=1)
+    source = create(tmp_path / "source", tiny_maesn())
+    create(tmp_path / "fresh", tiny_maesn(), seed=1)
     Run.create(tmp_path / "begun", tiny_maesn(), tiny_settings(seed=2), init_from=source.directory)
     series = read_series([tmp_path / name for name in ("source", "fresh", "begun")])
     assert [[run.path.name for run in one.runs] for one in series] == [
