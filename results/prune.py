@@ -56,12 +56,10 @@ def prune_run(run: Path) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    seed, checkpoints = (
-        read_json(run / CONFIG)["settings"]["seed"],
-        (run / CHECKPOINTS).glob("*.safe*"),
-    )
-    for later, checkpoint in enumerate(sorted(checkpoints, reverse=True)):
-        if later or (seed and checkpoint.stat().st_size > LARGE):
+    seed = read_json(run / CONFIG)["settings"]["seed"]
+    checkpoints = sorted((run / CHECKPOINTS).glob("*.safetensors"))
+    for checkpoint in checkpoints:
+        if checkpoint != checkpoints[-1] or (seed and checkpoint.stat().st_size > LARGE):
             checkpoint.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))

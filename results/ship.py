@@ -88,9 +88,10 @@ def ship(run: Run, commit: str, target: Path) -> None:
             f"{run.settings.iterations} iterations: go on with `maesn resume {run.directory}`."
         )
     provenance = run.config.provenance | {"command": command(run.config), "commit": commit}
-    shipped = dataclasses.replace(
-        run, directory=target, config=dataclasses.replace(run.config, provenance=provenance)
-    )
+    # Who adapts it has other processors.
+    usual = dataclasses.replace(run.settings, num_threads=RunSettings().num_threads)
+    config = dataclasses.replace(run.config, settings=usual, provenance=provenance)
+    shipped = dataclasses.replace(run, directory=target, config=config)
     checkpoint = run.latest()
     if target.exists():
         shutil.rmtree(target)

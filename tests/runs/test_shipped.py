@@ -59,6 +59,7 @@ def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
     run = Run.open(TRAINED / name)
     assert run.family.name == name
     assert run.latest().iteration == run.settings.iterations > 0
+    assert run.settings.num_threads == 0  # all of those who adapt it
     assert len(run.checkpoints()) == 1
     provenance = json.loads((TRAINED / name / "config.json").read_text())["provenance"]
     assert provenance["command"].startswith(f"maesn train {run.settings.method}")

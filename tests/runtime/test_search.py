@@ -215,10 +215,10 @@ def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
         assert np.linalg.norm(z) <= 1.5
     assert np.linalg.norm(explorer.begin_episode(explore=False)) <= 1.5
     # So does one that was saved in the middle of an episode.
-    explorer.save(policy.with_name("saved.npz"))
-    explorer = Explorer.load(policy.with_name("saved.npz"))
     explorer.discard()
     explorer.begin_episode()
+    explorer.save(policy.with_name("saved.npz"))
+    explorer = Explorer.load(policy.with_name("saved.npz"))
     episode(explorer, 0.0)
     explorer.adapt()
     assert np.linalg.norm(explorer.latent_mean) <= 1.5

@@ -57,12 +57,6 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     `observe` receives no task. Only `instruction` can show a task to the agent.
     """
 
-    def __hash__(self) -> int:
-        """Hash arrays by their shape: they have no hash, and equality compares their values."""
-        leaves = jax.tree.leaves(self)
-        plain = (x if isinstance(x, bool | int | float | str) else np.shape(x) for x in leaves)
-        return hash((type(self), *plain))
-
     name: eqx.AbstractClassVar[str]
     engine: eqx.AbstractClassVar[str]
     """What moves the world; the key of `maesn.worlds.make_world`."""
@@ -90,6 +84,12 @@ class AbstractEnv(eqx.Module, Generic[Task]):
             raise ValueError(f"`horizon` must be at least 1, got {self.horizon}.")
         if not self.sparse_radius >= 0:
             raise ValueError(f"`sparse_radius` must be at least 0, got {self.sparse_radius}.")
+
+    def __hash__(self) -> int:
+        """Hash arrays by their shape: they have no hash, and equality compares their values."""
+        leaves = jax.tree.leaves(self)
+        plain = (x if isinstance(x, bool | int | float | str) else np.shape(x) for x in leaves)
+        return hash((type(self), *plain))
 
     @abstractmethod
     def start(self, key: Key, task: Task) -> Any:

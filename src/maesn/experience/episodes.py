@@ -141,9 +141,10 @@ class Episodes(eqx.Module):
         )
 
 
-def concatenate(first: Episodes, second: Episodes) -> Episodes:
-    """Join two batches of the same tasks along the `episode` axis."""
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=1), first, second)
+def concatenate(*batches: Episodes) -> Episodes:
+    """Join batches of the same tasks along the `episode` axis."""
+    joined: Episodes = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=1), *batches)
+    return joined
 
 
 @runtime_checkable

@@ -31,10 +31,9 @@ _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
 def write_page(path: Path, document: Document) -> list[Path]:
-    """Write a document of `run_page` or `study_page` as one HTML file, if plotly is installed.
+    """Write a document of `run_page` or `study_page` as one HTML file, and return what was written.
 
-    Returns:
-        What was written: the path, or nothing and a warning.
+    Without plotly that is nothing, and a warning says so.
     """
     own, text = files("maesn.reporting"), json.dumps(document, allow_nan=False)
     try:

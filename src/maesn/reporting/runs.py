@@ -36,7 +36,8 @@ def read_run(path: Path) -> RecordedRun:
     remedy = "give the directory of a run, as `maesn train METHOD --run DIR` makes it"
     config = read_json(path / "config.json", remedy)
     try:
-        begun = config.get("provenance", {}).get("init_from", "").rpartition(" ")[0]  # no weights
+        # Without the digest of the weights, in which the seeds of one experiment may differ.
+        begun = config.get("provenance", {}).get("init_from", "").rpartition(" ")[0]
         settings = {**config["settings"], "init_from": begun, "learner": config["learner"]}
         method, family, seed = (settings[name] for name in ("method", "family", "seed"))
         return RecordedRun(path, method, family, seed, settings)

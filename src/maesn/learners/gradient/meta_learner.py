@@ -5,7 +5,7 @@ the context that it conditions on, and the adaptation that it allows (`maesn.lea
 """
 
 from dataclasses import replace
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -224,7 +224,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             for batch in range(self.outer_batches)
         ]
         batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
-        return reduce(concatenate, batches)
+        return concatenate(*batches)
 
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:

@@ -9,14 +9,13 @@ from dataclasses import replace
 from typing import Any, Generic
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes
+from maesn.experience.episodes import Episodes, concatenate
 from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
@@ -86,8 +85,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         saved = (*state.saved, episodes)
         if sum(one.valid.shape[1] for one in saved) < self.least_batch:
             return replace(state, episodes=count, saved=saved)
-        batch = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=1), *saved)
-        tuned = self.improvement(state.tuning, batch)
+        tuned = self.improvement(state.tuning, concatenate(*saved))
         return replace(state, tuning=tuned, episodes=count, saved=())
 
     def adapted(self, state: FineTuningState[Any]) -> AbstractContext:
