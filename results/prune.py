@@ -5,21 +5,23 @@
 Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; a large
 checkpoint (RL2's) only of seed 0. To evaluate such a run in another way, remove its job's
 directory: the study trains it again. Other jobs go once every study that lists them has their
-results in a table. Of a large table, episodes that judge nothing go.
+results in a table. Of a large table, episodes that judge nothing go; of all tables and recorded
+arrays, digits that no figure and no printed number shows.
 """
 
 import shutil
 from pathlib import Path
 
+import numpy as np
 import tyro
 
-from maesn.reporting.reading import DEPLOY, read_rows
+from maesn.reporting.reading import DEPLOY, MEASURES, read_rows
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.storage import read_json, write_rows
+from maesn.storage import read_arrays, read_json, write_rows
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS
@@ -46,8 +48,10 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
         if (done.parent / RUN / CONFIG).exists():
             prune_run(done.parent / RUN)
     for table in directory.glob("*/tables/*/*.csv.gz"):
-        if table.stat().st_size > LARGE:
-            prune_table(table)
+        prune_table(table)
+    for pattern in ("*/tables/*/*.npz", "*/recorded/*/*.npz"):
+        for arrays in directory.glob(pattern):
+            prune_arrays(arrays)
 
 
 def prune_run(run: Path) -> None:
@@ -66,10 +70,27 @@ def prune_run(run: Path) -> None:
 
 
 def prune_table(path: Path) -> None:
-    """Remove the episodes of a search after its first update, where fresh ones judge it."""
+    """Round the measures, and of a large table keep only the episodes that judge something.
+
+    Of a search these are the first ones and those played for judging alone.
+    """
     rows = read_rows(path)
-    if any(row["purpose"] == DEPLOY for row in rows):
-        write_rows(path, (row for row in rows if row["purpose"] == DEPLOY or row["update"] == "0"))
+    if path.stat().st_size > LARGE and any(row["purpose"] == DEPLOY for row in rows):
+        rows = [row for row in rows if row["purpose"] == DEPLOY or row["update"] == "0"]
+    for row in rows:
+        for name in MEASURES:
+            digits = 2 if name.endswith("return") else 4
+            row[name] = repr(round(float(row[name]), digits))
+    write_rows(path, rows)
+
+
+def prune_arrays(path: Path) -> None:
+    """Round positions to millimetres, latents as finely, and compress them."""
+    arrays = read_arrays(path, "restore it")
+    rounded = {
+        name: array.round(3) if array.dtype.kind == "f" else array for name, array in arrays.items()
+    }
+    np.savez_compressed(path, **rounded)
 
 
 if __name__ == "__main__":
