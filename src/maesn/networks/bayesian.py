@@ -97,22 +97,6 @@ class BayesianNetwork(eqx.Module):
         by_rho = 0.5 * (std / slope * rho_gradient) ** 2
         return 0.5 * step_size**2 * jnp.sum(by_mean + by_rho)
 
-    def newton_step(self, gradient: "BayesianNetwork", step_size: float) -> "BayesianNetwork":
-        """Return the network φ + λΔφ of `information_gain`."""
-        variance = jax.tree.map(lambda rho: jax.nn.softplus(rho) ** 2, self.rho)
-        slope = jax.tree.map(jax.nn.sigmoid, self.rho)
-        mean = jax.tree.map(
-            lambda x, v, g: x - step_size * v * g, self.mean, variance, gradient.mean
-        )
-        rho = jax.tree.map(
-            lambda x, v, s, g: x - step_size * v / (2 * s**2) * g,
-            self.rho,
-            variance,
-            slope,
-            gradient.rho,
-        )
-        return BayesianNetwork(mean, rho)
-
 
 def init_bayesian_network(key: Key, sizes: tuple[int, ...], std: float) -> BayesianNetwork:
     """Return a network with Xavier-uniform means, and one standard deviation for all weights.
