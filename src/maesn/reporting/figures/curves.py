@@ -89,7 +89,7 @@ def plot_ends(comparison: Comparison) -> Drawn:
     returns.set_ylim(-0.6, len(lines) - 0.4)
     returns.set_title(comparison.title, loc="left")
     notes = f"dots: means after the last update; bars: {statistics.INTERVAL}; small dots: seeds"
-    return Drawn(figure, [notes])
+    return Drawn(figure, [notes, "vertical lines: baseline (dotted) and oracle (solid)"])
 
 
 @style.publication_style()
