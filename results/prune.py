@@ -85,7 +85,7 @@ def prune_table(path: Path) -> None:
 
 
 def prune_arrays(path: Path) -> None:
-    """Round positions to millimetres, latents as finely, and compress them."""
+    """Round positions (to millimetres), latents and rates to a thousandth, and compress them."""
     arrays = read_arrays(path, "restore it")
     rounded = {
         name: array.round(3) if array.dtype.kind == "f" else array for name, array in arrays.items()

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import gzip
 import os
 import shutil
 import signal
@@ -90,6 +91,12 @@ class Watched(AbstractExecutor):
         pass
 
 
+def returns_in(tables: dict[str, bytes]) -> list[float]:
+    """Return the mean returns of tables, row after row."""
+    texts = [gzip.decompress(table).decode() for name, table in tables.items() if "csv" in name]
+    return [float(row["mean_return"]) for text in texts for row in csv.DictReader(text.split("\n"))]
+
+
 def files(directory: Path) -> dict[str, bytes]:
     """Return what a study has left for its readers."""
     return {
@@ -173,6 +180,7 @@ def test_what_was_pruned_is_computed_again_only_where_no_table_has_it(tmp_path: 
     load_script("results/prune.py").prune(tmp_path)
     rounded = files(done.directory / "tables")
     assert rounded.keys() == computed.keys()
+    assert returns_in(rounded) == pytest.approx(returns_in(computed), rel=0, abs=0.00501)
     (run,) = jobs.glob("train-*/run")
     assert {path.name for path in run.iterdir()} == {"checkpoints", "config.json", "metrics.jsonl"}
     assert [path.name for path in run.glob("checkpoints/*")] == ["iteration-000002.safetensors"]

@@ -19,7 +19,7 @@ from maesn.reporting.style import GREY, Drawn, MethodStyle
 
 _MOST_COLOURS = 5  # more cannot be told apart
 _LABEL_SIZE = 6.5  # points
-_REFERENCES = {"baseline": ":", "oracle": "-"}  # lines of their mean returns
+_REFERENCES = {"baseline": "dotted", "oracle": "solid"}  # lines of their mean returns
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
 _WINDOW_SHARE = 1 / 30
@@ -80,16 +80,16 @@ def plot_ends(comparison: Comparison) -> Drawn:
             axes.plot([interval.low, interval.high], [row, row], **colour)
             axes.plot(ends.mean(axis=1), [row] * len(ends), ".", **colour, markersize=2.5)
             axes.plot(interval.mean, row, line.style.marker, **colour)
+    notes = [f"dots: means after the last update; bars: {statistics.INTERVAL}; small dots: seeds"]
     for name, value in comparison.references().items():
         returns.axvline(value, color=style.DARK_GREY, linestyle=_REFERENCES[name])
-    returns.set_xlabel(f"mean {lines[0].table.reward} return")
+        notes.append(f"{_REFERENCES[name]} line: {name}")
     success.set_xlabel("success rate")
     success.xaxis.set_major_formatter(PercentFormatter(1.0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
-    returns.set_ylim(-0.6, len(lines) - 0.4)
+    returns.set(xlabel=f"mean {lines[0].table.reward} return", ylim=(-0.6, len(lines) - 0.4))
     returns.set_title(comparison.title, loc="left")
-    notes = f"dots: means after the last update; bars: {statistics.INTERVAL}; small dots: seeds"
-    return Drawn(figure, [notes, "vertical lines: baseline (dotted) and oracle (solid)"])
+    return Drawn(figure, notes)
 
 
 @style.publication_style()
