@@ -84,8 +84,8 @@ def plot_ends(comparison: Comparison) -> Drawn:
     for name, value in comparison.references().items():
         returns.axvline(value, color=style.DARK_GREY, linestyle=_REFERENCES[name])
         notes.append(f"{_REFERENCES[name]} line: {name}")
-    success.set_xlabel("success rate")
-    success.xaxis.set_major_formatter(PercentFormatter(1.0))
+    success.set(xlabel="success rate", xlim=(-0.03, 1.03))
+    success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
     returns.set(xlabel=f"mean {lines[0].table.reward} return", ylim=(-0.6, len(lines) - 0.4))
     returns.set_title(comparison.title, loc="left")
