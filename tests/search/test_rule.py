@@ -1,6 +1,7 @@
 """The rule `search`, from the command line to the table, and what it refuses."""
 
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.search.prior import PriorSettings
-from maesn.search.stored import read_prior
+from maesn.search.stored import read_prior, run_prior
 from maesn.storage import RunError
+from maesn.worlds.device import DeviceWorld
 
 SMALL = ["--draws", "10", "--episodes", "2", "--simulations", "20"]
 FILE = "priors/sparse-0.5.safetensors"
@@ -58,6 +60,25 @@ def test_the_prior_says_what_training_tasks_return(trained: Path) -> None:
     assert -4 < np.median(prior.excess) < 0
     assert prior.offset_mean == pytest.approx(-2.0 * 40, rel=1e-3)
     assert set(bound) == {"checkpoint", "training task set", "reward", "numbers"}
+
+
+def test_a_prior_plays_no_more_episodes_at_once_than_the_world_can_hold(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tasks adapt in parts then, to the same latents."""
+    run, settings, played = Run.open(trained), PriorSettings(draws=60, episodes=2), []
+    whole = run_prior(run, settings, directory=tmp_path / "whole")[1]
+    play = DeviceWorld.play
+
+    def counted(self: DeviceWorld, act: Any, actors: Any, start: Any) -> Any:
+        played.append(math.prod(actors.noise.shape[:2]))
+        return play(self, act, actors, start)
+
+    monkeypatch.setattr(DeviceWorld, "max_simulations", 50)
+    monkeypatch.setattr(DeviceWorld, "play", counted)
+    parts = run_prior(run, settings, directory=tmp_path / "parts")[1]
+    assert max(played) == 50
+    np.testing.assert_allclose(parts.latents, whole.latents, rtol=1e-5, atol=1e-5)
 
 
 def test_one_episode_is_one_update_and_fresh_episodes_judge(

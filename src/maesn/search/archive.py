@@ -9,8 +9,8 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.context import Latent
-from maesn.experience.episodes import Collect
 from maesn.learners import AbstractFastLearner, GradientFastLearner
+from maesn.worlds.collector import Collector
 
 
 def latent_learner(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
@@ -34,7 +34,7 @@ def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarra
     return spread * np.random.default_rng(seed).standard_normal((number, size))
 
 
-def adapted_latents(learner: GradientFastLearner, collect: Collect, key: Key) -> np.ndarray:
+def adapted_latents(learner: GradientFastLearner, collect: Collector, key: Key) -> np.ndarray:
     """Return the mean of each training task's latent after one more update, `[task, z]`.
 
     Args:
@@ -43,11 +43,16 @@ def adapted_latents(learner: GradientFastLearner, collect: Collect, key: Key) ->
         key: random key of the episodes.
     """
     keys = jax.random.split(key, collect.num_tasks)
-    # Start from the trained latents instead of the prior.
-    state = eqx.tree_at(
-        lambda state: state.agents.context, learner.init(keys), learner.context_table
-    )
-    episodes = collect(keys, learner.agents(state), jnp.arange(collect.num_tasks))
-    adapted = learner.update(state, episodes).agents.context
-    assert isinstance(adapted, Latent)
-    return np.asarray(adapted.mean, np.float64)
+    tasks = jnp.arange(collect.num_tasks)
+    size = min(collect.most_tasks, collect.num_tasks)
+    means = []
+    for slots in (tasks[first : first + size] for first in range(0, collect.num_tasks, size)):
+        # Start from the trained latents instead of the prior.
+        trained = jax.tree.map(lambda x, slots=slots: x[slots], learner.context_table)
+        state = learner.init(keys[slots])
+        state = eqx.tree_at(lambda state: state.agents.context, state, trained)
+        episodes = collect(keys[slots], learner.agents(state), slots)
+        adapted = learner.update(state, episodes).agents.context
+        assert isinstance(adapted, Latent)
+        means.append(np.asarray(adapted.mean, np.float64))
+    return np.concatenate(means)

@@ -109,7 +109,7 @@ def play_archive(
     """
     groups = situations(world.env, world.tasks)
     collector = Collector(world, settings.episodes)
-    size = max(1, settings.simulations // settings.episodes)
+    size = max(1, min(settings.simulations // settings.episodes, collector.most_tasks))
     shape = (len(world.tasks), len(latents), settings.episodes)
     returns, length = np.zeros(shape), np.zeros(shape)
     key, played = jax.random.key(settings.seed), 0
