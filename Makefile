@@ -25,7 +25,7 @@ demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks
 check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under a minute
 	@$(MAKE) --no-print-directory --keep-going lint fast
 
-test: $(TEST_READY) ## Run all tests and all checks
+test: $(TEST_READY) ## Run all checks, and all tests but the long ones
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
 test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies

@@ -31,7 +31,6 @@ import numpy as np
 import tyro
 from gymnasium import spaces
 
-from maesn.envs import TaskSet
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
@@ -75,18 +74,8 @@ class RecordingWorld(AbstractWorld):
     """Passes calls on to a world, and keeps how the last episodes began."""
 
     def __init__(self, world: GymnasiumWorld) -> None:
-        self._world = world
+        self.env, self.tasks, self._world = world.env, world.tasks, world
         self._begun: tuple[Any, np.ndarray] | None = None
-
-    @property
-    def env(self) -> AbstractGymnasiumEnv:
-        """See `AbstractWorld.env`."""
-        return self._world.env
-
-    @property
-    def tasks(self) -> TaskSet:
-        """See `AbstractWorld.tasks`."""
-        return self._world.tasks
 
     def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
         """See `AbstractWorld.play`."""

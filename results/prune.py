@@ -2,11 +2,12 @@
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; a large
-checkpoint (RL2's) only of seed 0. To evaluate such a run in another way, remove its job's
-directory: the study trains it again. Other jobs go once every study that lists them has their
-results in a table. Of a large table, episodes that judge nothing go; of all tables and recorded
-arrays, digits that no figure and no printed number shows.
+Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; the
+checkpoint of another seed than 0 only until the studies that list the run are done, and not at all
+if it is large (RL2's). To evaluate such a run in another way, remove its job's directory: the study
+trains it again. Other jobs go once every study that lists them has their results in a table. Of a
+large table, episodes that judge nothing go; of all tables and recorded arrays, digits that no
+figure and no printed number shows.
 """
 
 import shutil
@@ -36,17 +37,22 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     Args:
         directory: of jobs and results.
     """
+    jobs = directory / JOBS
     joined: set[str] = set()
     needed: set[str] = set()
+    unfinished: set[str] = set()
     for study in studies_in(directory):
-        here = {job for jobs in joined_files(study).values() for job in jobs}
+        here = {job for names in joined_files(study).values() for job in names}
+        listed = {*read_json(study / MANIFEST)["jobs"]}
         joined |= here
-        needed |= {*read_json(study / MANIFEST)["jobs"]} - here
+        needed |= listed - here
+        if not all((jobs / name / DONE).exists() for name in listed - here):
+            unfinished |= listed
     for name in joined - needed:
-        shutil.rmtree(directory / JOBS / name, ignore_errors=True)
-    for done in (directory / JOBS).glob(f"*/{DONE}"):
+        shutil.rmtree(jobs / name, ignore_errors=True)
+    for done in jobs.glob(f"*/{DONE}"):
         if (done.parent / RUN / CONFIG).exists():
-            prune_run(done.parent / RUN)
+            prune_run(done.parent / RUN, done.parent.name in unfinished)
     for table in directory.glob("*/tables/*/*.csv.gz"):
         prune_table(table)
     for pattern in ("*/tables/*/*.npz", "*/recorded/*/*.npz"):
@@ -54,7 +60,7 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
             prune_arrays(arrays)
 
 
-def prune_run(run: Path) -> None:
+def prune_run(run: Path, needed: bool) -> None:
     """Remove all of a run that acting, adapting and comparing do not need."""
     kept = {CONFIG, CHECKPOINTS, METRICS, TASKS_FILE}
     for path in run.iterdir():
@@ -63,7 +69,8 @@ def prune_run(run: Path) -> None:
     seed = read_json(run / CONFIG)["settings"]["seed"]
     checkpoints = sorted((run / CHECKPOINTS).glob("*.safetensors"))
     for checkpoint in checkpoints:
-        if checkpoint != checkpoints[-1] or (seed and checkpoint.stat().st_size > LARGE):
+        superfluous = seed and (checkpoint.stat().st_size > LARGE or not needed)
+        if checkpoint != checkpoints[-1] or superfluous:
             checkpoint.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))

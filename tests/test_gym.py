@@ -172,7 +172,7 @@ def test_success_is_what_the_distance_says() -> None:
         ({"task": 100}, ValueError, "`task` must be an index from 0 to 99"),
         ({"task": np.array([0.5])}, ValueError, "`task` must be an index"),
         ({"tasks": "tset"}, RunError, "`tasks` must be one of training"),
-        ({"family": "weeled"}, RunError, "did you mean 'wheeled'"),
+        ({"family": "weeled"}, RunError, "Did you mean `wheeled`"),
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
         ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
         ({"family": "bandit"}, ValueError, "must have continuous actions"),

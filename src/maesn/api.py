@@ -93,7 +93,7 @@ def resume(
         EpisodeError: as for `train`.
     """
     with sharing.begun():
-        run = Run.open(run, family)
+        run = running.open_run(run, family)
         if change and is_lead():
             change_run(run, change)
         wait_for_all("the run is changed")

@@ -28,7 +28,7 @@ def test_a_family_is_found_by_its_name(name: str) -> None:
     ("wrong", "meant"), [("weeled", "wheeled"), ("Point", "point"), ("hidden_sides", "hidden_side")]
 )
 def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str) -> None:
-    with pytest.raises(ValueError, match=f"got '{wrong}'; did you mean '{meant}'\\?") as error:
+    with pytest.raises(ValueError, match=f"got `{wrong}`. Did you mean `{meant}`\\?") as error:
         find_family(wrong)
     assert all(name in str(error.value) for name in EVERY)
 
@@ -36,7 +36,7 @@ def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str) -> None
 def test_a_name_like_no_other_gets_the_list_alone() -> None:
     with pytest.raises(ValueError, match="`family` must be one of point, wheeled") as error:
         find_family("xyzzy")
-    assert "did you mean" not in str(error.value)
+    assert "Did you mean" not in str(error.value)
     assert all(name in str(error.value) for name in EVERY)
 
 

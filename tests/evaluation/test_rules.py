@@ -208,7 +208,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     ):
         with pytest.raises(RunError, match=f"`rl2` cannot be adapted like this: {reason}"):
             api.adapt(recurrent, wrappers=(added,), episodes=550)
-    with pytest.raises(RunError, match="`episodes` must be more than `after`, got 500 and 500"):
+    with pytest.raises(RunError, match="must be at least 20 more than `after`, got 500 and 500"):
         api.adapt(trained, wrappers=(ThenTrpo(),))
     with pytest.raises(RunError, match="`after` must be a multiple of `episodes_per_update`"):
         api.adapt(trained, wrappers=(ThenReinforce(after=30),))

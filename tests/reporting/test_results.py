@@ -79,8 +79,8 @@ def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
         return
     if run.checkpoints():
         assert run.latest().iteration == run.settings.iterations
-    else:  # they are large, and one seed's are kept
-        assert (run.settings.method, run.settings.seed > 0) == ("rl2", True)
+    else:  # one seed's is kept
+        assert run.settings.seed > 0
     assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
 
 

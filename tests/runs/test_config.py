@@ -89,7 +89,7 @@ def test_a_forged_configuration_does_not_fit_the_checkpoints(directory: Path) ->
         ({"versions": {"jax": 1}}, "`RunConfig.versions.jax` must be of type str, got 1"),
         ({"changes": [{"iteration": 1}]}, "`Change` must have the fields .*'changed'"),
         ({"surprise": 1}, "`RunConfig` must have the fields .* got .*'surprise'"),
-        ({"family": "points"}, "give the run's family as `module:name`.*'points'"),
+        ({"family": "points"}, "give the run's family as `module:name`.*`points`"),
         ({"task_digest": "0123"}, "other tasks than `training` of the family `point` now holds"),
     ],
 )
@@ -159,7 +159,7 @@ def test_a_family_of_ones_own_is_given_again(tmp_path: Path, own_module: str) ->
     assert made.family.name == "own"
     # A fresh start: whatever opens the run now must not import what the file names.
     del sys.modules[own_module]
-    with pytest.raises(RunError, match=r"give the run's family as `module:name`.*got 'own'"):
+    with pytest.raises(RunError, match=r"give the run's family as `module:name`.*got `own`"):
         Run.open(tmp_path / "run")
     assert own_module not in sys.modules
     opened = Run.open(tmp_path / "run", family=f"{own_module}:own")
@@ -183,7 +183,7 @@ def test_a_family_can_be_given_as_an_object(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("wheelde", "got 'wheelde'; did you mean 'wheeled'"),
+        ("wheelde", "got `wheelde`. Did you mean `wheeled`"),
         ("nowhere:own", "No module named 'nowhere'"),
         ("own_families:missing", "no attribute 'missing'"),
         ("own_families:number", "must be a TaskFamily, got int"),

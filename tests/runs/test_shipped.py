@@ -18,6 +18,7 @@ from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.evaluation import exploration, film
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import open_run
 from maesn.learners import AbstractMetaLearner, maesn, recommended
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import CategoricalMLP, GaussianMLP
@@ -134,7 +135,11 @@ def test_the_copy_is_made_once_and_is_a_run_like_any_other() -> None:
 
 
 def test_the_installed_directory_is_never_written_to() -> None:
-    assert working_copy(TRAINED / "wheeled") == Path("maesn-wheeled")
+    installed, opened = files(TRAINED / "wheeled"), Run.open("wheeled")
+    copy = Path("maesn-wheeled")
+    assert working_copy(TRAINED / "wheeled") == open_run(opened).directory == copy
+    assert api.resume("wheeled").directory == copy
+    assert files(TRAINED / "wheeled") == installed
 
 
 def test_a_directory_of_that_name_wins() -> None:

@@ -64,6 +64,7 @@ def test_from_what_a_search_has_found_the_gradient_goes_on_as_from_the_prior(
     explorer = Explorer.load(path)
     np.testing.assert_array_equal(explorer.latent_mean, found.outcome.contexts.mean[1, -1])
     assert explorer.latent_std.tolist() == [1.0, 1.0]
+    assert explorer.update == 0  # the whole first step, and none that many updates have halved
 
 
 def test_the_settings_of_the_rule_are_exported(

@@ -108,6 +108,10 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
     vime = learner("vime", max_kl=0.07, curiosity_weight=0.01)
     assert vime.learner.improvement.rule.trust_region.max_kl == 0.07
     assert vime.curiosity.weight == 0.01
+    with pytest.raises(ValueError, match="`trpo` has no `step_size`"):
+        learner("trpo", step_size=0.3)
+    with pytest.raises(ValueError, match="`reinforce` has no `curiosity`"):
+        learner("reinforce", curiosity_weight=0.01)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +128,7 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
         ("{1} --oracle {0} --out {0}", "there is no run in"),
         ("{1} --oracle {1} --out {0}", "must be the only run of the method `oracle`, got `maesn`"),
         ("{2} --oracle {2} --out {0}", "must be the only run of the method `oracle`, got `oracle`"),
-        ("{1} --then trpo --out {0}", "must be more than `after`, got 500 and 500"),
+        ("{1} --then trpo --out {0}", "must be at least 20 more than `after`, got 500 and 500"),
         ("{1} --seed 4294967296 --out {0}", "`seed` must be at most 4294967295"),
     ],
 )

@@ -12,6 +12,7 @@ import time
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -300,6 +301,19 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     assert {states[name] for name in states if "maesn" in name and "adapt" in name} == {"waiting"}
     assert (done.directory / "results.csv").exists()  # of the others
     assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
+
+
+def test_a_study_that_cannot_write_starts_no_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Study, out: Any) -> None:
+        raise RunError("the disk is full")
+
+    monkeypatch.setattr(Study, "write_results", full)
+    before = dict(os.environ)
+    with pytest.raises(RunError, match="the disk is full"):
+        Study(SMALL).run(tmp_path)
+    assert dict(os.environ) == before  # in which workers find their number of threads
 
 
 def test_one_job_of_an_array(tmp_path: Path) -> None:

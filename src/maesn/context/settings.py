@@ -37,17 +37,19 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
     def start_new(self, table: Value, num_tasks: int) -> Value:
         """Return the contexts that unseen tasks start from, stacked over `task`."""
 
-    @abstractmethod
     def inner_draw(
         self, value: Value, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
     ) -> Float[Array, " z"]:
         """Return the z of one episode inside the inner loss, where its gradient matters.
+
+        This is `drawn`, unless the gradient of the context runs through it.
 
         Args:
             value: the context that is being adapted.
             noise: the episode's recorded random draw.
             drawn: the z that the policy was fed while the episode was played.
         """
+        return drawn
 
     @property
     def is_pathwise(self) -> bool:
@@ -59,18 +61,18 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         """Whether a context has parameters that an inner step can move."""
         return True
 
-    @abstractmethod
     def draw_loss(
         self,
         value: Value,
         drawn: Float[Array, "episode z"],
         episode_advantage: Float[Array, " episode"],
     ) -> Float[Array, ""]:
-        """Return the part of the inner loss that treats z as the zeroth action."""
+        """Return the part of the inner loss that treats z as the zeroth action: 0 by default."""
+        return jnp.zeros(())
 
-    @abstractmethod
     def penalty(self, value: Value) -> Float[Array, ""]:
-        """Return the penalty of one task's pre-update context in the outer loss."""
+        """Return the penalty of one task's pre-update context in the outer loss: 0 by default."""
+        return jnp.zeros(())
 
 
 class NoContext(AbstractContextSettings[Nothing]):
@@ -88,22 +90,6 @@ class NoContext(AbstractContextSettings[Nothing]):
 
     def start_new(self, table: Nothing, num_tasks: int) -> Nothing:
         return table
-
-    def inner_draw(
-        self, value: Nothing, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
-    ) -> Float[Array, " z"]:
-        return drawn
-
-    def draw_loss(
-        self,
-        value: Nothing,
-        drawn: Float[Array, "episode z"],
-        episode_advantage: Float[Array, " episode"],
-    ) -> Float[Array, ""]:
-        return jnp.zeros(())
-
-    def penalty(self, value: Nothing) -> Float[Array, ""]:
-        return jnp.zeros(())
 
 
 class OracleContext(AbstractContextSettings[TaskDescription]):
@@ -124,22 +110,6 @@ class OracleContext(AbstractContextSettings[TaskDescription]):
 
     def start_new(self, table: TaskDescription, num_tasks: int) -> TaskDescription:
         return table
-
-    def inner_draw(
-        self, value: TaskDescription, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
-    ) -> Float[Array, " z"]:
-        return drawn
-
-    def draw_loss(
-        self,
-        value: TaskDescription,
-        drawn: Float[Array, "episode z"],
-        episode_advantage: Float[Array, " episode"],
-    ) -> Float[Array, ""]:
-        return jnp.zeros(())
-
-    def penalty(self, value: TaskDescription) -> Float[Array, ""]:
-        return jnp.zeros(())
 
 
 class BiasContext(AbstractContextSettings[Bias]):
@@ -172,17 +142,6 @@ class BiasContext(AbstractContextSettings[Bias]):
         self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
     ) -> Float[Array, " z"]:
         return value.value
-
-    def draw_loss(
-        self,
-        value: Bias,
-        drawn: Float[Array, "episode z"],
-        episode_advantage: Float[Array, " episode"],
-    ) -> Float[Array, ""]:
-        return jnp.zeros(())
-
-    def penalty(self, value: Bias) -> Float[Array, ""]:
-        return jnp.zeros(())
 
 
 LatentGradient: TypeAlias = Literal["likelihood_ratio", "reparameterized"]
@@ -252,5 +211,4 @@ class LatentContext(AbstractContextSettings[Latent]):
         return -jnp.mean(value.distribution.log_prob(drawn) * episode_advantage)
 
     def penalty(self, value: Latent) -> Float[Array, ""]:
-        prior = DiagonalGaussian(jnp.zeros_like(value.mean), jnp.zeros_like(value.log_std))
-        return self.kl_weight * value.distribution.kl(prior)
+        return self.kl_weight * value.distribution.kl(DiagonalGaussian.standard(value.mean.shape))

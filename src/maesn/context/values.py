@@ -35,9 +35,9 @@ class AbstractContext(eqx.Module):
         """Number of components of z."""
 
     @property
-    @abstractmethod
     def noise_size(self) -> int:
-        """Number of components of the noise of one z."""
+        """Number of components of the noise of one z; 0 where z is not random."""
+        return 0
 
     @property
     def description_size(self) -> int:
@@ -60,10 +60,6 @@ class Nothing(AbstractContext):
     def size(self) -> int:
         return 0
 
-    @property
-    def noise_size(self) -> int:
-        return 0
-
     def draw(
         self, noise: Float[Array, " noise"], description: Float[Array, " description"]
     ) -> Float[Array, " z"]:
@@ -78,10 +74,6 @@ class Bias(AbstractContext):
     @property
     def size(self) -> int:
         return self.value.shape[-1]
-
-    @property
-    def noise_size(self) -> int:
-        return 0
 
     def draw(
         self, noise: Float[Array, " noise"], description: Float[Array, " description"]
@@ -114,9 +106,13 @@ class Latent(AbstractContext):
         """Return z = mean + exp(log_std) * noise."""
         return self.distribution.sample_from_noise(noise)
 
-    def at_mean(self) -> "Latent":
+    @staticmethod
+    def fixed(mean: Float[Array, "*batch z"]) -> "Latent":
         """Return N(mean, 1e-12 I), from which z is the mean up to rounding."""
-        return Latent(self.mean, jnp.full_like(self.mean, math.log(FIXED_STD)))
+        return Latent(mean, jnp.full_like(mean, math.log(FIXED_STD)))
+
+    def at_mean(self) -> "Latent":
+        return Latent.fixed(self.mean)
 
     def widened(self, factor: float) -> "Latent":
         """Return N(mean, (factor std)^2 I)."""
@@ -131,10 +127,6 @@ class TaskDescription(AbstractContext):
     @property
     def size(self) -> int:
         return self.size_of_description
-
-    @property
-    def noise_size(self) -> int:
-        return 0
 
     @property
     def description_size(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
-from maesn.settings import check_choice
+from maesn.settings import check_choice, check_number
 
 RewardKind: TypeAlias = Literal["dense", "sparse"]
 """Dense in meta-training, sparse in meta-testing (section "Comparisons")."""
@@ -80,8 +80,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def __check_init__(self) -> None:
         check_choice("variant", self.variant, Variant)
         check_choice("reward_kind", self.reward_kind, RewardKind)
-        if self.horizon < 1:
-            raise ValueError(f"`horizon` must be at least 1, got {self.horizon}.")
+        check_number("horizon", self.horizon, 1)
         if not self.sparse_radius >= 0:
             raise ValueError(f"`sparse_radius` must be at least 0, got {self.sparse_radius}.")
 

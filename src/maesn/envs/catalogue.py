@@ -1,7 +1,5 @@
 """The families that come with the library, by name."""
 
-import difflib
-
 from maesn.envs.ant import ant
 from maesn.envs.bandit import bandit
 from maesn.envs.blockpush import blockpush
@@ -11,6 +9,7 @@ from maesn.envs.probes import hidden_end, hidden_side
 from maesn.envs.target_probes import delayed_target, hidden_target
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.wheeled import wheeled
+from maesn.settings import suggestion
 
 FAMILIES: dict[str, TaskFamily] = {
     family.name: family for family in (point, wheeled, ant, blockpush)
@@ -36,9 +35,7 @@ def find_family(name: str) -> TaskFamily:
     known = FAMILIES | PROBES
     if name in known:
         return known[name]
-    likely = difflib.get_close_matches(name, known, n=1)
-    suggestion = f"; did you mean {likely[0]!r}?" if likely else ""
     raise ValueError(
-        f"`family` must be one of {', '.join(FAMILIES)} or one of the probes "
-        f"{', '.join(PROBES)}, got {name!r}{suggestion}"
+        f"`family` must be one of {', '.join(FAMILIES)} or one of the probes {', '.join(PROBES)}, "
+        f"got `{name}`.{suggestion(name, known)}"
     )

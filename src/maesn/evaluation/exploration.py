@@ -30,6 +30,7 @@ from maesn.reporting.runs import (
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
+from maesn.search.archive import holding
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file
 from maesn.storage import RunError, write_arrays
@@ -111,27 +112,22 @@ def record_exploration(run: Run, path: Path) -> None:
 
 
 def record_explorer(run: Run) -> None:
-    """Record paths of latents and, if the run has a prior over returns, searches.
-
-    A run without latents is left as it is.
-
-    Raises:
-        RunError: the prior is of another checkpoint.
-    """
+    """Record paths of latents, if a run has any, and searches, if it has a prior over returns."""
     learner = run.learner.fast_learner(run.latest_state())
     if not (isinstance(learner, GradientFastLearner) and isinstance(learner.context_table, Latent)):
         return
     latents = spread_latents(learner.context_table.size)
-    mean = jnp.asarray(latents, jnp.float32)
-    context = Latent(mean, jnp.zeros_like(mean)).at_mean()
-    agents = Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
-    keys = jax.random.split(jax.random.key(0), _LATENTS)
+    keys, paths = jax.random.split(jax.random.key(0), len(latents)), []
     with closing(run.world(run.task_set(RECORDED_TASKS), reward_kind="sparse")) as world:
-        # One episode of each latent, all in the first task.
-        episodes = Collector(world, 1)(keys, agents, jnp.zeros(_LATENTS, int))
+        collect = Collector(world, 1)
+        for part in collect.parts(len(latents)):
+            # One episode of each latent, all in the first task.
+            slots = jnp.zeros(len(keys[part]), int)
+            played = collect(keys[part], holding(learner, latents[part]), slots)
+            paths.append(_thinned(world.env, played)[:, 0])
         has_prior = prior_file(run, world).exists()
-    paths = LatentPaths(latents, _thinned(world.env, episodes)[:, 0])
-    write_arrays(run.directory / LATENT_PATHS, vars(paths))
+    recorded = LatentPaths(latents, np.concatenate(paths))
+    write_arrays(run.directory / LATENT_PATHS, vars(recorded))
     if has_prior:
         try:
             write_arrays(run.directory / SEARCHES, vars(_searches(run)))

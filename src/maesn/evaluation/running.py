@@ -42,7 +42,10 @@ from maesn.worlds.collector import Collector
 
 def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
     """Open a run whose directory will be written to; of a policy with the library, a copy."""
-    return run if isinstance(run, Run) else Run.open(working_copy(run), family=family)
+    copy = working_copy(run.directory if isinstance(run, Run) else run)
+    if isinstance(run, Run) and copy == run.directory:
+        return run
+    return Run.open(copy, family=family)
 
 
 @contextmanager
@@ -163,6 +166,6 @@ def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
     with refusals():
         check_number("task", task, 0, len(read.mean) - 1)
     mean, log_std = (jnp.asarray(x[task, -1], jnp.float32) for x in (read.mean, read.log_std))
-    if (log_std <= Latent(mean, log_std).at_mean().log_std).all():
-        log_std = jnp.zeros_like(mean)  # a search leaves a point: on from it as from the prior
+    if (log_std <= Latent.fixed(mean).log_std).all():
+        return Latent(mean, jnp.zeros_like(mean)), 0  # a search's point: as from the prior
     return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

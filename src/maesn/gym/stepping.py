@@ -19,6 +19,7 @@ from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import TaskChoice, checked_task, make_steppable
 from maesn.physics import PhysicsError
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
+from maesn.worlds.outcome import observe
 
 # Size of the pictures, in pixels.
 WIDTH, HEIGHT = 480, 360
@@ -236,8 +237,7 @@ def _control(env: AnyEnv, action: Array) -> Array:
 
 
 def _look_at(env: AnyEnv, readings: Readings, task: Any) -> tuple[Array, Array]:
-    observation = jnp.concatenate([env.observe(readings), env.instruction(task)])
-    return observation, env.solved(readings, task)
+    return observe(env, readings, task), env.solved(readings, task)
 
 
 @partial(jax.jit, static_argnums=0)

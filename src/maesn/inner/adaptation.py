@@ -14,6 +14,7 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import inner_loss
+from maesn.settings import check_number, check_positive
 
 
 class InnerStep(eqx.Module):
@@ -29,8 +30,7 @@ class InnerStep(eqx.Module):
     def __check_init__(self) -> None:
         if not math.isfinite(self.initial_size):
             raise ValueError(f"`initial_size` must be finite, got {self.initial_size}.")
-        if self.first_iteration < 0:
-            raise ValueError(f"`first_iteration` must be at least 0, got {self.first_iteration}.")
+        check_number("first_iteration", self.first_iteration, 0)
 
 
 class StepSizes(eqx.Module):
@@ -194,12 +194,10 @@ class StepSchedule(eqx.Module):
     """Factor on every step size."""
 
     def __check_init__(self) -> None:
-        if self.full_steps < 1:
-            raise ValueError(f"`full_steps` must be at least 1, got {self.full_steps}.")
+        check_number("full_steps", self.full_steps, 1)
         if not 0 < self.factor <= 1:
             raise ValueError(f"`factor` must lie in (0, 1], got {self.factor}.")
-        if not (math.isfinite(self.scale) and self.scale > 0):
-            raise ValueError(f"`scale` must be positive, got {self.scale}.")
+        check_positive(self, "scale")
 
     def __call__(self, update: Array) -> Float[Array, ""]:
         """Return the scale of the step sizes in update number 0, 1, ..."""

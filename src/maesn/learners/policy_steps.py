@@ -1,6 +1,5 @@
 """Policy gradient steps on a policy's weights: REINFORCE, PPO or TRPO, one slot."""
 
-import math
 from abc import abstractmethod
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias
@@ -22,7 +21,7 @@ from maesn.numerics import (
 )
 from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
-from maesn.settings import check_choice
+from maesn.settings import check_choice, check_number, check_positive
 
 
 class AbstractPolicyStep(eqx.Module):
@@ -32,10 +31,6 @@ class AbstractPolicyStep(eqx.Module):
     def minibatches(self) -> int:
         """Number of parts that the trials are cut into."""
         return 1
-
-    @abstractmethod
-    def sized(self, size: float) -> "AbstractPolicyStep":
-        """Return the same step with another size, in its own measure."""
 
     @abstractmethod
     def init(self, policy: AbstractPolicy) -> Any:
@@ -84,12 +79,7 @@ class GradientStep(AbstractPolicyStep):
 
     def __check_init__(self) -> None:
         check_choice("scaling", self.scaling, Scaling)
-        if not 0 < self.step_size < math.inf:
-            raise ValueError(f"`step_size` must be positive and finite, got {self.step_size}.")
-
-    def sized(self, size: float) -> "GradientStep":
-        """Return the same step with another `step_size`."""
-        return replace(self, step_size=size)
+        check_positive(self, "step_size")
 
     @property
     def _optimizer(self) -> optax.GradientTransformation:
@@ -156,10 +146,6 @@ class ProximalStep(AbstractPolicyStep):
     def minibatches(self) -> int:
         return self.descent.minibatches
 
-    def sized(self, size: float) -> "ProximalStep":
-        """Return the same step with another learning rate."""
-        return replace(self, descent=replace(self.descent, learning_rate=size))
-
     def init(self, policy: AbstractPolicy) -> Any:
         return self.descent.init(policy)
 
@@ -217,8 +203,7 @@ class TrustRegionStep(AbstractPolicyStep):
     is recurrent; 1 for all. Schulman et al. 2015, appendix C.1: a tenth of the data."""
 
     def __check_init__(self) -> None:
-        if self.curvature_stride < 1:
-            raise ValueError(f"`curvature_stride` must be at least 1, got {self.curvature_stride}.")
+        check_number("curvature_stride", self.curvature_stride, 1)
 
     def sized(self, size: float) -> "TrustRegionStep":
         """Return the same step with another bound on the mean KL divergence."""

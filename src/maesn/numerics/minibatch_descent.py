@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from maesn.numerics import mesh
 from maesn.numerics.first_order import first_order_step
+from maesn.settings import check_number
 
 Parameters = TypeVar("Parameters")
 Auxiliary = TypeVar("Auxiliary")
@@ -37,8 +38,7 @@ class MinibatchDescent(eqx.Module):
             if not getattr(self, name) > 0:
                 raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
         for name in ("epochs", "minibatches"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+            check_number(name, getattr(self, name), 1)
 
     def init(self, parameters: Any) -> optax.OptState:
         """Return the optimiser's state before the first step."""

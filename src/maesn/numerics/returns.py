@@ -113,23 +113,18 @@ def trial_advantages(
     return advantages
 
 
-def masked_mean(
-    values: Float[Array, "*shape"],
-    valid: Bool[Array, "*shape"],
-    axis: int | tuple[int, ...] | None = None,
-) -> Float[Array, "*reduced"]:
-    """Mean of the valid elements, Σ_i m_i x_i / Σ_i m_i over the elements i of the reduced axes.
+def masked_mean(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
+    """Mean of the valid elements, Σ_i m_i x_i / Σ_i m_i.
 
     Args:
         values: x_i.
         valid: the mask m_i; where it is false, `values` is ignored.
-        axis: the axes that are reduced; all by default.
 
     Returns:
         The mean; 0 where no element is valid.
     """
-    total = jnp.sum(jnp.where(valid, values, 0.0), axis=axis)
-    count = jnp.sum(valid, axis=axis, dtype=values.dtype)
+    total = jnp.sum(jnp.where(valid, values, 0.0))
+    count = jnp.sum(valid, dtype=values.dtype)
     return total / jnp.maximum(count, 1.0)
 
 

@@ -38,11 +38,6 @@ class AbstractThen(AbstractWrapper):
         check_number("after", self.after, 0)
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        if self.after >= episodes:
-            raise ValueError(
-                f"`episodes` must be more than `after`, got {episodes} and {self.after}: no "
-                "episode would be left to fine-tune the policy with."
-            )
         least = FineTuning.least_batch
         if self.after + least > episodes:
             raise ValueError(
@@ -85,7 +80,7 @@ class ThenReinforce(AbstractThen):
 
     @property
     def improvement(self) -> PolicyImprovement:
-        return PolicyImprovement(GradientStep().sized(self.step_size))
+        return PolicyImprovement(GradientStep(self.step_size))
 
     @property
     def label(self) -> str:

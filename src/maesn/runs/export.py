@@ -142,12 +142,12 @@ def _policy(learner: GradientFastLearner) -> GaussianPolicy:
 def _rule(learner: GradientFastLearner) -> LearningRule:
     step = learner.adaptation.context
     assert step is not None
-    fixed = np.full(learner.context_table.size, float(step.initial_size))
-    sizes = learner.step_sizes.context if step.learned else RuntimeLatent(fixed, fixed)
-    scale = float(learner.schedule.scale)
+    fixed, learned = float(step.initial_size), learner.step_sizes.context
+    mean, log_std = (learned.mean, learned.log_std) if step.learned else (fixed, fixed)
+    size, scale = learner.context_table.size, float(learner.schedule.scale)
     return LearningRule(
-        mean_step=scale * _float64(sizes.mean),
-        log_std_step=scale * _float64(sizes.log_std),
+        mean_step=scale * np.full(size, _float64(mean)),
+        log_std_step=scale * np.full(size, _float64(log_std)),
         full_steps=learner.schedule.full_steps,
         factor=float(learner.schedule.factor),
         discount=float(learner.advantage.discount),

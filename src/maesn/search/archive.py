@@ -9,6 +9,7 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.context import Latent
+from maesn.experience.agent import Agents
 from maesn.learners import AbstractFastLearner, GradientFastLearner
 from maesn.worlds.collector import Collector
 
@@ -34,6 +35,12 @@ def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarra
     return spread * np.random.default_rng(seed).standard_normal((number, size))
 
 
+def holding(learner: GradientFastLearner, latents: np.ndarray) -> Agents:
+    """Return agents with the learner's policy, each of which holds one of the latents."""
+    context = Latent.fixed(jnp.asarray(latents, jnp.float32))
+    return Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
+
+
 def adapted_latents(learner: GradientFastLearner, collect: Collector, key: Key) -> np.ndarray:
     """Return the mean of each training task's latent after one more update, `[task, z]`.
 
@@ -43,10 +50,9 @@ def adapted_latents(learner: GradientFastLearner, collect: Collector, key: Key) 
         key: random key of the episodes.
     """
     keys = jax.random.split(key, collect.num_tasks)
-    tasks = jnp.arange(collect.num_tasks)
-    size = min(collect.most_tasks, collect.num_tasks)
     means = []
-    for slots in (tasks[first : first + size] for first in range(0, collect.num_tasks, size)):
+    for part in collect.parts(collect.num_tasks):
+        slots = jnp.arange(collect.num_tasks)[part]
         # Start from the trained latents instead of the prior.
         trained = jax.tree.map(lambda x, slots=slots: x[slots], learner.context_table)
         state = learner.init(keys[slots])

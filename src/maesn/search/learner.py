@@ -65,8 +65,7 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
 
 def _latents(state: SearchState, points: Sequence[int]) -> Latent:
     pairs = zip(state.searches, points, strict=True)
-    mean = jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32)
-    return Latent(mean, jnp.zeros_like(mean)).at_mean()
+    return Latent.fixed(jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32))
 
 
 def _propose(

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.axes import Key
-from maesn.context import Latent
 from maesn.envs import AnyEnv, TaskSet
-from maesn.experience.agent import Agents
 from maesn.learners import GradientFastLearner
 from maesn.runtime.return_model import ReturnPrior
+from maesn.search.archive import holding
 from maesn.search.judging import returns_under, situations
 from maesn.settings import check_number, check_positive
 from maesn.worlds import AbstractWorld
@@ -129,10 +128,7 @@ def _play_group(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play latents in the first task of a group, and compute their returns in all of its tasks."""
     world, count = collector.world, len(latents)
-    mean = jnp.asarray(latents, jnp.float32)
-    context = Latent(mean, jnp.zeros_like(mean)).at_mean()
-    agents = Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
-    slots = jnp.full(count, group[0])
+    agents, slots = holding(learner, latents), jnp.full(count, group[0])
     episodes, readings = collector.play(jax.random.split(key, count), agents, slots)
     action, valid = (x.reshape(-1, *x.shape[2:]) for x in (episodes.action, episodes.valid))
     returns = returns_under(world.env, readings, action, valid, world.tasks[group])

@@ -66,8 +66,7 @@ def task_generators(keys: TaskKeys) -> tuple[np.random.Generator, ...]:
 
 
 def _latents(means: Sequence[FloatArray]) -> Latent:
-    mean = jnp.asarray(np.stack(means), jnp.float32)
-    return Latent(mean, jnp.zeros_like(mean)).at_mean()
+    return Latent.fixed(jnp.asarray(np.stack(means), jnp.float32))
 
 
 def _propose(

@@ -146,12 +146,13 @@ def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untra
 
 
 def scratch_learner(spec: ScratchSpec, env: AnyEnv) -> AbstractFastLearner[Any]:
-    """Return what learns from scratch, with those of its settings that the method has."""
+    """Return what learns from scratch; `ValueError` for a setting that the method lacks."""
     make = learners.SCRATCH[spec.method]
     bonus = spec.curiosity_weight and learners.CuriosityBonus(spec.curiosity_weight)
     given = {"max_kl": spec.max_kl, "step_size": spec.step_size, "curiosity": bonus}
-    known = inspect.signature(make).parameters
-    chosen = {name: one for name, one in given.items() if one is not None and name in known}
+    chosen = {name: one for name, one in given.items() if one is not None}
+    if unknown := [*chosen.keys() - inspect.signature(make).parameters.keys()]:
+        raise ValueError(f"`{spec.method}` has no `{unknown[0]}`.")
     policy = USUAL[env.action_kind]
     return make(env.observation_size, env.action_size, policy=policy, **chosen)
 

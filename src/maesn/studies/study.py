@@ -95,12 +95,12 @@ class Study:
             execution.only(only)
         at_once = self.workers(workers)
         with contextlib.nullcontext() if only else storage.locked(directory), ending_by_signals():
+            if only is None:
+                self.write_results(out)  # for those who ask meanwhile what there is
             if executor == "local":
                 executor = LocalPool(at_once, self.spec.threads)
             elif executor == "ray":
                 executor = Ray(at_once, self.spec.threads, execution.directory)
-            if only is None:
-                self.write_results(out)  # for those who ask meanwhile what there is
             with contextlib.closing(executor):
                 say(execution.left(executor.slots))
                 execution.run(executor, say)

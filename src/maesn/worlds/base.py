@@ -109,15 +109,10 @@ class SimulationFailure(RuntimeError):
 class AbstractWorld(ABC):
     """A family's tasks, ready to be played in batches."""
 
-    @property
-    @abstractmethod
-    def env(self) -> AnyEnv:
-        """The environment that is played."""
-
-    @property
-    @abstractmethod
-    def tasks(self) -> TaskSet:
-        """The tasks that can be played."""
+    env: AnyEnv
+    """The environment that is played."""
+    tasks: TaskSet
+    """The tasks that can be played."""
 
     @property
     def max_simulations(self) -> int | None:

@@ -85,6 +85,11 @@ class Collector:
         most = self.world.max_simulations
         return sys.maxsize if most is None else max(most // self.episodes_per_task, 1)
 
+    def parts(self, count: int) -> list[slice]:
+        """Return slices of `count` tasks, each of as many as one call can play."""
+        size = max(1, min(self.most_tasks, count))
+        return [slice(first, first + size) for first in range(0, count, size)]
+
     def __call__(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"], stage: int = 0
     ) -> Episodes:

@@ -29,23 +29,17 @@ class Advance(Protocol):
 class DeviceWorld(AbstractWorld):
     """Plays an `AbstractPureEnv` on JAX's device, which manages its own threads."""
 
+    env: AbstractPureEnv[Any]
+
     def __init__(self, env: AbstractPureEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
-        self._env = env
-        self._tasks = tasks
-
-    @property
-    def env(self) -> AbstractPureEnv[Any]:
-        return self._env
-
-    @property
-    def tasks(self) -> TaskSet:
-        return self._tasks
+        self.env = env
+        self.tasks = tasks
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`. It cannot fail: JAX raises no numerical errors."""
         first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
-        advance = _PureAdvance(self._env)
-        return scan_episodes(self._env, advance, act, actors, first, first)[0]
+        advance = _PureAdvance(self.env)
+        return scan_episodes(self.env, advance, act, actors, first, first)[0]
 
     def close(self) -> None:
         """Do nothing: there are no threads or processes but JAX's own."""

@@ -51,31 +51,25 @@ class GymnasiumWorld(AbstractWorld):
     Whatever goes wrong, Ctrl-C included, stops all of them.
     """
 
+    env: AbstractGymnasiumEnv
+
     def __init__(self, env: AbstractGymnasiumEnv, tasks: TaskSet, num_threads: int = 0) -> None:
-        self._env = env
-        self._tasks = tasks
+        self.env = env
+        self.tasks = tasks
         self._num_workers = num_threads or default_num_workers()
         self._pool: WorkerPool | None = None
         self._camera: _Camera | None = None
         self.pictures: list[list[UInt8[np.ndarray, "height width 3"]]] = []
 
     @property
-    def env(self) -> AbstractGymnasiumEnv:
-        return self._env
-
-    @property
-    def tasks(self) -> TaskSet:
-        return self._tasks
-
-    @property
     def max_simulations(self) -> int:
-        return self._env.recipe.max_environments
+        return self.env.recipe.max_environments
 
     def play(self, act: Act, actors: Actors, start: UInt32[Array, " simulation"]) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""
         try:
             first = self._begin(actors, np.asarray(start))
-            return play_on_host(self._env, act, actors, first, self._advance)
+            return play_on_host(self.env, act, actors, first, self._advance)
         except BaseException:
             self.close()
             raise
@@ -83,7 +77,7 @@ class GymnasiumWorld(AbstractWorld):
     def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
         """See `AbstractWorld.film`. `make_env` must set `render_mode="rgb_array"`."""
         try:
-            renders = self._open().renders(pickle.dumps(task_row(self._tasks.tasks, 0)))
+            renders = self._open().renders(pickle.dumps(task_row(self.tasks.tasks, 0)))
         except WorkerError as error:
             raise SimulationFailure(error.simulation, 0, error.reason) from error
         self._camera = _Camera(shown, stride, size) if renders else None
@@ -120,13 +114,13 @@ class GymnasiumWorld(AbstractWorld):
 
     def _take_pictures(self, time: int, num_simulations: int) -> None:
         camera = self._camera
-        if camera and (time % camera.stride == 0 or time == self._env.horizon):
+        if camera and (time % camera.stride == 0 or time == self.env.horizon):
             shown = min(camera.shown, num_simulations)
             self.pictures.append(self._open().pictures(shown, camera.size))
 
     def _open(self) -> WorkerPool:
         if self._pool is None:
-            self._pool = _new_pool(self._env, self._num_workers)
+            self._pool = _new_pool(self.env, self._num_workers)
             # Also at the end of the program.
             weakref.finalize(self, self._pool.close)
         return self._pool

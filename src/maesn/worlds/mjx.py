@@ -34,6 +34,8 @@ class MjxWorld(AbstractWorld):
         ValueError: it lacks something that the environment needs.
     """
 
+    env: AbstractMujocoEnv[Any]
+
     def __init__(
         self,
         env: AbstractMujocoEnv[Any],
@@ -41,26 +43,18 @@ class MjxWorld(AbstractWorld):
         num_threads: int = 0,
         limits: MjxLimits = NO_LIMITS,
     ) -> None:
-        self._env = env
-        self._tasks = tasks
+        self.env = env
+        self.tasks = tasks
         readings = tuple(dict.fromkeys((*env.readings, *_STATE)))
         self._engine = MjxEngine(env.model, readings, env.frame_skip, limits)
         self._initial = jax.jit(jax.vmap(self._engine.initial))
-
-    @property
-    def env(self) -> AbstractMujocoEnv[Any]:
-        return self._env
-
-    @property
-    def tasks(self) -> TaskSet:
-        return self._tasks
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`."""
         state, first = self._reset(start)
         advance = _MjxAdvance(self._engine)
-        trajectory, ended = scan_episodes(self._env, advance, act, actors, state, first)
-        if self._env.nonfinite == "raise":
+        trajectory, ended = scan_episodes(self.env, advance, act, actors, state, first)
+        if self.env.nonfinite == "raise":
             _refuse(*jax.device_get(_first_failure(trajectory.readings, ended)))
         return trajectory
 

@@ -28,19 +28,13 @@ class NativeWorld(AbstractWorld):
     Simulators are kept open, one for each number of simulations that was asked for.
     """
 
+    env: AbstractMujocoEnv[Any]
+
     def __init__(self, env: AbstractMujocoEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
-        self._env = env
-        self._tasks = tasks
+        self.env = env
+        self.tasks = tasks
         self._num_threads = num_threads
         self._simulators: dict[int, AbstractSimulator] = {}
-
-    @property
-    def env(self) -> AbstractMujocoEnv[Any]:
-        return self._env
-
-    @property
-    def tasks(self) -> TaskSet:
-        return self._tasks
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
         """See `AbstractWorld.play`. `act` must be compiled by the caller."""

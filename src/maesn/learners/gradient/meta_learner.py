@@ -35,6 +35,7 @@ from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.settings import check_number
 
 _STRIDES = ("curvature_stride", "hessian_stride")
 
@@ -76,19 +77,16 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     uses all."""
     hessian_stride: int | None = None
     """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
-    step runs through the policy (`learners.curvature`); None: as `curvature_stride`. Its terms are
-    of both signs and nearly cancel, so it needs more steps."""
+    step runs through the policy (`maesn.learners.gradient.curvature`); None: as `curvature_stride`.
+    Its terms are of both signs and nearly cancel, so it needs more steps."""
     normalize_observations: bool = False
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
 
     def __check_init__(self) -> None:
         for name in ("meta_batch_size", "outer_batches", *_STRIDES):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {value}.")
-        if self.inner_updates < 0:
-            raise ValueError(f"`inner_updates` must be at least 0, got {self.inner_updates}.")
+            check_number(name, getattr(self, name), 1)
+        check_number("inner_updates", self.inner_updates, 0)
         self._check_adaptation()
         for name in _STRIDES:
             stride = getattr(self, name)

@@ -26,6 +26,7 @@ from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import mesh, standardize, trial_advantages
 from maesn.numerics.mesh import check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
+from maesn.settings import check_number
 
 
 class RecurrentMetaState(eqx.Module):
@@ -65,8 +66,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     policy: AbstractPolicySettings = Recurrent()
     """The policy's network."""
     policy_step: AbstractPolicyStep = ProximalStep()
-    """How the policy is improved: `ProximalStep` (PPO), `TrustRegionStep` (TRPO) or `GradientStep`
-    (REINFORCE)."""
+    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO)."""
     value: RecurrentValue = RecurrentValue()
     """The baseline that advantages are measured from."""
     meta_batch_size: int = 20
@@ -81,8 +81,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
 
     def __check_init__(self) -> None:
         for name in ("meta_batch_size", "trial_episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+            check_number(name, getattr(self, name), 1)
         for name in ("discount", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")

@@ -23,6 +23,7 @@ from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step, mesh
+from maesn.settings import check_number, check_positive
 
 # Number of transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
@@ -92,13 +93,8 @@ class CuriosityBonus(eqx.Module):
 
     def __check_init__(self) -> None:
         for name in ("samples", "batch_size", "pool_size", "pool_additions", "median_window"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
-        for name in ("prior_std", "likelihood_std", "learning_rate"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"`{name}` must be positive and finite, got {getattr(self, name)}."
-                )
+            check_number(name, getattr(self, name), 1)
+        check_positive(self, "prior_std", "likelihood_std", "learning_rate")
         for name in ("updates", "weight"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(
