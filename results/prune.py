@@ -3,8 +3,8 @@
     python results/prune.py results
 
 Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; the
-checkpoint of another seed than 0 only until the studies that list the run are done, and not at all
-if it is large (RL2's). To evaluate such a run in another way, remove its job's directory: the study
+checkpoint of another seed than 0 only while a study still has to evaluate it, and not at all if it
+is large (RL2's). To evaluate such a run in another way, remove its job's directory: the study
 trains it again. Other jobs go once every study that lists them has their results in a table. Of a
 large table, episodes that judge nothing go; of all tables and recorded arrays, digits that no
 figure and no printed number shows.
@@ -25,7 +25,7 @@ from maesn.runs.sources import TASKS_FILE
 from maesn.storage import read_arrays, read_json, write_rows
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
-from maesn.studies.study import JOBS
+from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
 LARGE = 200_000  # bytes of a checkpoint or a table
@@ -39,20 +39,22 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     """
     jobs = directory / JOBS
     joined: set[str] = set()
+    listed: set[str] = set()
     needed: set[str] = set()
-    unfinished: set[str] = set()
-    for study in studies_in(directory):
-        here = {job for names in joined_files(study).values() for job in names}
-        listed = {*read_json(study / MANIFEST)["jobs"]}
+    for path in studies_in(directory):
+        here = {job for names in joined_files(path).values() for job in names}
         joined |= here
-        needed |= listed - here
-        if not all((jobs / name / DONE).exists() for name in listed - here):
-            unfinished |= listed
-    for name in joined - needed:
+        listed |= {*read_json(path / MANIFEST)["jobs"]} - here
+        source = directory / f"{path.name}.toml"
+        study = Study.load(source if source.exists() else path.name)
+        execution = study.execution(directory)
+        left = (job for job in study.jobs.values() if not execution.is_done(job.name))
+        needed |= {name for job in left for name in job.needs}
+    for name in joined - listed:
         shutil.rmtree(jobs / name, ignore_errors=True)
     for done in jobs.glob(f"*/{DONE}"):
         if (done.parent / RUN / CONFIG).exists():
-            prune_run(done.parent / RUN, done.parent.name in unfinished)
+            prune_run(done.parent / RUN, done.parent.name in needed)
     for table in directory.glob("*/tables/*/*.csv.gz"):
         prune_table(table)
     for pattern in ("*/tables/*/*.npz", "*/recorded/*/*.npz"):

@@ -172,6 +172,9 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
     files = [directory / seed["table"] for seed in line["seeds"]]
     steps = [seed["training_steps"] for seed in line["seeds"]]
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
+    # What was published of a method stands beside its first line, not beside its variants.
+    same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
+    shown = line["source"] in same[:1] and not line["addition"]
     table = replace(
         reading.stack_seeds([reading.read_adaptation(file) for file in files]),
         tasks=world["tasks"],
@@ -188,7 +191,7 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
         source=line["source"],
         training_steps=max((count for count in steps if count is not None), default=None),
         settings={**evaluation, **line["settings"]},
-        published=None if line["addition"] else comparable_curve(*about, table),
+        published=comparable_curve(*about, table) if shown else None,
         recorded=directory / recorded if recorded else None,
         latents=reading.latents_beside(files[0]),
     )

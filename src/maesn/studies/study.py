@@ -25,14 +25,7 @@ from maesn.runs.process import ending_by_signals
 from maesn.runs.run import Run
 from maesn.settings import check_number
 from maesn.storage import RunError
-from maesn.studies.execution import (
-    AbstractExecutor,
-    Execution,
-    ExecutorName,
-    LocalPool,
-    Ray,
-    Say,
-)
+from maesn.studies.execution import AbstractExecutor, Execution, ExecutorName, LocalPool, Ray, Say
 from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS
 from maesn.studies.members import trained_run
 from maesn.studies.plan import Entry, make_plan
