@@ -22,7 +22,7 @@ from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.storage import read_arrays, read_json, write_rows
+from maesn.storage import RunError, read_arrays, read_json, write_rows
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
@@ -44,9 +44,13 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     for path in studies_in(directory):
         here = {job for names in joined_files(path).values() for job in names}
         joined |= here
-        listed |= {*read_json(path / MANIFEST)["jobs"]} - here
+        listed |= (jobs_here := {*read_json(path / MANIFEST)["jobs"]}) - here
         source = directory / f"{path.name}.toml"
-        study = Study.load(source if source.exists() else path.name)
+        try:
+            study = Study.load(source if source.exists() else path.name)
+        except RunError:  # its file is elsewhere: what its jobs need is not known
+            needed |= jobs_here
+            continue
         execution = study.execution(directory)
         left = (job for job in study.jobs.values() if not execution.is_done(job.name))
         needed |= {name for job in left for name in job.needs}

@@ -45,6 +45,13 @@ def test_summaries_are_what_the_report_writes(directory: Path) -> None:
         assert said == to_page(summary_tables(one))
 
 
+def test_a_published_curve_stands_beside_its_method_and_not_beside_variants() -> None:
+    _, (comparison, *_) = compare_study(RESULTS / "ablation")
+    beside = {line.label for line in comparison.lines if line.published is not None}
+    assert "MAESN" in beside
+    assert not any(label.startswith("MAESN, ") for label in beside)
+
+
 def numbers_in(text: str) -> set[str]:
     """The numbers with a decimal point, as they stand there."""
     return set(re.findall(r"-?\d+\.\d+", text))
