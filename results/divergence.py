@@ -19,12 +19,14 @@ def print_divergence(jobs: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """Print a row for each run with a latent and a checkpoint."""
     print("| method | step sizes | KL weight | seed | KL to the prior, nats |")
     print("|---|---|---:|---:|---:|")
+    rows = []
     for run in (Run.open(job / RUN) for job in jobs):
         context = getattr(run.learner, "context", None)
         if isinstance(context, LatentContext) and run.checkpoints():
             steps = "learned" if run.learner.adaptation.context.learned else "fixed"
             chosen = f"{run.settings.method} | {steps} | {context.kl_weight:g}"
-            print(f"| {chosen} | {run.settings.seed} | {mean_divergence(run):.2f} |")
+            rows.append(f"| {chosen} | {run.settings.seed} | {mean_divergence(run):.2f} |")
+    print(*sorted(rows), sep="\n")
     print("\nMean over the training tasks of KL(q(z) || N(0, I)) in the last checkpoint.")
 
 

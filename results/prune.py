@@ -39,22 +39,14 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     """
     jobs = directory / JOBS
     joined: set[str] = set()
-    listed: set[str] = set()
+    left: set[str] = set()
     needed: set[str] = set()
     for path in studies_in(directory):
         here = {job for names in joined_files(path).values() for job in names}
         joined |= here
-        listed |= (jobs_here := {*read_json(path / MANIFEST)["jobs"]}) - here
-        source = directory / f"{path.name}.toml"
-        try:
-            study = Study.load(source if source.exists() else path.name)
-        except RunError:  # its file is elsewhere: what its jobs need is not known
-            needed |= jobs_here
-            continue
-        execution = study.execution(directory)
-        left = (job for job in study.jobs.values() if not execution.is_done(job.name))
-        needed |= {name for job in left for name in job.needs}
-    for name in joined - listed:
+        left |= {*read_json(path / MANIFEST)["jobs"]} - here
+        needed |= needed_jobs(path)
+    for name in joined - left:
         shutil.rmtree(jobs / name, ignore_errors=True)
     for done in jobs.glob(f"*/{DONE}"):
         if (done.parent / RUN / CONFIG).exists():
@@ -64,6 +56,18 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     for pattern in ("*/tables/*/*.npz", "*/recorded/*/*.npz"):
         for arrays in directory.glob(pattern):
             prune_arrays(arrays)
+
+
+def needed_jobs(path: Path) -> set[str]:
+    """Return the jobs whose results a study still needs to compute others."""
+    source = path.parent / f"{path.name}.toml"
+    try:
+        study = Study.load(source if source.exists() else path.name)
+    except RunError:  # its file is elsewhere, so all of them may be
+        return {*read_json(path / MANIFEST)["jobs"]}
+    execution = study.execution(path.parent)
+    undone = (job for job in study.jobs.values() if not execution.is_done(job.name))
+    return {name for job in undone for name in job.needs}
 
 
 def prune_run(run: Path, needed: bool) -> None:
