@@ -2,12 +2,12 @@
 
     python results/prune.py results
 
-Of a trained run `config.json`, the last checkpoint and the first lines of the metrics stay; the
-checkpoint of another seed than 0 only while a study still has to evaluate it, and not at all if it
-is large (RL2's). To evaluate such a run in another way, remove its job's directory: the study
-trains it again. Other jobs go once every study that lists them has their results in a table. Of a
-large table, episodes that judge nothing go; of all tables and recorded arrays, digits that no
-figure and no printed number shows.
+Of a trained run `config.json` and the first lines of the metrics stay; the last checkpoint only
+while a study still has to evaluate it, and not if it is large (RL2's). To evaluate a run without
+one, remove its job's directory: the study trains it again. Other jobs go once every study that
+lists them has their results in a table. Of tables, episodes that judge nothing go; of latents,
+those that no figure shows; of tables and recorded arrays, digits that no figure and no printed
+number shows.
 """
 
 import shutil
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from maesn.reporting.reading import DEPLOY, MEASURES, read_rows
+from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, read_rows
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
@@ -28,7 +28,7 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
-LARGE = 200_000  # bytes of a checkpoint or a table
+LARGE = 200_000  # bytes of a checkpoint
 
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
@@ -41,11 +41,14 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
     joined: set[str] = set()
     left: set[str] = set()
     needed: set[str] = set()
-    for path in studies_in(directory):
+    # A study whose file is here may have computed nothing yet.
+    planned = (file.with_suffix("") for file in directory.glob("*.toml"))
+    for path in {*studies_in(directory), *planned}:
         here = {job for names in joined_files(path).values() for job in names}
+        listed, missing = jobs_of(path)
         joined |= here
-        left |= {*read_json(path / MANIFEST)["jobs"]} - here
-        needed |= needed_jobs(path)
+        left |= listed - here
+        needed |= missing
     for name in joined - left:
         shutil.rmtree(jobs / name, ignore_errors=True)
     for done in jobs.glob(f"*/{DONE}"):
@@ -53,21 +56,24 @@ def prune(directory: tyro.conf.Positional[Path]) -> None:
             prune_run(done.parent / RUN, done.parent.name in needed)
     for table in directory.glob("*/tables/*/*.csv.gz"):
         prune_table(table)
+    for path in studies_in(directory):
+        prune_latents(path)
     for pattern in ("*/tables/*/*.npz", "*/recorded/*/*.npz"):
         for arrays in directory.glob(pattern):
             prune_arrays(arrays)
 
 
-def needed_jobs(path: Path) -> set[str]:
-    """Return the jobs whose results a study still needs to compute others."""
-    source = path.parent / f"{path.name}.toml"
+def jobs_of(path: Path) -> tuple[set[str], set[str]]:
+    """Return the jobs of a study, and those whose results it still needs to compute others."""
+    source = path.with_suffix(".toml")
     try:
         study = Study.load(source if source.exists() else path.name)
-    except RunError:  # its file is elsewhere, so all of them may be
-        return {*read_json(path / MANIFEST)["jobs"]}
+    except RunError:  # its file is elsewhere, so all of them may be needed
+        listed = {*read_json(path / MANIFEST)["jobs"]}
+        return listed, listed
     execution = study.execution(path.parent)
     undone = (job for job in study.jobs.values() if not execution.is_done(job.name))
-    return {name for job in undone for name in job.needs}
+    return {*study.jobs}, {name for job in undone for name in job.needs}
 
 
 def prune_run(run: Path, needed: bool) -> None:
@@ -76,29 +82,37 @@ def prune_run(run: Path, needed: bool) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    seed = read_json(run / CONFIG)["settings"]["seed"]
-    checkpoints = sorted((run / CHECKPOINTS).glob("*.safetensors"))
-    for checkpoint in checkpoints:
-        superfluous = seed and (checkpoint.stat().st_size > LARGE or not needed)
-        if checkpoint != checkpoints[-1] or superfluous:
-            checkpoint.unlink()
+    *older, last = sorted((run / CHECKPOINTS).glob("*.safetensors")) or [None]
+    for checkpoint in older:
+        checkpoint.unlink()
+    if last and (not needed or last.stat().st_size > LARGE):
+        last.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))
 
 
 def prune_table(path: Path) -> None:
-    """Round the measures, and of a large table keep only the episodes that judge something.
+    """Round the measures, and keep only the episodes that judge something.
 
     Of a search these are the first ones and those played for judging alone.
     """
     rows = read_rows(path)
-    if path.stat().st_size > LARGE and any(row["purpose"] == DEPLOY for row in rows):
+    if any(row["purpose"] == DEPLOY for row in rows):
         rows = [row for row in rows if row["purpose"] == DEPLOY or row["update"] == "0"]
     for row in rows:
         for name in MEASURES:
             digits = 2 if name.endswith("return") else 4
             row[name] = repr(round(float(row[name]), digits))
     write_rows(path, rows)
+
+
+def prune_latents(study: Path) -> None:
+    """Remove adapted latents that no figure shows: figures show those of the first seed."""
+    figures = read_json(study / MANIFEST)["figures"]
+    shown = any(figure["kind"] == "latents" for figure in figures)
+    for path in study.glob(f"tables/*/*{LATENTS}"):
+        if not (shown and path.name.endswith(f"-seed-0{LATENTS}")):
+            path.unlink()
 
 
 def prune_arrays(path: Path) -> None:

@@ -84,10 +84,8 @@ def test_every_run_can_be_opened_and_its_policy_loaded(directory: Path) -> None:
     if directory.name == RUN and not (directory.parent / DONE).exists():
         assert run.latest().iteration > 0  # the study goes on with it
         return
-    if run.checkpoints():
+    if run.checkpoints():  # some study still has to evaluate the run
         assert run.latest().iteration == run.settings.iterations
-    else:  # one seed's is kept
-        assert run.settings.seed > 0
     assert [line["iteration"] for line in run.metrics()] == list(range(1, 21))
 
 

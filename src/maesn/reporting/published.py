@@ -25,10 +25,11 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    if (variant, table.reward) != ("reference", "sparse") or family not in _PROTOCOLS:
+    radius, episodes = _PROTOCOLS.get(family, (None, None))
+    protocol = (variant, table.reward, table.episodes_per_update)
+    if protocol != ("reference", "sparse", episodes) or table.tasks.startswith("ood"):
         return None
-    radius, episodes = _PROTOCOLS[family]
-    if sparse_radius not in (None, radius) or table.episodes_per_update != episodes:
+    if sparse_radius not in (None, radius):
         return None
     # One curve was published for all MAML presets; the header of the file says what it is.
     name = "maml" if method.startswith("maml") else method
