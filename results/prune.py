@@ -3,11 +3,10 @@
     python results/prune.py results
 
 Of a trained run `config.json` and the first lines of the metrics stay; the last checkpoint only
-while a study still has to evaluate it, and not if it is large (RL2's). To evaluate a run without
-one, remove its job's directory: the study trains it again. Other jobs go once every study that
-lists them has their results in a table. Of tables, episodes that judge nothing go; of latents,
-those that no figure shows; of tables and recorded arrays, digits that no figure and no printed
-number shows.
+while a study still has to evaluate it. To evaluate a run without one, remove its job's directory:
+the study trains it again. Other jobs go once every study that lists them has their results in a
+table. Of tables, episodes that judge nothing go; of latents, those that no figure shows; of tables
+and recorded arrays, digits that no figure and no printed number shows.
 """
 
 import shutil
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, read_rows
+from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, latents_beside, read_rows
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
@@ -28,7 +27,6 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
-LARGE = 200_000  # bytes of a checkpoint
 
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
@@ -82,11 +80,9 @@ def prune_run(run: Path, needed: bool) -> None:
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    *older, last = sorted((run / CHECKPOINTS).glob("*.safetensors")) or [None]
-    for checkpoint in older:
+    checkpoints = sorted((run / CHECKPOINTS).glob("*.safetensors"))
+    for checkpoint in checkpoints[: -1 if needed else None]:
         checkpoint.unlink()
-    if last and (not needed or last.stat().st_size > LARGE):
-        last.unlink()
     lines = (run / METRICS).read_text().splitlines(keepends=True)
     (run / METRICS).write_text("".join(lines[:LINES]))
 
@@ -107,12 +103,16 @@ def prune_table(path: Path) -> None:
 
 
 def prune_latents(study: Path) -> None:
-    """Remove adapted latents that no figure shows: figures show those of the first seed."""
-    figures = read_json(study / MANIFEST)["figures"]
-    shown = any(figure["kind"] == "latents" for figure in figures)
-    for path in study.glob(f"tables/*/*{LATENTS}"):
-        if not (shown and path.name.endswith(f"-seed-0{LATENTS}")):
-            path.unlink()
+    """Remove adapted latents that no figure shows. Figures show those of a line's first seed."""
+    document = read_json(study / MANIFEST)
+    drawn = [figure["families"] for figure in document["figures"] if figure["kind"] == "latents"]
+    for world in document["comparisons"]:
+        shown = any(not families or world["family"] in families for families in drawn)
+        tables = (study / line["seeds"][0]["table"] for line in world["lines"] if shown)
+        kept = set(map(latents_beside, tables))
+        for path in (study / "tables" / world["name"]).glob(f"*{LATENTS}"):
+            if path not in kept:
+                path.unlink()
 
 
 def prune_arrays(path: Path) -> None:

@@ -9,8 +9,9 @@ from jaxtyping import Float
 
 from maesn.reporting.reading import AdaptationTable
 
-# What the published returns depend on, beside the rewards of the reference code: the sparse radius
-# in metres (also the family's own, that of a run without one) and the episodes per update.
+# What the published returns depend on, beside the rewards of the reference code and tasks as in
+# training: the sparse radius in metres (also the family's own, that of a run without one) and the
+# episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 
 
@@ -25,11 +26,11 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    radius, episodes = _PROTOCOLS.get(family, (None, None))
-    protocol = (variant, table.reward, table.episodes_per_update)
-    if protocol != ("reference", "sparse", episodes) or table.tasks.startswith("ood"):
+    if family not in _PROTOCOLS or "ood" in table.tasks.split("-"):
         return None
-    if sparse_radius not in (None, radius):
+    radius, episodes = _PROTOCOLS[family]
+    protocol = (variant, table.reward, table.episodes_per_update)
+    if protocol != ("reference", "sparse", episodes) or sparse_radius not in (None, radius):
         return None
     # One curve was published for all MAML presets; the header of the file says what it is.
     name = "maml" if method.startswith("maml") else method
