@@ -189,9 +189,10 @@ def _label_lines(figure: Figure, axes: Axes) -> None:
     ends = axes.transData.transform([(0, end) for end, _, _ in named])[:, 1]
     heights = np.array([1.2 * _LABEL_SIZE * (1 + text.count("\n")) for _, _, text in named])
     heights *= figure.dpi / 72
-    # The least squares of all displacements, with every label above the one before.
+    # The least squares of all displacements: every label above the one before, all beside the axes.
     room = np.cumsum(heights) - heights / 2
-    places = scipy.optimize.isotonic_regression(ends - room).x + room
+    places = scipy.optimize.isotonic_regression(ends - room).x
+    places = np.clip(places, axes.bbox.y0, axes.bbox.y1 - heights.sum()) + room
     for (_, colour, text), place in zip(named, places, strict=True):
         at = (1.02, axes.transAxes.inverted().transform((0, place))[1])
         look: Any = {"color": colour, "fontsize": _LABEL_SIZE, "verticalalignment": "center"}
