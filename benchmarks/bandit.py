@@ -2,9 +2,9 @@
 
     python benchmarks/bandit.py --out results/bandit
 
-Five arms pay 1 with a probability of their own, uniform on [0, 1], and there are ten pulls (Duan et
-al. 2016, section 3.1). What any algorithm can be paid on average is known: dynamic programming over
-the counts of payments gives the Bayes-optimal return. UCB1, Thompson sampling, and random pulls are
+Five arms give 1 with a probability of their own, uniform on [0, 1], and there are ten pulls (Duan
+et al. 2016, section 3.1). What any algorithm can win on average is known: dynamic programming over
+the counts of rewards gives the Bayes-optimal return. UCB1, Thompson sampling, and random pulls are
 simulated here; the paper's numbers stand beside.
 
 Training takes some minutes on two cores, `--load` evaluates an earlier policy.
@@ -43,14 +43,14 @@ TEST_TASKS = 20_000
 PAPER = {"UCB1": 6.7, "Thompson": 5.7, "random": 5.0, "RL2": 6.7, "Gittins index": 6.6}
 POLICY = "policy.safetensors"
 
-# Chooses an arm in every simulation from its counts of payments and failures.
+# Chooses an arm in every simulation from its counts of rewards and failures.
 Choose = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
 
 
 def bayes_optimal_return(arms: int, pulls: int) -> float:
-    """Return the largest expected number of payments, by dynamic programming.
+    """Return the largest expected number of rewards, by dynamic programming.
 
-    The posterior of an arm is Beta(a + 1, b + 1) after a payments and b failures, so it pays next
+    The posterior of an arm is Beta(a + 1, b + 1) after a rewards and b failures, so it gives 1 next
     with probability (a + 1) / (a + b + 2). Arms are exchangeable: states are sorted.
     """
 
@@ -61,49 +61,49 @@ def bayes_optimal_return(arms: int, pulls: int) -> float:
         return max(pull(counts, arm, left) for arm in range(arms))
 
     def pull(counts: tuple[tuple[int, int], ...], arm: int, left: int) -> float:
-        paid, failed = counts[arm]
-        probability = (paid + 1) / (paid + failed + 2)
+        won, failed = counts[arm]
+        probability = (won + 1) / (won + failed + 2)
         others = counts[:arm] + counts[arm + 1 :]
-        win = value(tuple(sorted((*others, (paid + 1, failed)))), left - 1)
-        loss = value(tuple(sorted((*others, (paid, failed + 1)))), left - 1)
+        win = value(tuple(sorted((*others, (won + 1, failed)))), left - 1)
+        loss = value(tuple(sorted((*others, (won, failed + 1)))), left - 1)
         return probability * (1.0 + win) + (1.0 - probability) * loss
 
     return value(((0, 0),) * arms, pulls)
 
 
-def ucb1(paid: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+def ucb1(won: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
     """Upper confidence bounds (Auer et al. 2002), mean + c sqrt(2 log t / n) with c = 0.2.
 
-    Every arm starts with one payment and one failure, the uniform prior, and is not tried first:
+    Every arm starts with one reward and one failure, the uniform prior, and is not tried first:
     with ten pulls there is no time for it. Duan et al. tuned c as well, to 0.2.
     """
-    counts = paid + failed + 2
-    time_so_far = 1 + (paid + failed).sum(1, keepdims=True)
-    bound = (paid + 1) / counts + 0.2 * np.sqrt(2 * np.log(time_so_far) / counts)
+    counts = won + failed + 2
+    time_so_far = 1 + (won + failed).sum(1, keepdims=True)
+    bound = (won + 1) / counts + 0.2 * np.sqrt(2 * np.log(time_so_far) / counts)
     return (bound + 1e-9 * stream.uniform(size=bound.shape)).argmax(1)  # ties are broken at random
 
 
-def thompson(paid: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+def thompson(won: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
     """Thompson sampling from the Beta posteriors."""
-    return stream.beta(paid + 1, failed + 1).argmax(1)
+    return stream.beta(won + 1, failed + 1).argmax(1)
 
 
-def randomly(paid: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+def randomly(won: np.ndarray, failed: np.ndarray, stream: np.random.Generator) -> np.ndarray:
     """Any arm."""
-    return stream.integers(0, paid.shape[1], len(paid))
+    return stream.integers(0, won.shape[1], len(won))
 
 
 def simulate(choose: Choose, arms: int, pulls: int, runs: int = 200_000) -> tuple[float, float]:
-    """Return mean number of payments and its standard error."""
+    """Return mean number of rewards and its standard error."""
     stream = np.random.default_rng(0)
     probability, rows = stream.uniform(size=(runs, arms)), np.arange(runs)
-    paid, failed = np.zeros((runs, arms)), np.zeros((runs, arms))
+    won, failed = np.zeros((runs, arms)), np.zeros((runs, arms))
     for _ in range(pulls):
-        arm = choose(paid, failed, stream)
-        pays = stream.uniform(size=runs) < probability[rows, arm]
-        paid[rows, arm] += pays
-        failed[rows, arm] += ~pays
-    total = paid.sum(1)
+        arm = choose(won, failed, stream)
+        rewards = stream.uniform(size=runs) < probability[rows, arm]
+        won[rows, arm] += rewards
+        failed[rows, arm] += ~rewards
+    total = won.sum(1)
     return float(total.mean()), float(total.std() / np.sqrt(runs))
 
 
@@ -146,7 +146,7 @@ def train(
 
 
 def evaluate(policy: RecurrentPolicy, collect: Collect) -> tuple[float, float]:
-    """Return mean number of payments in new tasks, one trial each, and its standard error."""
+    """Return mean number of rewards in new tasks, one trial each, and its standard error."""
     asked = Evaluation(episodes=0, tasks_at_once=2000)
     outcome = adapt(RecurrentFastLearner(policy, 1), collect, asked)
     returns = outcome.curves.mean_return[:, 0]
@@ -169,7 +169,7 @@ def load_policy(path: Path) -> RecurrentPolicy:
 
 
 def table(rl2: tuple[float, float]) -> str:
-    """Return what all algorithms are paid, as a table in Markdown."""
+    """Return what all algorithms are won, as a table in Markdown."""
     rows = {
         name: simulate(choose, ARMS, PULLS)
         for name, choose in (("random", randomly), ("Thompson", thompson), ("UCB1", ucb1))

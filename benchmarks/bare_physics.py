@@ -2,7 +2,7 @@
 
 `mujoco.batch.Batch` is called just as a collection calls it: as many simulations on as many
 threads, the same starts, dynamics and controls, the same number of resets and steps, the same
-readings copied out of it. No policy is asked, nothing is checked, recorded or paid.
+readings copied out of it. No policy is asked, nothing is checked, recorded or rewarded.
 """
 
 import time

@@ -1,11 +1,11 @@
-"""Is it what VIME finds out, or that it is paid at all? Curiosity and random bonuses on a family.
+"""Does any bonus help, or only that of VIME? Information gains against random numbers.
 
-    python benchmarks/bonus_control.py --out results/blockpush/bonus_control
+    python benchmarks/bonus_control.py --out runs/bonus_control
 
-Both are TRPO from scratch with the same policies, batches and bonus of a typical transition; one is
-paid for information, the other (`random_bonus`) random numbers, exponentially distributed, by the
-same rule. Where returns hardly differ otherwise, random bonuses move the policy in random
-directions, which is a search as well.
+Both methods are TRPO from scratch with the same policies, batches and size of the bonus. One adds
+the information gain of each transition to its reward, the other (`random_bonus`) random numbers,
+exponentially distributed. Where returns hardly differ otherwise, random bonuses move the policy in
+random directions, which is a search as well.
 """
 
 import csv
@@ -31,7 +31,7 @@ from maesn.worlds.collector import Collector
 
 @dataclass(frozen=True)
 class Settings:
-    """What is compared. The defaults are those of `results/blockpush/comparison-2000`."""
+    """What is compared. The defaults are those of `vime` on `blockpush` in the study `paper`."""
 
     family: str = "blockpush"
     """Family of tasks."""
@@ -44,7 +44,7 @@ class Settings:
     episodes_per_task: int = 20
     """Episodes per update."""
     weight: float = CuriosityBonus().weight
-    """What a transition of typical gain is paid."""
+    """Bonus of a transition with the typical gain."""
     seed: int = 0
     """Of policies and episodes."""
     out: Path | None = None

@@ -99,7 +99,7 @@ def describe(memory: TrialState) -> str:
 
 
 def main(settings: Settings) -> None:
-    """Print what second episodes are paid, by what they begin with."""
+    """Print the returns of second episodes, by what they begin with."""
     for name, returns in played(settings):
         error = returns.std(ddof=1) / math.sqrt(len(returns))
         print(

@@ -11,7 +11,7 @@ from maesn.networks import BayesianNetwork
 
 
 class RandomBonus(CuriosityBonus):
-    """Pays random numbers, exponentially distributed, by the same rule as information gains."""
+    """Adds random numbers, exponentially distributed, by the same rule as information gains."""
 
     def information_gains(
         self, key: Key, network: BayesianNetwork, scale: Scale, seen: Transitions
@@ -24,7 +24,7 @@ def curiosities(weight: float) -> dict[str, CuriosityBonus]:
     """Return VIME's curiosity and its control, by the names of their methods.
 
     Args:
-        weight: what a transition is paid whose gain, or random number, is typical.
+        weight: bonus of a transition whose gain, or random number, is typical.
     """
     return {
         "random_bonus": RandomBonus(weight=weight, updates=0),

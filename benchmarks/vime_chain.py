@@ -3,7 +3,7 @@
     python benchmarks/vime_chain.py --out results/vime_chain
 
 Every seed plays several tasks, each with weights and random draws of its own. A run has found the
-reward at the first update before which some episode was paid. Policies and batches are the same for
+reward at the first update before which some episode had it. Policies and batches are the same for
 all, and so is the step of TRPO for all but `reinforce`. `random_bonus` is VIME with random numbers
 in the place of information gains: what it finds, steps in random directions find.
 """
@@ -42,9 +42,9 @@ class Settings:
     episodes_per_task: int = 10
     """Episodes of 50 steps per update."""
     reward_elsewhere: float = 0.0
-    """What a step is paid that does not reach the goal. Where it is not 0, TRPO drifts."""
+    """Reward of a step that does not reach the goal. Where it is not 0, TRPO drifts."""
     bonus: float = CuriosityBonus().weight
-    """What VIME pays for a transition of typical information gain."""
+    """VIME's bonus for a transition of typical information gain."""
     out: Path | None = None
     """Directory for the table; None: it is printed alone."""
 
@@ -52,21 +52,21 @@ class Settings:
 def learner(name: str, settings: Settings) -> AbstractFastLearner:
     """Return a method for the chain's one observation and one action."""
     bonuses = curiosities(settings.bonus)
-    paid = {"curiosity": bonuses[name]} if name in bonuses else {}
-    method = "vime" if paid else name
-    return SCRATCH[method](1, 1, policy=GaussianMLP(hidden_sizes=(32,)), **paid)
+    bonus = {"curiosity": bonuses[name]} if name in bonuses else {}
+    method = "vime" if bonus else name
+    return SCRATCH[method](1, 1, policy=GaussianMLP(hidden_sizes=(32,)), **bonus)
 
 
 def row(name: str, seed: int, curves: AdaptationCurves) -> dict[str, str | int | float]:
     """Summarise the runs of one method and one seed."""
-    paid = curves.success_rate > 0
-    first = np.where(paid.any(axis=1), paid.argmax(axis=1), np.inf)
+    found = curves.success_rate > 0
+    first = np.where(found.any(axis=1), found.argmax(axis=1), np.inf)
     return {
         "method": name,
         "seed": seed,
-        "runs": len(paid),
-        "found": int(paid.any(axis=1).sum()),
-        "found_early": int(paid[:, : EARLY + 1].any(axis=1).sum()),
+        "runs": len(found),
+        "found": int(found.any(axis=1).sum()),
+        "found_early": int(found[:, : EARLY + 1].any(axis=1).sum()),
         "median_first_update": float(np.median(first)),
         "final_success_rate": round(float(curves.success_rate[:, -1].mean()), 3),
         "final_return": round(float(curves.mean_return[:, -1].mean()), 3),

@@ -5,8 +5,9 @@
 Of a trained run `config.json` and the first lines of the metrics stay; the last checkpoint only
 while a study still has to evaluate it. To evaluate a run without one, remove its job's directory:
 the study trains it again. Other jobs go once every study that lists them has their results in a
-table. Of tables, episodes that judge nothing go; of latents, those that no figure shows; of tables
-and recorded arrays, digits that no figure and no printed number shows.
+table. Of tables, episodes that judge nothing go, and of long curves four points of five; of
+latents, those that no figure shows; of tables and recorded arrays, digits that no figure and no
+printed number shows.
 """
 
 import shutil
@@ -27,6 +28,7 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
+ALL_UPDATES, STRIDE = 20, 5  # of a table: up to the first every update, then every fifth
 
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
@@ -88,11 +90,13 @@ def prune_run(run: Path, needed: bool) -> None:
 
 
 def prune_table(path: Path) -> None:
-    """Round the measures, and keep only the episodes that judge something.
+    """Round the measures, thin out long curves, and keep only the episodes that judge something.
 
     Of a search these are the first ones and those played for judging alone.
     """
     rows = read_rows(path)
+    last = max(int(row["update"]) for row in rows)
+    rows = [row for row in rows if _is_kept(int(row["update"]), last)]
     if any(row["purpose"] == DEPLOY for row in rows):
         rows = [row for row in rows if row["purpose"] == DEPLOY or row["update"] == "0"]
     for row in rows:
@@ -100,6 +104,10 @@ def prune_table(path: Path) -> None:
             digits = 2 if name.endswith("return") else 4
             row[name] = repr(round(float(row[name]), digits))
     write_rows(path, rows)
+
+
+def _is_kept(update: int, last: int) -> bool:
+    return update <= ALL_UPDATES or update % STRIDE == 0 or update == last
 
 
 def prune_latents(study: Path) -> None:

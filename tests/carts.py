@@ -36,7 +36,7 @@ class CartTask(NamedTuple):
 
 
 class Cart(AbstractMujocoEnv[CartTask]):
-    """Driven by a constant force, whatever the agent does, and paid for the way of each step."""
+    """Driven by a constant force, whatever the agent does; rewards are the way of each step."""
 
     name: ClassVar[str] = "cart"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel")

@@ -202,7 +202,7 @@ class Fragile(Settable):
 
 
 class Chooser(gymnasium.Env[Any, Any]):
-    """Pays for the one of three choices, -1 to 1, that is its task."""
+    """Rewards the one of three choices, -1 to 1, that is its task."""
 
     action_space = spaces.Discrete(3, start=-1)
     observation_space = spaces.Box(0, 1, (1,))

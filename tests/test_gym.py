@@ -237,7 +237,7 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
 
 
 class Unpaid(Point):
-    """A point that is paid NaN where it has gone right."""
+    """A point whose reward is NaN where it has gone right."""
 
     def reward(self, readings: Any, action: Any, next_readings: Any, task: Any) -> Reward:
         goal, other = super().reward(readings, action, next_readings, task)

@@ -45,7 +45,7 @@ def ours() -> float:
     finally:
         world.close()
     returns = outcome.curves.mean_return
-    # CartPole pays 1 for every step, so the sum is the number of steps that a run has learned from.
+    # CartPole rewards every step with 1, so the sum is the number of steps that were learned from.
     # One that has not come that far counts as it is: it has not learned to survive.
     done = np.argmax(np.cumsum(EPISODES * returns, axis=1) >= STEPS, axis=1)
     last = np.where(done > 0, done, UPDATES)

@@ -30,8 +30,8 @@ def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> No
         is_listed = any(f"{path}.".startswith(f"{one}.") for one in table)
         assert is_listed or own[path] == others[path]
     assert method_name(learner) == method
-    curious = maesn.recommended(f"{method}+curiosity", family)
-    assert curious == with_setting(METHODS[f"{method}+curiosity"](), "learner", learner)
+    with_bonus = maesn.recommended(f"{method}+curiosity", family)
+    assert with_bonus == with_setting(METHODS[f"{method}+curiosity"](), "learner", learner)
 
 
 def test_the_tables_name_families_methods_and_settings() -> None:

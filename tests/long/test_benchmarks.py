@@ -98,7 +98,7 @@ def test_random_bonuses_are_the_control_of_curiosity(
             rows = list(csv.DictReader(file))
         assert [(row["task"], row["update"]) for row in rows] == [*product("01", "012")]
         returns[name] = [float(row["mean_return"]) for row in rows]
-    # The first update is unpaid. From the second one on they are paid for different steps.
+    # The first update has no bonus. From the second one on they have it for different steps.
     same = np.equal(returns["random_bonus"], returns["vime"])
     assert same.tolist() == [True, True, False] * 2
 
@@ -109,7 +109,7 @@ def test_second_episodes_begin_with_the_memory_that_is_named(
     control = load_script("benchmarks/memory_control.py")
     run = create(tmp_path / "run", rl2(policy=Recurrent(hidden_size=3)))
     settings = control.Settings(run.directory, tasks="validation", episodes_per_task=2)
-    paid = dict(control.played(settings))
+    means = dict(control.played(settings))
     assert "deviation over" in capsys.readouterr().out
     tasks = run.task_set("validation")
     world, index = run.world(tasks), jnp.arange(len(tasks))
@@ -120,7 +120,7 @@ def test_second_episodes_begin_with_the_memory_that_is_named(
     alone = collect(second, agents, index)
     began = replace(agents, trial_state=collect(first, agents, index).trial_end)
     after = collect(second, began, index)
-    np.testing.assert_array_equal(paid["nothing"], alone.undiscounted_return.mean(1))
-    np.testing.assert_array_equal(paid["its own memory"], after.undiscounted_return.mean(1))
-    assert len({tuple(returns) for returns in paid.values()}) == 4
+    np.testing.assert_array_equal(means["nothing"], alone.undiscounted_return.mean(1))
+    np.testing.assert_array_equal(means["its own memory"], after.undiscounted_return.mean(1))
+    assert len({tuple(returns) for returns in means.values()}) == 4
     world.close()

@@ -36,6 +36,14 @@ def test_ends_of_the_curves(family: str, method: str, start: float, end: float) 
     assert (curve.update[0], curve.update[-1]) == (0, 99)
 
 
+@pytest.mark.parametrize("family", ["wheeled", "ant", "blockpush"])
+@pytest.mark.parametrize("method", ["maesn", "latent_space", "maml", "vime", "trpo", "reinforce"])
+def test_no_point_is_of_the_legend(family: str, method: str) -> None:
+    curve = published_curve(family, method)
+    assert curve is not None
+    assert np.abs(np.diff(curve.mean_return[5:])).max() < 9.0  # they are steep at first alone
+
+
 def test_what_could_not_be_read_is_absent() -> None:
     curve = published_curve("blockpush", "vime")
     assert curve is not None
