@@ -169,7 +169,7 @@ def load_policy(path: Path) -> RecurrentPolicy:
 
 
 def table(rl2: tuple[float, float]) -> str:
-    """Return what all algorithms are won, as a table in Markdown."""
+    """Return the mean rewards of all algorithms, as a table in Markdown."""
     rows = {
         name: simulate(choose, ARMS, PULLS)
         for name, choose in (("random", randomly), ("Thompson", thompson), ("UCB1", ucb1))

@@ -5,7 +5,7 @@
 Of a trained run `config.json` and the first lines of the metrics stay; the last checkpoint only
 while a study still has to evaluate it. To evaluate a run without one, remove its job's directory:
 the study trains it again. Other jobs go once every study that lists them has their results in a
-table. Of tables, episodes that judge nothing go, and of long curves four points of five; of
+table. Of tables, episodes that judge nothing go, and after update 20 four updates of five; of
 latents, those that no figure shows; of tables and recorded arrays, digits that no figure and no
 printed number shows.
 """
@@ -28,7 +28,7 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
-ALL_UPDATES, STRIDE = 20, 5  # of a table: up to the first every update, then every fifth
+ALL_UPDATES, STRIDE = 20, 5  # of a table: every update up to this one, then every fifth
 
 
 def prune(directory: tyro.conf.Positional[Path]) -> None:
@@ -77,7 +77,7 @@ def jobs_of(path: Path) -> tuple[set[str], set[str]]:
 
 
 def prune_run(run: Path, needed: bool) -> None:
-    """Remove all of a run that acting, adapting and comparing do not need."""
+    """Keep settings, the first lines of the metrics and, if needed, the last checkpoint."""
     kept = {CONFIG, CHECKPOINTS, METRICS, TASKS_FILE}
     for path in run.iterdir():
         if path.name not in kept:
