@@ -172,9 +172,9 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
     files = [directory / seed["table"] for seed in line["seeds"]]
     steps = [seed["training_steps"] for seed in line["seeds"]]
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
-    # What was published of a method stands beside its first line, not beside its variants.
+    # What was published of a method stands beside its first run by its own rule, and no variant.
     same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
-    shown = line["source"] in same[:1] and not line["addition"]
+    shown = line["source"] in same[:1] and not (line["addition"] or line["evaluation"]["rule"])
     table = replace(
         reading.stack_seeds([reading.read_adaptation(file) for file in files]),
         tasks=world["tasks"],
