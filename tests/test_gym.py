@@ -236,7 +236,7 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
         env.step(np.zeros(2))
 
 
-class Unpaid(Point):
+class RewardIsNaN(Point):
     """A point whose reward is NaN where it has gone right."""
 
     def reward(self, readings: Any, action: Any, next_readings: Any, task: Any) -> Reward:
@@ -251,7 +251,7 @@ class Unseeing(Point):
         return jnp.where(readings["qpos"][0] > 0.3, jnp.nan, readings["qpos"])
 
 
-@pytest.mark.parametrize(("env", "what"), [(Unpaid, "reward"), (Unseeing, "observation")])
+@pytest.mark.parametrize(("env", "what"), [(RewardIsNaN, "reward"), (Unseeing, "observation")])
 def test_what_is_no_number_is_an_error_that_says_where(env: Any, what: str) -> None:
     family = point._replace(make_env=env)
     known = TaskEnv("point", task=1)

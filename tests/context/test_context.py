@@ -24,7 +24,7 @@ def test_the_prior_itself_costs_nothing() -> None:
     assert LatentContext().penalty(Latent(jnp.zeros(2), jnp.zeros(2))) == 0.0
 
 
-def test_penalty_is_paid_on_the_latents_alone() -> None:
+def test_penalty_is_on_the_latents_alone() -> None:
     assert NoContext().penalty(Nothing()) == 0.0
     assert BiasContext(2).penalty(Bias(jnp.full(2, 9.0))) == 0.0
 

@@ -59,7 +59,7 @@ def test_episodes_repeat_and_tasks_differ(name: str) -> None:
     world.close()
 
 
-def test_the_cheetah_is_paid_for_its_target() -> None:
+def test_the_cheetah_is_rewarded_for_its_target() -> None:
     family = family_of("half_cheetah_velocity")
     env, speed = family.make_env(), family.task_set("test", 1)
     collect = Collector(make_world(env, speed), 2)

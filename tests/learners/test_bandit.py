@@ -21,31 +21,34 @@ def benchmark() -> ModuleType:
 
 
 def best_of_all_policies(arms: int, pulls: int) -> float:
-    """By enumeration: a policy is an arm for every sequence of payments so far."""
+    """By enumeration: a policy is an arm for every sequence of rewards so far."""
     sequences = [
-        payments for length in range(pulls) for payments in itertools.product((0, 1), repeat=length)
+        rewards for length in range(pulls) for rewards in itertools.product((0, 1), repeat=length)
     ]
     outcomes = list(itertools.product((0, 1), repeat=pulls))
     policies = itertools.product(range(arms), repeat=len(sequences))
     return max(
-        sum(paid_by(dict(zip(sequences, policy, strict=True)), payments) for payments in outcomes)
+        sum(
+            expected_return(dict(zip(sequences, policy, strict=True)), rewards)
+            for rewards in outcomes
+        )
         for policy in policies
     )
 
 
-def paid_by(policy: dict[tuple[int, ...], int], payments: tuple[int, ...]) -> float:
-    """Probability of a sequence of payments under a policy, times its sum.
+def expected_return(policy: dict[tuple[int, ...], int], rewards: tuple[int, ...]) -> float:
+    """Probability of a sequence of rewards under a policy, times its sum.
 
-    The task is integrated out: an arm with a payments and b failures has the probability
+    The task is integrated out: an arm with a rewards and b failures has the probability
     a! b! / (a + b + 1)!, whatever their order.
     """
-    pulled = np.array([policy[payments[:t]] for t in range(len(payments))])
+    pulled = np.array([policy[rewards[:t]] for t in range(len(rewards))])
     probability = 1.0
     for arm in set(pulled):
-        won = int(np.sum(np.array(payments)[pulled == arm]))
+        won = int(np.sum(np.array(rewards)[pulled == arm]))
         lost = int(np.sum(pulled == arm)) - won
         probability *= math.factorial(won) * math.factorial(lost) / math.factorial(won + lost + 1)
-    return probability * sum(payments)
+    return probability * sum(rewards)
 
 
 def test_dynamic_programming_is_the_best_of_all_policies(benchmark: ModuleType) -> None:

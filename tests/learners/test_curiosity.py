@@ -205,7 +205,7 @@ def test_what_is_masked_changes_nothing() -> None:
     assert np.all(bonus[np.asarray(ended.valid)] > 0)
 
 
-def test_nothing_to_see_is_paid_nothing() -> None:
+def test_nothing_to_see_has_no_bonus() -> None:
     state = knowing(SMALL)
     over = replace(linear_episodes(0, (2,), 3), valid=jnp.zeros((2, 3), bool))
     after, bonus = judge(SMALL, KEY, state, over)

@@ -30,7 +30,7 @@ def curves(*lines: Line) -> Drawn:
 
 def adaptation_figure() -> Drawn:
     seeds = (adaptation_table(seed=seed) for seed in range(3))
-    lines = [method("maesn", *seeds), method("maml", adaptation_table(gain=5.0))]
+    lines = [method("maesn", *seeds), method("maml_bias_only", adaptation_table(gain=5.0))]
     protocol = ("wheeled", "reference", None)
     published = [comparable_curve(*protocol, one.name, one.table) for one in lines]
     return curves(*map(_with_published, lines, published))
@@ -100,7 +100,7 @@ def test_adaptation_curves() -> None:
     returns, success = figure.axes
     assert returns.get_ylabel() == "mean sparse return"
     assert {axes.get_xlabel() for axes in figure.axes} == {"episodes in the new task"}
-    assert labels(returns) == ["MAML", "MAESN, 3 seeds"]
+    assert labels(returns) == ["MAML (bias only)", "MAESN, 3 seeds"]
     bands, judged = notes
     assert bands.startswith(f"bands: {INTERVAL}; circles: as")
     assert judged == "judged on the episodes that were learned from, z drawn, as in the paper"

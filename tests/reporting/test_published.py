@@ -36,11 +36,16 @@ def test_ends_of_the_curves(family: str, method: str, start: float, end: float) 
     assert (curve.update[0], curve.update[-1]) == (0, 99)
 
 
+METHODS = "maesn", "latent_space", "maml_bias_only", "maml_bias", "vime", "trpo", "reinforce"
+
+
 @pytest.mark.parametrize("family", ["wheeled", "ant", "blockpush"])
-@pytest.mark.parametrize("method", ["maesn", "latent_space", "maml", "vime", "trpo", "reinforce"])
+@pytest.mark.parametrize("method", METHODS)
 def test_no_point_is_of_the_legend(family: str, method: str) -> None:
     curve = published_curve(family, method)
-    assert curve is not None
+    if curve is None:  # of the two with a bias, one was published per family
+        assert method == ("maml_bias_only" if family == "ant" else "maml_bias")
+        return
     assert np.abs(np.diff(curve.mean_return[5:])).max() < 9.0  # they are steep at first alone
 
 
@@ -52,7 +57,9 @@ def test_what_could_not_be_read_is_absent() -> None:
     assert (np.diff(curve.update) > 0).all()
 
 
-@pytest.mark.parametrize(("family", "method"), [("point", "maesn"), ("wheeled", "mine")])
+@pytest.mark.parametrize(
+    ("family", "method"), [("point", "maesn"), ("wheeled", "mine"), ("wheeled", "maml")]
+)
 def test_what_the_paper_does_not_show(family: str, method: str) -> None:
     assert published_curve(family, method) is None
 

@@ -60,7 +60,7 @@ def test_an_action_that_is_not_a_number_reaches_no_engine() -> None:
         play(env, wheeled.task_set("test"), [7, 40], episodes=EPISODES, cast=cast)
 
 
-class Unpaid(DelayedTarget):
+class RewardIsNaN(DelayedTarget):
     """Forgets what the fifth step is worth if the target is on the left and a_0 on the right."""
 
     def reward(self, readings: Any, action: Any, next_readings: Any, task: Any) -> Reward:
@@ -77,7 +77,7 @@ def test_a_reward_that_is_not_a_number() -> None:
     assert episode > 0
     where = f"delayed_target, task 1, episode {episode}, step 4"
     with failure_of(f"{where}: the reward is not finite"):
-        play(Unpaid(), tasks, [0, 2, 1], episodes=EPISODES, seed=seed)
+        play(RewardIsNaN(), tasks, [0, 2, 1], episodes=EPISODES, seed=seed)
 
 
 class Unseen(DelayedTarget):

@@ -32,10 +32,8 @@ def comparable_curve(
     protocol = (variant, table.reward, table.episodes_per_update)
     if protocol != ("reference", "sparse", episodes) or sparse_radius not in (None, radius):
         return None
-    # One curve was published for all MAML presets; the header of the file says what it is.
-    name = "maml" if method.startswith("maml") else method
     text = files("maesn.reporting").joinpath("published_curves.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     of_family = (row for row in rows if row["family"] == family)
-    found = [(row["update"], row[name]) for row in of_family if row.get(name)]
+    found = [(row["update"], row[method]) for row in of_family if row.get(method)]
     return PublishedCurve(*np.array(found, float).T) if found else None
