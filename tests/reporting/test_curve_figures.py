@@ -141,6 +141,6 @@ def test_two_lengths_of_updates_share_a_logarithmic_axis() -> None:
 
 def test_methods_are_drawn_in_their_own_style() -> None:
     axes = adaptation_figure().figure.axes[0]
-    (drawn,) = (one for one in axes.lines if one.get_label() == "MAML")
-    style = METHOD_STYLES["maml"]
+    (drawn,) = (one for one in axes.lines if one.get_label() == "MAML (bias only)")
+    style = METHOD_STYLES["maml_bias_only"]
     assert (drawn.get_color(), drawn.get_marker()) == (style.colour, style.marker)
