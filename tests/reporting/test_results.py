@@ -64,7 +64,12 @@ def linked_tables(page: Path, text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("name", "sections"), [("docs/results.md", ""), ("README.md", "What it reaches\n")]
+    ("name", "sections"),
+    [
+        ("docs/results.md", ""),
+        ("docs/explanation/departures.md", "Against the published curves\n"),
+        ("README.md", "What it reaches\n"),
+    ],
 )
 def test_numbers_are_those_of_the_tables_that_their_section_links_to(
     name: str, sections: str
