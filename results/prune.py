@@ -7,7 +7,7 @@ while a study still has to evaluate it. To evaluate a run without one, remove it
 the study trains it again. Other jobs go once every study that lists them has their results in a
 table. Of tables, episodes that judge nothing go, and after update 20 four updates of five; of
 latents, those that no figure shows; of tables and recorded arrays, digits that no figure and no
-printed number shows.
+printed number shows, and half of the points of recorded paths.
 """
 
 import shutil
@@ -28,6 +28,7 @@ from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study
 
 LINES = 20  # of the metrics
+PATH_POINTS = 101  # of a recorded path, at most
 ALL_UPDATES, STRIDE = 20, 5  # of a table: every update up to this one, then every fifth
 
 
@@ -124,12 +125,13 @@ def prune_latents(study: Path) -> None:
 
 
 def prune_arrays(path: Path) -> None:
-    """Round positions (to millimetres), latents and rates to a thousandth, and compress them."""
+    """Round positions (to millimetres), latents and rates; keep every second point of a path."""
     arrays = read_arrays(path, "restore it")
-    rounded = {
-        name: array.round(3) if array.dtype.kind == "f" else array for name, array in arrays.items()
-    }
-    np.savez_compressed(path, **rounded)
+    for name, array in arrays.items():
+        long = name.endswith("paths") and array.shape[1] > PATH_POINTS
+        kept = array[:, ::2] if long else array
+        arrays[name] = kept.round(3) if kept.dtype.kind == "f" else kept
+    np.savez_compressed(path, **arrays)
 
 
 if __name__ == "__main__":
