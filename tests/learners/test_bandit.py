@@ -29,14 +29,14 @@ def best_of_all_policies(arms: int, pulls: int) -> float:
     policies = itertools.product(range(arms), repeat=len(sequences))
     return max(
         sum(
-            expected_return(dict(zip(sequences, policy, strict=True)), rewards)
+            weighted_return(dict(zip(sequences, policy, strict=True)), rewards)
             for rewards in outcomes
         )
         for policy in policies
     )
 
 
-def expected_return(policy: dict[tuple[int, ...], int], rewards: tuple[int, ...]) -> float:
+def weighted_return(policy: dict[tuple[int, ...], int], rewards: tuple[int, ...]) -> float:
     """Probability of a sequence of rewards under a policy, times its sum.
 
     The task is integrated out: an arm with a rewards and b failures has the probability
