@@ -26,6 +26,7 @@ from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect
 from maesn.learners import (
+    Problem,
     ProximalStep,
     RecurrentFastLearner,
     RecurrentMetaLearner,
@@ -132,7 +133,7 @@ def train(
 ) -> RecurrentPolicy:
     """Return the policy after that many meta-iterations."""
     key = jax.random.key(0)
-    state = learner.init(key, env.observation_size, env.action_size, collect.num_tasks)
+    state = learner.init(key, Problem(env.observation_size, env.action_size, collect.num_tasks))
     start = time.perf_counter()
     for iteration in range(iterations):
         state, info = learner.step(jax.random.fold_in(key, iteration), state, collect)

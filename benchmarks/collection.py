@@ -18,7 +18,7 @@ from bare_physics import BarePhysics, Recorder
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -69,7 +69,9 @@ def measure(name: str, settings: Settings) -> Measurement:
     world = make_world(env, tasks, settings.num_threads)
     collect = Recorder(Collector(world, settings.episodes_per_task))
     learner = PRESETS[settings.method]()
-    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
+    state = learner.init(
+        jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
+    )
     fast = learner.fast_learner(state)
     num_simulations = settings.num_tasks * settings.episodes_per_task
     physics = BarePhysics(env, num_simulations, settings.num_threads)

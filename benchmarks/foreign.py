@@ -35,7 +35,7 @@ from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, WorkerPool
-from maesn.learners import maesn
+from maesn.learners import Problem, maesn
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
 from maesn.worlds.collector import Collector
 from maesn.worlds.foreign import GymnasiumWorld, default_num_workers
@@ -192,7 +192,9 @@ def measure(settings: Settings) -> Measurement:
     env, tasks = family.make_env(), family.task_set("training", settings.num_tasks)
     assert isinstance(env, AbstractGymnasiumEnv), f"{settings.family} is not a foreign family"
     learner, num_workers = maesn(), settings.num_workers or default_num_workers()
-    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
+    state = learner.init(
+        jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
+    )
     fast = learner.fast_learner(state)
     world = RecordingWorld(GymnasiumWorld(env, tasks, num_workers))
     collect = Collector(world, settings.episodes_per_task)

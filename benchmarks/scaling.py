@@ -26,7 +26,7 @@ import tyro
 from jax.flatten_util import ravel_pytree
 
 from maesn.envs.sources import resolve_family
-from maesn.learners import PRESETS, GradientMetaLearner
+from maesn.learners import PRESETS, GradientMetaLearner, Problem
 from maesn.numerics.mesh import over_tasks, total
 from maesn.numerics.processes import Sharing, wait_for_all
 from maesn.studies.execution import thread_variables
@@ -107,7 +107,7 @@ def measure(settings: MetaIteration) -> Times:
     learner = PRESETS["maesn"](meta_batch_size=settings.meta_batch_size)
     assert isinstance(learner, GradientMetaLearner)
     sizes = env.observation_size, env.action_size, collect.num_tasks
-    state = learner.init(jax.random.key(0), *sizes)
+    state = learner.init(jax.random.key(0), Problem(*sizes))
     whole, collecting = [], []
     for iteration in range(settings.iterations + 1):
         wait_for_all(f"iteration {iteration}")

@@ -16,6 +16,7 @@ from maesn.learners import (
     AbstractFastLearner,
     AbstractMetaLearner,
     GradientMetaLearner,
+    Problem,
     baselines,
     maesn,
 )
@@ -45,15 +46,8 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
     nonfinite_from: int = 1000
     nonfinite_until: int = 1000
 
-    def init(
-        self,
-        key: Key,
-        observation_size: int,
-        action_size: int,
-        num_tasks: int,
-        description_size: int = 0,
-    ) -> DriftState:
-        rows = jax.random.normal(key, (num_tasks, 2))
+    def init(self, key: Key, problem: Problem) -> DriftState:
+        rows = jax.random.normal(key, (problem.num_tasks, 2))
         return DriftState(jnp.zeros(3), rows, jnp.zeros((), int))
 
     def step(self, key: Key, state: DriftState, collect: Collect) -> tuple[DriftState, DriftInfo]:
@@ -63,6 +57,9 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
         moved = DriftState(state.position + drift, state.rows * 0.9, state.iteration + 1)
         score = jnp.asarray(jnp.nan) if broken else moved.position.sum()
         return moved, DriftInfo(score, jnp.asarray(4 if broken else 0))
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        return 0
 
     def iteration(self, state: DriftState) -> Int[Array, ""]:
         return state.iteration

@@ -11,7 +11,7 @@ from maesn.evaluation.evaluate import adapt, as_rows, measure
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner, maesn, reinforce
+from maesn.learners import GradientFastLearner, Problem, maesn, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.worlds import EpisodeError, make_world
@@ -30,7 +30,7 @@ def collect() -> Collector:
 @pytest.fixture(scope="module")
 def learner() -> GradientFastLearner:
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
-    return meta.fast_learner(meta.init(jax.random.key(3), 2, 2, 10))
+    return meta.fast_learner(meta.init(jax.random.key(3), Problem(2, 2, 10)))
 
 
 def test_measures_of_two_episodes_worked_out_by_hand() -> None:
@@ -124,7 +124,7 @@ SHORT_LIVES = hidden_end.task_set("test", size=4)
 def lives_explored(env: HiddenEnd) -> np.ndarray:
     """The share of the horizon that is over, as the paths of all lives show it."""
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
-    state = meta.init(jax.random.key(0), env.observation_size, env.action_size, 10)
+    state = meta.init(jax.random.key(0), Problem(env.observation_size, env.action_size, 10))
     collect = Collector(make_world(env, SHORT_LIVES), 1)
     return explored(meta.fast_learner(state), collect, 4)[0][..., 0]
 

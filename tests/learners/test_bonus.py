@@ -26,6 +26,7 @@ from maesn.learners import (
     BonusMetaLearner,
     FineTuning,
     GradientFastLearner,
+    Problem,
     Purpose,
     inside,
     latent_space,
@@ -107,7 +108,7 @@ def tiny(**settings: Any) -> Any:
 
 def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
     learner = BonusMetaLearner(tiny(), replace(SMALL, weight=10.0))
-    state = learner.init(jax.random.key(0), 2, 2, 5)
+    state = learner.init(jax.random.key(0), Problem(2, 2, 5))
     accepted = []
     for step in range(4):
         state, info = learner.step(jax.random.key(step), state, collect)
@@ -143,7 +144,7 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collect
     alone: AbstractMetaLearner = ALONE[name]
     wrapped = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
     key = jax.random.key(7)
-    state = wrapped.init(jax.random.key(0), 2, 2, 5)
+    state = wrapped.init(jax.random.key(0), Problem(2, 2, 5))
     learner_key = jax.random.split(key, 3)[0]
     after, info = alone.step(learner_key, state.learner, collect)
     together, said = wrapped.step(key, state, collect)
@@ -157,7 +158,9 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collect
 @pytest.mark.long
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
     learner = BonusMetaLearner(tiny(), SMALL)
-    state, _ = learner.step(jax.random.key(1), learner.init(jax.random.key(0), 2, 2, 5), collect)
+    state, _ = learner.step(
+        jax.random.key(1), learner.init(jax.random.key(0), Problem(2, 2, 5)), collect
+    )
     fast = learner.fast_learner(state)
     assert (fast.observation_size, fast.action_size) == (2, 2)
     begun = fast.init(keys(TASKS))
@@ -174,7 +177,7 @@ def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) ->
 
 def test_a_learner_that_does_not_learn_from_reward_gets_no_bonus() -> None:
     learner = METHODS["oracle+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
-    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 5, 2))
+    fast = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 5, 2)))
     assert isinstance(fast, GradientFastLearner)
     assert not fast.capabilities.learns_from_reward
 
@@ -199,7 +202,7 @@ def test_a_bonus_is_not_added_twice_nor_lost_by_fine_tuning() -> None:
 def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
     """Where every reward is the same, weights move by the bonus alone."""
     learner = METHODS["maesn+curiosity"](policy=GaussianMLP((4,)), meta_batch_size=2)
-    state = learner.init(jax.random.key(0), 2, 2, 5)
+    state = learner.init(jax.random.key(0), Problem(2, 2, 5))
     knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
     fast = learner.fast_learner(replace(state, curiosity=knows))
     wrapped = inside(fast, lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))

@@ -16,7 +16,7 @@ from learning_problems.translation import experience_for
 from maesn.context import BiasContext, LatentContext
 from maesn.experience.episodes import Thinning
 from maesn.inner.surrogate import post_distributions
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
@@ -57,7 +57,7 @@ def problem_of(case: str) -> tuple[MetaObjective, MetaParameters]:
     objective = MetaObjective(
         learner.context, learner.adaptation, jnp.asarray(ROWS), tuple(pre), *post
     )
-    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, len(problem.tasks))
+    state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, len(problem.tasks)))
     flat, unravel = ravel_pytree(state.parameters)
     return objective, unravel(flat + 0.2 * jax.random.normal(jax.random.key(1), flat.shape))
 

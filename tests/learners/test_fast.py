@@ -21,6 +21,7 @@ from maesn.learners import (
     FineTuning,
     GradientFastLearner,
     GradientState,
+    Problem,
     maesn,
     maesn_theta,
     maml,
@@ -115,7 +116,7 @@ CAN = {
 @pytest.mark.parametrize("method", CAN)
 def test_learners_say_what_they_can(method: str) -> None:
     meta = METHODS[method]()
-    learner = meta.fast_learner(meta.init(jax.random.key(0), 2, 2, 20, 2))
+    learner = meta.fast_learner(meta.init(jax.random.key(0), Problem(2, 2, 20, 2)))
     assert learner.capabilities == CAN[method]
 
 
@@ -162,6 +163,6 @@ def test_a_latent_that_compares_episodes_needs_two_of_them() -> None:
     rl2(meta_batch_size=40).check_batch(1)
     meta = maml(policy=GaussianMLP((4,)))
     sizes = (single.observation.shape[-1], single.action.shape[-1])
-    weights = meta.fast_learner(meta.init(jax.random.key(0), *sizes, 20))
+    weights = meta.fast_learner(meta.init(jax.random.key(0), Problem(*sizes, 20)))
     moved = weights.update(weights.init(keys(1)), replace(single, z=jnp.zeros((1, 1, 0))))
     assert not np.array_equal(moved.agents.policy.log_std[0], weights.policy.log_std)

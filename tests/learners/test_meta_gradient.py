@@ -10,7 +10,7 @@ from learning_problems.prepared import ACTION, OBSERVATION, SIZES, UNEQUAL, make
 from learning_problems.translation import experience_for
 
 from maesn.context import BiasContext
-from maesn.learners import maml_bias
+from maesn.learners import Problem, maml_bias
 from maesn.learners.gradient.objective import MetaObjective
 from maesn.policies import GaussianMLP
 
@@ -27,7 +27,7 @@ def test_a_bias_and_learned_step_sizes_of_theta() -> None:
     objective = MetaObjective(
         learner.context, learner.adaptation, jnp.asarray(ROWS), tuple(pre), *post
     )
-    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, len(problem.tasks))
+    state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, len(problem.tasks)))
     flat, unravel = ravel_pytree(state.parameters)
     rng = np.random.default_rng(0)
     # Beside the start, where biases are 0 and step sizes equal.

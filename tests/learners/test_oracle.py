@@ -12,7 +12,7 @@ from small_runs import create, finish, outcome
 from maesn import api
 from maesn.context import OracleContext
 from maesn.envs import FAMILIES, PROBES, BlockPushTask
-from maesn.learners import oracle
+from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
@@ -25,7 +25,7 @@ SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 def test_an_oracle_is_fed_the_description_of_its_own_task() -> None:
     env, tasks = FAMILIES["point"].make_env(), FAMILIES["point"].task_set("test", 6)
     learner = oracle(**SMALL)
-    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 6, 2))
+    fast = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 6, 2)))
     index = jnp.asarray([4, 1])
     agents = fast.agents(fast.init(keys(2)))
     episodes = Collector(make_world(env, tasks), 3)(keys(2), agents, index)
@@ -71,7 +71,7 @@ def test_an_oracle_of_block_pushing_is_told_the_block_and_the_goal() -> None:
 def test_updates_of_the_oracle_change_nothing() -> None:
     env, tasks = FAMILIES["point"].make_env(), FAMILIES["point"].task_set("test", 3)
     learner = oracle(**SMALL)
-    fast = learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 6, 2))
+    fast = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 6, 2)))
     state = fast.init(keys(3))
     episodes = Collector(make_world(env, tasks), 3)(keys(3), fast.agents(state), jnp.arange(3))
     assert_same(fast.agents(fast.update(state, episodes)), fast.agents(state))

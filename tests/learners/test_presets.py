@@ -23,6 +23,7 @@ from maesn.learners import (
     GradientInfo,
     GradientMetaLearner,
     GradientState,
+    Problem,
 )
 from maesn.learners.presets import staged_adaptation
 from maesn.policies import GaussianMLP
@@ -78,7 +79,7 @@ class Run(NamedTuple):
 def run(preset: str) -> Run:
     learner = PRESETS[preset](**SMALL)
     result = Run(AnalyticCollect(TASKS), [], [], [], [], [])
-    result.states.append(learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS))
+    result.states.append(learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, TASKS)))
     for step in range(STEPS):
         with compilations() as names:
             state, info = learner.step(jax.random.key(step), result.states[-1], result.collect)
@@ -209,7 +210,7 @@ def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
     joining = PRESETS["maesn_theta"](**SMALL, adaptation=staged_adaptation(first_iteration=1))
     waiting = PRESETS["maesn_theta"](**SMALL)
     collect, states = AnalyticCollect(TASKS), []
-    state = waiting.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
+    state = waiting.init(jax.random.key(0), Problem(OBSERVATION, ACTION, TASKS))
     state, _ = waiting.step(jax.random.key(0), state, collect)
     returns = []
     for learner in (waiting, joining):
@@ -225,7 +226,7 @@ def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
 def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
     # Without any step to take the curvature of, no candidate is ever acceptable.
     learner = PRESETS["maesn"](**SMALL | {"curvature_stride": HORIZON + 4})
-    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, TASKS)
+    state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, TASKS))
     _, info = learner.step(jax.random.key(0), state, AnalyticCollect(TASKS))
     assert info.trust_region.accepted
 
@@ -245,7 +246,7 @@ def test_the_hessian_has_a_stride_of_its_own(name: str, decides: bool) -> None:
 
 def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:
     with pytest.raises(ValueError, match=r"`meta_batch_size` is 20, .* only 19 tasks"):
-        PRESETS["maesn"]().init(jax.random.key(0), OBSERVATION, ACTION, 19)
+        PRESETS["maesn"]().init(jax.random.key(0), Problem(OBSERVATION, ACTION, 19))
 
 
 class Asked(Exception):
@@ -254,7 +255,7 @@ class Asked(Exception):
 
 def test_a_whole_training_set_is_a_permutation() -> None:
     learner = PRESETS["maesn"](**SMALL | {"meta_batch_size": 20})
-    state = learner.init(jax.random.key(0), OBSERVATION, ACTION, 20)
+    state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, 20))
     index = []
 
     class Recorder:

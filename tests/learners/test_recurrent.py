@@ -20,6 +20,7 @@ from maesn.experience.trial_state import TrialState
 from maesn.learners import (
     PRESETS,
     GradientMetaLearner,
+    Problem,
     ProximalStep,
     RecurrentMetaLearner,
     RecurrentMetaState,
@@ -79,7 +80,7 @@ def mortal() -> Collector:
 
 
 def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
-    return learner.init(jax.random.key(0), 1, 1, TASKS)
+    return learner.init(jax.random.key(0), Problem(1, 1, TASKS))
 
 
 @pytest.mark.parametrize(
@@ -215,7 +216,7 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], message: str)
 
 def test_too_few_tasks_are_refused() -> None:
     with pytest.raises(ValueError, match="`meta_batch_size` is 20, but the training set holds"):
-        rl2().init(jax.random.key(0), 1, 1, TASKS)
+        rl2().init(jax.random.key(0), Problem(1, 1, TASKS))
 
 
 def test_thinned_curvature_is_refused_for_recurrent_policies() -> None:

@@ -13,7 +13,7 @@ from maesn.context import LatentContext
 from maesn.envs import HiddenSide, TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
@@ -47,7 +47,7 @@ def assert_updates_raise_the_return_after_meta_training_alone(method: str, updat
         curvature_stride=1,
         **SLOTS[method],
     )
-    trained = untrained = learner.init(jax.random.key(0), 1, 1, TASKS)
+    trained = untrained = learner.init(jax.random.key(0), Problem(1, 1, TASKS))
     for iteration in range(30):
         trained, _ = learner.step(jax.random.key(iteration), trained, collect)
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from maesn.envs import HiddenSide, TaskSet
 from maesn.evaluation.evaluate import adapt
-from maesn.learners import PRESETS, ProximalStep, RecurrentValue
+from maesn.learners import PRESETS, Problem, ProximalStep, RecurrentValue
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 from maesn.worlds import make_world
@@ -29,7 +29,9 @@ def assert_a_probe_of_memory_is_solved(method: str) -> None:
         value=RecurrentValue((), 8, (8,), descent),
         meta_batch_size=40,
     )
-    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(tasks))
+    state = learner.init(
+        jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
+    )
     for iteration in range(80):
         state, _ = learner.step(jax.random.key(iteration), state, collect)
     outcome = adapt(learner.fast_learner(state), collect, episodes=10)

@@ -15,7 +15,7 @@ from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 from maesn.envs import point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientState
+from maesn.learners import GradientState, Problem
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.export import exported_policy
@@ -76,7 +76,7 @@ LEARNER = tiny_maesn(normalize_observations=True)
 @cache
 def trained(iterations: int) -> tuple[GradientState, Recorder]:
     learner, collect = LEARNER, Recorder()
-    state = learner.init(jax.random.key(0), 2, 2, collect.num_tasks)
+    state = learner.init(jax.random.key(0), Problem(2, 2, collect.num_tasks))
     for iteration in range(iterations):
         state, _ = learner.step(jax.random.key(iteration), state, collect)
     return state, collect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 
-from maesn.learners import GradientState, RecurrentMetaLearner, maesn
+from maesn.learners import GradientState, Problem, RecurrentMetaLearner, maesn
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP
 
 TASKS = 4
@@ -39,7 +39,7 @@ def test_there_is_none_before() -> None:
 
 def one_step(policy: AnnealedGaussianMLP | GaussianMLP, iteration: int) -> GradientState:
     learner = maesn(policy=policy, meta_batch_size=TASKS, curvature_stride=2)
-    state = learner.init(jax.random.key(1), OBSERVATION, ACTION, TASKS)
+    state = learner.init(jax.random.key(1), Problem(OBSERVATION, ACTION, TASKS))
     state = GradientState(state.parameters, jnp.asarray(iteration))
     return learner.step(jax.random.key(2), state, AnalyticCollect(TASKS))[0]
 
@@ -58,7 +58,7 @@ def test_a_meta_iteration_ends_within_the_bound_and_is_the_usual_one_else() -> N
 
 def test_a_learner_of_trials_keeps_within_the_bound() -> None:
     learner = RecurrentMetaLearner(policy=SETTINGS, trial_episodes=1, meta_batch_size=TASKS)
-    state = learner.init(jax.random.key(1), OBSERVATION, ACTION, TASKS)
+    state = learner.init(jax.random.key(1), Problem(OBSERVATION, ACTION, TASKS))
     state = replace(state, iteration=jnp.asarray(14))
     after = learner.step(jax.random.key(2), state, AnalyticCollect(TASKS))[0]
     assert (np.exp(after.policy.log_std) < 0.501).all()

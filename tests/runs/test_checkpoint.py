@@ -15,6 +15,7 @@ import pytest
 import safetensors.numpy
 from small_runs import tiny_maesn
 
+from maesn.learners import Problem
 from maesn.runs.checkpoint import (
     CheckpointError,
     named_leaves,
@@ -75,7 +76,7 @@ def test_others_can_read_it(tmp_path: Path) -> None:
 
 
 def test_tensors_are_named_by_their_path(tmp_path: Path) -> None:
-    state = jax.eval_shape(lambda key: tiny_maesn().init(key, 2, 2, 5), jax.random.key(0))
+    state = jax.eval_shape(lambda key: tiny_maesn().init(key, Problem(2, 2, 5)), jax.random.key(0))
     assert {name: leaf.shape for name, leaf in named_leaves(state).items()} == {
         "iteration": (),
         "parameters/context_table/log_std": (5, 2),

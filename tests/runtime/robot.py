@@ -11,7 +11,7 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point
-from maesn.learners import GradientFastLearner
+from maesn.learners import GradientFastLearner, Problem
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.runs.export import exported_policy, write_policy
@@ -28,7 +28,7 @@ def fast_learner(env: AnyEnv | None = None, **settings: Any) -> GradientFastLear
     env = Point() if env is None else env
     settings = {"policy": GaussianMLP((16, 12), initial_std=0.3), "meta_batch_size": 1, **settings}
     learner = maesn_preset(**settings)
-    state = learner.init(jax.random.key(3), env.observation_size, env.action_size, 1)
+    state = learner.init(jax.random.key(3), Problem(env.observation_size, env.action_size, 1))
     sizes = Latent(jnp.asarray([1.3, 0.4]), jnp.asarray([0.7, -0.2]))
     return eqx.tree_at(lambda fast: fast.step_sizes.context, learner.fast_learner(state), sizes)
 

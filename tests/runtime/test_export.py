@@ -17,7 +17,7 @@ from maesn.context import Latent, LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.policies import GaussianMLP
 from maesn.runs.export import exported_policy, probe_actuators, write_policy
 from maesn.runtime import Explorer
@@ -26,7 +26,7 @@ from maesn.runtime import Explorer
 def preset(name: str, **settings: Any) -> Any:
     """The fast learner of an untrained preset."""
     learner = PRESETS[name](policy=GaussianMLP((4,)), meta_batch_size=1, **settings)
-    return learner.fast_learner(learner.init(jax.random.key(0), 2, 2, 1))
+    return learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 1)))
 
 
 def test_the_file_holds_plain_arrays_and_json(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners import METHODS, GradientMetaLearner
+from maesn.learners import METHODS, GradientMetaLearner, Problem
 from maesn.numerics.mesh import sharing_tasks
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
@@ -91,7 +91,7 @@ def outcomes(method: str, family: str, iterations: int, *, same: bool) -> dict[i
         replay.position = 0
         with sharing_tasks(jax.devices()[:number]):
             sizes = env.observation_size, env.action_size, collect.num_tasks
-            state, info = learner.init(jax.random.key(0), *sizes), None
+            state, info = learner.init(jax.random.key(0), Problem(*sizes)), None
             for iteration in range(iterations):
                 key = jax.random.key(iteration)
                 state, info = learner.step(key, state, replay if same else collect)

@@ -2,7 +2,9 @@
 
 from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
 from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
+from maesn.learners.base import AbstractSettableLatent as AbstractSettableLatent
 from maesn.learners.base import Capabilities as Capabilities
+from maesn.learners.base import Problem as Problem
 from maesn.learners.base import Purpose as Purpose
 from maesn.learners.gradient.fast_learner import GradientFastLearner as GradientFastLearner
 from maesn.learners.gradient.fast_learner import GradientFastState as GradientFastState

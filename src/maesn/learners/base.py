@@ -3,20 +3,28 @@
 A *fast learner* acts and improves in a new task. A *meta-learner* produces one from many tasks.
 Both are settings; what changes while they run is a separate pytree of arrays that their methods
 take and return.
+
+Nobody asks for a learner's class. What only some learners can do is an *ability*: a property that
+is None, or a method that refuses with a sentence, where a learner lacks it.
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Int
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
+from maesn.inner.adaptation import StepSchedule
 from maesn.policies import AbstractPolicy
+from maesn.runtime import ExportedLearner
 
 FastState = TypeVar("FastState")
 MetaState = TypeVar("MetaState")
@@ -58,6 +66,52 @@ class Capabilities(NamedTuple):
             )
 
 
+class Problem(NamedTuple):
+    """What a meta-learner must know of the tasks before it has seen any."""
+
+    observation_size: int
+    """Components of an observation."""
+    action_size: int
+    """Components of an action, or number of choices."""
+    num_tasks: int
+    """Number of training tasks."""
+    description_size: int = 0
+    """Components of the description of a task, for an oracle."""
+    action_kind: ActionKind = "continuous"
+    """Whether actions are vectors of real numbers, or choices."""
+    horizon: int = 1
+    """Control steps of an episode, at most."""
+    episodes_per_task: int = 1
+    """Number of episodes of each task that one call of `collect` plays."""
+
+
+class AbstractSettableLatent(eqx.Module):
+    """The latent of a policy, for those who choose it themselves: a search, or a person."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of components of z."""
+
+    @property
+    @abstractmethod
+    def spread(self) -> float:
+        """Standard deviation, per component, of latents that are worth trying."""
+
+    @abstractmethod
+    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
+        """Return one agent per row, whose z is that row in every episode."""
+
+    @abstractmethod
+    def of_tasks(self, collect: Collect, key: Key) -> Float[np.ndarray, "row z"]:
+        """Return one latent for each training task, found with the episodes of one batch.
+
+        Args:
+            collect: plays the training tasks.
+            key: random key of the episodes.
+        """
+
+
 class AbstractFastLearner(eqx.Module, Generic[FastState]):
     """Acts and improves in new tasks, all of them at once."""
 
@@ -96,27 +150,54 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """The abilities and needs of this learner."""
         return Capabilities()
 
+    @property
+    def latent(self) -> "AbstractSettableLatent | None":
+        """Ability: its policy is steered by a latent that others may set; None without one."""
+        return None
+
+    @property
+    def step_schedule(self) -> StepSchedule | None:
+        """Ability: it follows a gradient inside a task, with these step sizes; None if not."""
+        return None
+
+    def rescheduled(
+        self, schedule: StepSchedule, start_std: float = 1.0
+    ) -> "AbstractFastLearner[FastState]":
+        """Return this learner with other step sizes, and another spread of z at the start.
+
+        Args:
+            schedule: replaces `step_schedule`.
+            start_std: factor on the standard deviation of the latents that new tasks start from.
+
+        Raises:
+            ValueError: it follows no gradient, or has no latent to start from.
+        """
+        raise ValueError(f"`{type(self).__name__}` follows no gradient in a new task.")
+
+    def inside(
+        self, change: "Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]"
+    ) -> "AbstractFastLearner[Any]":
+        """Return what a change makes of this learner; a bonus around a learner stays outside."""
+        return change(self)
+
+    def exported(self) -> ExportedLearner:
+        """Ability: return the learner as the arrays that a robot's NumPy runtime acts with.
+
+        Raises:
+            ValueError: a sentence that says why the runtime cannot act or learn as it does.
+        """
+        raise ValueError(f"`{type(self).__name__}` has no form that the runtime can act with.")
+
 
 class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
     """Learns across tasks how to learn inside one."""
 
     @abstractmethod
-    def init(
-        self,
-        key: Key,
-        observation_size: int,
-        action_size: int,
-        num_tasks: int,
-        description_size: int = 0,
-    ) -> MetaState:
+    def init(self, key: Key, problem: Problem) -> MetaState:
         """Return the state before any training.
 
-        Args:
-            key: random key.
-            observation_size: components of an observation.
-            action_size: components of an action, or number of choices.
-            num_tasks: number of training tasks.
-            description_size: components of the description of a task, for an oracle.
+        Raises:
+            ValueError: the method cannot learn from such tasks.
         """
 
     @abstractmethod
@@ -131,6 +212,24 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """Return the policy that plays first in a new task."""
         learner, one_task = self.fast_learner(state), jax.random.split(jax.random.key(0), 1)
         return learner.agents(learner.init(one_task)).policy
+
+    def weights(self, state: MetaState) -> Any:
+        """Return the part of a state that *is* the policy.
+
+        It identifies the policy, binds the prior of a search to it, and is what another run may
+        start from. Optimisers, replay and statistics that only training needs are no part of it.
+        By default all of the state.
+        """
+        return state
+
+    @abstractmethod
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        """Return the number of episodes that the first so many meta-iterations play, in all.
+
+        Args:
+            episodes_per_task: the number that one call of `collect` plays of each task.
+            iterations: number of meta-iterations. A first one may play more than the others.
+        """
 
     def for_actions(self, kind: ActionKind) -> "AbstractMetaLearner[MetaState, Info]":
         """Return this learner with its policy made for actions of a kind.

@@ -16,7 +16,7 @@ from maesn import storage
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.envs.sources import find_tasks, resolve_family, save_tasks, warn_of_known_tests
-from maesn.learners import AbstractMetaLearner, method_name
+from maesn.learners import AbstractMetaLearner, Problem, method_name
 from maesn.runs import checkpoint, sources
 from maesn.runs.checkpoint import Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import CONFIG, RunConfig, RunSettings, new_config, read_config, write_config
@@ -248,12 +248,19 @@ class Run:
         return checkpoint.restore(fresh, values, source.directory)
 
     def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
-        env, rows = self.env(), len(self.training_tasks) + more_tasks
-        description = jax.eval_shape(env.describe, self.training_tasks[0]).size
-        sizes = (env.observation_size, env.action_size, rows, description)
-        return self.learner, self.iteration_key(_UNTRAINED), *sizes
+        env = self.env()
+        problem = Problem(
+            env.observation_size,
+            env.action_size,
+            num_tasks=len(self.training_tasks) + more_tasks,
+            description_size=jax.eval_shape(env.describe, self.training_tasks[0]).size,
+            action_kind=env.action_kind,
+            horizon=env.horizon,
+            episodes_per_task=self.settings.episodes_per_task,
+        )
+        return self.learner, self.iteration_key(_UNTRAINED), problem
 
 
 @eqx.filter_jit  # one program instead of many small ones takes half the time to compile
-def _init(learner: AbstractMetaLearner[Any, Any], key: Key, *sizes: int) -> Any:
-    return learner.init(key, *sizes)
+def _init(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Problem) -> Any:
+    return learner.init(key, problem)

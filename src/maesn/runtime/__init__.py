@@ -15,6 +15,7 @@ library alone: no JAX, no simulator, and nothing of the rest of the library.
 from maesn.runtime.actuators import Actuators as Actuators
 from maesn.runtime.episode import Episode as Episode
 from maesn.runtime.explorer import Explorer as Explorer
+from maesn.runtime.exported import ExportedLearner as ExportedLearner
 from maesn.runtime.exported import ExportedPolicy as ExportedPolicy
 from maesn.runtime.latent import Latent as Latent
 from maesn.runtime.latent import LearningRule as LearningRule

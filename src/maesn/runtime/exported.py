@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,17 @@ from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
 
 _SEARCH = "search"
+
+
+class ExportedLearner(NamedTuple):
+    """What a learner brings to an `ExportedPolicy`; the rest comes from its environment."""
+
+    policy: GaussianPolicy
+    """Its weights do not change on the robot."""
+    start: Latent
+    """The latent that a new task starts from."""
+    rule: LearningRule
+    """The policy-gradient update of the latent."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from envs.test_ant_ends import EPISODES, HORIZON, TASKS, Bursting
 from playing import assert_same
 
 from maesn.experience.episodes import Episodes
+from maesn.learners import Problem
 from maesn.learners.presets import maesn
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
@@ -48,7 +49,9 @@ def test_maesn_learns_from_the_ants_that_live() -> None:
     env = Bursting(horizon=HORIZON)
     # Every step counts for the curvature: of an episode that dies at once there is only the first.
     learner = maesn(meta_batch_size=2, policy=GaussianMLP((8,)), curvature_stride=1)
-    state = learner.init(jax.random.key(0), env.observation_size, env.action_size, len(TASKS))
+    state = learner.init(
+        jax.random.key(0), Problem(env.observation_size, env.action_size, len(TASKS))
+    )
     collect = Collector(make_world(env, TASKS), EPISODES)
     after, info = learner.step(jax.random.key(1), state, collect)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))

@@ -19,7 +19,7 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
 from maesn.inner.adaptation import Adaptation, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractMetaLearner, Capabilities
+from maesn.learners.base import AbstractMetaLearner, Capabilities, Problem
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
@@ -110,31 +110,35 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
                 "to 0, or give `adaptation` a step of the policy or of the context."
             )
 
-    def init(
-        self,
-        key: Key,
-        observation_size: int,
-        action_size: int,
-        num_tasks: int,
-        description_size: int = 0,
-    ) -> GradientState:
+    def init(self, key: Key, problem: Problem) -> GradientState:
         """See `AbstractMetaLearner.init`.
 
         Raises:
             ValueError: the training set holds fewer tasks than one meta-batch.
         """
-        check_enough_tasks(num_tasks, self.meta_batch_size)
+        check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
-        table = self.context.init(context_key, num_tasks, description_size)
-        policy = self.policy.init(policy_key, observation_size, action_size, table.size)
+        table = self.context.init(context_key, problem.num_tasks, problem.description_size)
+        policy = self.policy.init(
+            policy_key, problem.observation_size, problem.action_size, table.size
+        )
         one_task = jax.tree.map(lambda x: x[0], self.context.start_new(table, 1))
         sizes = self.adaptation.init(Agent(policy, one_task))
         parameters = MetaParameters(policy, table, sizes)
-        statistics = no_observations(observation_size) if self.normalize_observations else None
+        statistics = None
+        if self.normalize_observations:
+            statistics = no_observations(problem.observation_size)
         return GradientState(parameters, jnp.zeros((), int), statistics)
 
     def iteration(self, state: GradientState) -> Int[Array, ""]:
         return state.iteration
+
+    def weights(self, state: GradientState) -> Any:
+        return state.parameters, state.statistics
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        collections = self.inner_updates + self.outer_batches
+        return iterations * collections * self.meta_batch_size * episodes_per_task
 
     def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
         """See `AbstractMetaLearner.for_actions`."""

@@ -17,7 +17,7 @@ from maesn.axes import ActionKind, Key
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.base import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.fast_learner import RecurrentFastLearner
@@ -92,28 +92,28 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
                 "episode for the next: choose `Recurrent`, or trials of 1 episode."
             )
 
-    def init(
-        self,
-        key: Key,
-        observation_size: int,
-        action_size: int,
-        num_tasks: int,
-        description_size: int = 0,
-    ) -> RecurrentMetaState:
+    def init(self, key: Key, problem: Problem) -> RecurrentMetaState:
         """See `AbstractMetaLearner.init`.
 
         Raises:
             ValueError: the training set holds fewer tasks than one meta-batch.
         """
-        check_enough_tasks(num_tasks, self.meta_batch_size)
+        check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         policy_key, value_key = jax.random.split(key)
-        policy = self.policy.init(policy_key, observation_size, action_size, 0)
-        value = self.value.init(value_key, observation_size, action_size)
+        sizes = problem.observation_size, problem.action_size
+        policy = self.policy.init(policy_key, *sizes, 0)
+        value = self.value.init(value_key, *sizes)
         opt_state = self.policy_step.init(policy)
         return RecurrentMetaState(policy, opt_state, value, jnp.zeros((), int))
 
     def iteration(self, state: RecurrentMetaState) -> Int[Array, ""]:
         return state.iteration
+
+    def weights(self, state: RecurrentMetaState) -> AbstractPolicy:
+        return state.policy
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
     def slots(self) -> tuple[Any, ...]:
         """Return how the policy is improved."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner, Info
+from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner, Info, Problem
 from maesn.learners.wrappers.bonus import BonusFastLearner, with_bonus
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 from maesn.numerics import mesh
@@ -59,23 +59,21 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         if type(self) in self.learner.slots():
             raise ValueError("`learner` must not have a bonus already: it would be added twice.")
 
-    def init(
-        self,
-        key: Key,
-        observation_size: int,
-        action_size: int,
-        num_tasks: int,
-        description_size: int = 0,
-    ) -> BonusMetaState:
+    def init(self, key: Key, problem: Problem) -> BonusMetaState:
         learner_key, model_key = jax.random.split(key)
-        sizes = observation_size, action_size, num_tasks, description_size
         return BonusMetaState(
-            self.learner.init(learner_key, *sizes),
-            self.curiosity.init(model_key, observation_size, action_size),
+            self.learner.init(learner_key, problem),
+            self.curiosity.init(model_key, problem.observation_size, problem.action_size),
         )
 
     def iteration(self, state: BonusMetaState) -> Int[Array, ""]:
         return self.learner.iteration(state.learner)
+
+    def weights(self, state: BonusMetaState) -> Any:
+        return self.learner.weights(state.learner), state.curiosity
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        return self.learner.planned_episodes(episodes_per_task, iterations)
 
     def for_actions(self, kind: ActionKind) -> "BonusMetaLearner":
         """See `AbstractMetaLearner.for_actions`."""
