@@ -24,7 +24,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
-from maesn.runs.serialization import REGISTRY
 from maesn.runs.training import train
 
 
@@ -66,10 +65,6 @@ class Drift(AbstractMetaLearner[DriftState, DriftInfo]):
 
     def fast_learner(self, state: DriftState) -> AbstractFastLearner[Any]:
         return baselines(2, 2, "continuous")["zero action"]
-
-
-# So that a run directory can hold it, in the processes of these tests.
-REGISTRY[Drift.__name__] = Drift
 
 
 def create(

@@ -64,7 +64,7 @@ def train(
         if is_lead():
             Run.create(directory, learner, settings, family=family, init_from=init_from)
         wait_for_all("the run is there")
-        run = Run.open(directory, family or settings.own_family)
+        run = Run.open(directory, family or settings.own_family, settings.own_method)
         train_live(run, keep=keep)
     return run
 
@@ -73,6 +73,7 @@ def resume(
     run: Positional[arguments.AnyRun],
     iterations: int | None = None,
     family: arguments.AnyFamily = None,
+    method: arguments.AnyMethod = None,
     change: arguments.AnyChange = None,
     keep: int = KEEP,
     sharing: Annotated[Sharing, arg(name="")] = ALONE,
@@ -83,6 +84,7 @@ def resume(
         run: Directory of the run.
         iterations: Total number of meta-iterations; None: what the run was started with.
         family: The run's family as `module:name`, if it is your own.
+        method: The run's method as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
             trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
         keep: Latest checkpoints that stay, beside the first; 0: all of them.
@@ -93,7 +95,7 @@ def resume(
         EpisodeError: as for `train`.
     """
     with sharing.begun():
-        run = running.open_run(run, family)
+        run = running.open_run(run, family, method)
         if change and is_lead():
             change_run(run, change)
         wait_for_all("the run is changed")
@@ -108,6 +110,7 @@ def adapt(
     *,
     out: arguments.OptionalPath = None,
     family: arguments.AnyFamily = None,
+    method: arguments.AnyMethod = None,
     **settings: Any,
 ) -> running.Adapted:
     """Adapt the last checkpoint of a run to new tasks, and tabulate how it does.
@@ -119,13 +122,14 @@ def adapt(
         evaluation: tasks, reward, rule, budgets, seed.
         out: Table to write; None: `DIR/adaptation/TASKS-REWARD.csv`. Latents go beside it.
         family: The run's family as `module:name`, if it is your own.
+        method: The run's method as `module:name`, if it is your own.
         settings: single settings of the evaluation by name, as in `episodes=100`.
 
     Raises:
         RunError: a setting cannot be used, or not together with another one.
         EpisodeError: an episode went wrong.
     """
-    asked, opened = evaluation.changed(**settings), running.open_run(run, family)
+    asked, opened = evaluation.changed(**settings), running.open_run(run, family, method)
     num_tasks = asked.count(opened.task_set(asked.tasks))
     warn_of_duration(opened.env(), num_tasks * asked.budget.episodes)
     table = Path(out) if out else running.adaptation_file(opened.directory, asked)

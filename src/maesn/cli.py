@@ -1,8 +1,10 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
+import shlex
 import signal
 import sys
 from importlib import import_module
+from pathlib import Path
 
 from maesn._version import __version__
 from maesn.settings import suggestion
@@ -44,6 +46,8 @@ INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
 def main() -> None:
     """Run the command that the arguments name, and exit."""
+    # So that `module:name` finds a file here. Last: it takes no other module's place.
+    sys.path.append(str(Path.cwd()))
     code = run(sys.argv[1:])
     # From here on JAX cleans up: one more Ctrl-C would show a traceback of that.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -77,7 +81,8 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if not _is_mistake(error):
             raise
-        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
+        said = [f"maesn {name}: {error}", *_notes(error), *_commands(error, arguments)]
+        print(*said, sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
 
@@ -85,6 +90,15 @@ def run(arguments: list[str]) -> int:
 def _notes(error: BaseException | None) -> list[str]:
     """Return what is known beside messages, as when a user's environment raised in a process."""
     return [*getattr(error, "__notes__", []), *_notes(error.__cause__)] if error else []
+
+
+def _commands(error: Exception, arguments: list[str]) -> list[str]:
+    """Return the whole command to type where only a name was missing."""
+    from maesn.runs.config import NotNamedError
+
+    if isinstance(error, NotNamedError):
+        return [f"Type: maesn {shlex.join(arguments)}{error.options}"]
+    return []
 
 
 def _is_mistake(error: Exception) -> bool:

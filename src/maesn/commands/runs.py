@@ -28,7 +28,7 @@ from maesn.studies.study import compare as compare_runs
 def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
     if is_lead():
-        print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.family_option}")
+        print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.own_options}")
 
 
 def _say_adapted(done: Adapted) -> None:

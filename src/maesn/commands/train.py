@@ -16,6 +16,7 @@ from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.process import enable_compilation_cache
+from maesn.runs.sources import own_method
 from maesn.runs.training import KEEP
 from maesn.settings import suggestion
 from maesn.storage import RunError
@@ -40,30 +41,39 @@ class Options:
     """Latest checkpoints that stay, beside the first; 0: all of them."""
 
 
+_HELP = f"""usage: maesn train METHOD --run DIR [OPTIONS]
+
+METHOD is one of: {", ".join(learners.PRESETS)};
+or `module:name` of your own, such as a class `name` in the file `module.py`.
+`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of the method on
+that family. Those of `maesn`:
+"""
+
+
 def train(arguments: list[str]) -> None:
     """Run `maesn train`, whose options depend on the method and the family."""
     method, *rest = arguments or ["--help"]
-    known = ", ".join(learners.PRESETS)
     if method in ("-h", "--help"):
-        print(
-            "usage: maesn train METHOD --run DIR [OPTIONS]\n\n"
-            f"METHOD is one of: {known}.\n"
-            f"METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.\n"
-            "`maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of\n"
-            "the method on that family. Those of `maesn`:\n"
-        )
+        print(_HELP)
         read_options("maesn", ["--help"])
-    if method not in learners.METHODS:
-        hint = suggestion(method, learners.METHODS)
-        raise RunError(f"there is no method `{method}`.{hint} Known are: {known}.")
+    if ":" not in method and method not in learners.PRESETS:
+        hint, known = suggestion(method, learners.PRESETS), ", ".join(learners.PRESETS)
+        raise RunError(
+            f"there is no method `{method}`.{hint} Known are: {known}; give your own as "
+            "`module:name`."
+        )
     options = read_options(method, rest)
     enable_compilation_cache()
     settings = options.run_settings
-    directory = options.run or Path("runs") / f"{method}-{settings.family}-{settings.seed}"
+    names = (name.rpartition(":")[2] for name in (method, settings.family))
+    directory = options.run or Path("runs") / "-".join([*names, str(settings.seed)])
     env = make_env(resolve_family(settings.family), settings)
     # Actions are choices in some families: nobody should have to say so.
     learner = options.learner.for_actions(env.action_kind)
-    _say_what_suits(method, options)
+    if ":" in method:
+        settings = dataclasses.replace(settings, method=method)
+    else:
+        _say_what_suits(method, options)
     given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
     say_what_is_next(api.train(learner, settings, directory, **given))
 
@@ -75,8 +85,10 @@ def read_options(method: str, arguments: list[str]) -> Options:
     first.add_argument("--settings", nargs="?")
     found, _ = first.parse_known_args(arguments)
     family = found.family or RunSettings().family
-    if found.settings == "reference":
-        default = Options(RunSettings(family=family), learners.METHODS[method](), "reference")
+    if ":" in method:
+        default = Options(RunSettings(family=family), own_method(method))
+    elif found.settings == "reference":
+        default = Options(RunSettings(family=family), learners.PRESETS[method](), "reference")
     else:
         settings = RunSettings(family=family, **learners.recommended_run(method, family))
         default = Options(settings, learners.recommended(method, family))

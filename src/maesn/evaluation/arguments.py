@@ -42,6 +42,8 @@ AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
 OptionalPath: TypeAlias = Annotated[str | Path | None, _read(1, "PATH")]
 AnyFamily: TypeAlias = Annotated[str | TaskFamily | None, _read(1, "MODULE:NAME")]
 """A user's own family or its `module:name`; None for one that comes with the library."""
+AnyMethod: TypeAlias = Annotated[str | None, _read(1, "MODULE:NAME")]
+"""`module:name` of a user's own method; None for one that comes with the library."""
 AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
 AnyChange: TypeAlias = Annotated[

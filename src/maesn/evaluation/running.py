@@ -15,7 +15,7 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
-from maesn.evaluation.arguments import AnyFamily, AnyRun
+from maesn.evaluation.arguments import AnyFamily, AnyMethod, AnyRun
 from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractFastLearner
@@ -40,12 +40,12 @@ from maesn.worlds import AbstractWorld, check_policy, engine_of
 from maesn.worlds.collector import Collector
 
 
-def open_run(run: AnyRun, family: AnyFamily = None) -> Run:
+def open_run(run: AnyRun, family: AnyFamily = None, method: AnyMethod = None) -> Run:
     """Open a run whose directory will be written to; of a policy with the library, a copy."""
     copy = working_copy(run.directory if isinstance(run, Run) else run)
     if isinstance(run, Run) and copy == run.directory:
         return run
-    return Run.open(copy, family=family)
+    return Run.open(copy, family, method)
 
 
 @contextmanager

@@ -222,6 +222,13 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """
         return state
 
+    def replay(self, state: MetaState) -> Any:
+        """Return the part of a state that only more training needs, and that is large.
+
+        The newest checkpoint alone holds it. By default nothing.
+        """
+        return None
+
     @abstractmethod
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         """Return the number of episodes that the first so many meta-iterations play, in all.

@@ -45,6 +45,12 @@ def named_leaves(tree: Any) -> dict[str, Any]:
     return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
 
 
+def names_of(part: Any, tree: Any) -> set[str]:
+    """Return the names of those leaves of a tree that are also leaves of `part`."""
+    held = set(map(id, jax.tree.leaves(part)))
+    return {name for name, leaf in named_leaves(tree).items() if id(leaf) in held}
+
+
 def digest_of_arrays(tree: Any) -> str:
     """Return a hexadecimal hash of all names, types, shapes and values of a pytree of arrays."""
     return _checksum(_named_arrays(tree), {})[:16]

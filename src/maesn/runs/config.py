@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import importlib.metadata
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +16,35 @@ import tyro
 
 from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
 from maesn.learners import AbstractMetaLearner
-from maesn.runs.serialization import digest_of_document, fields_from_json, fields_to_json
+from maesn.runs.serialization import (
+    UnknownTypeError,
+    digest_of_document,
+    fields_from_json,
+    fields_to_json,
+)
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
 from maesn.worlds import EngineName, engine_of
 from maesn.worlds.budget import check_memory, warn_of_duration
+
+
+class NotNamedError(RunError):
+    """A run needs modules of the user's own, and reading it never imports one.
+
+    Attributes:
+        options: what names them on a command line, with a space before.
+    """
+
+    def __init__(self, directory: Path, settings: Mapping[str, Any], **found: str) -> None:
+        recorded = {option: str(settings.get(option)) for option in ("method", "family")}
+        own = found | {option: name for option, name in recorded.items() if ":" in name}
+        self.options = "".join(f" --{option} {name}" for option, name in own.items())
+        python = ", ".join(f"{option}={name!r}" for option, name in own.items())
+        super().__init__(
+            f"`{directory}` needs a module of your own, and reading a run never imports one that "
+            f"you do not name: add {python}."
+        )
+
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
 SCHEMA = 2
@@ -36,7 +61,7 @@ class RunSettings:
     """What a run does beside learning: where, on what, how long."""
 
     method: Annotated[str, tyro.conf.Suppress] = ""
-    """Name of the preset that the learner fills, for people; `Run.create` sets it."""
+    """Name of the method: a preset, or `module:name` of your own. `Run.create` sets the former."""
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""
     variant: Variant = "reference"
@@ -72,6 +97,11 @@ class RunSettings:
     def own_family(self) -> str | None:
         """The family as it has to be named again, if it is the user's own."""
         return self.family if ":" in self.family else None
+
+    @property
+    def own_method(self) -> str | None:
+        """The method as it has to be named again, if it is the user's own."""
+        return self.method if ":" in self.method else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,4 +199,7 @@ def read_config(directory: Path) -> RunConfig:
     with refusals(f"`{path}` cannot be understood, it may be of another version of maesn: "):
         if document.pop("schema", None) != SCHEMA:
             raise ValueError(f"its schema must be {SCHEMA}.")
-        return fields_from_json(RunConfig, document)
+        try:
+            return fields_from_json(RunConfig, document)
+        except UnknownTypeError as error:
+            raise NotNamedError(directory, document["settings"], method=error.tag) from error

@@ -15,11 +15,25 @@ import numpy as np
 from maesn import storage
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
-from maesn.envs.sources import find_tasks, resolve_family, save_tasks, warn_of_known_tests
+from maesn.envs.sources import (
+    find_tasks,
+    imported,
+    resolve_family,
+    save_tasks,
+    warn_of_known_tests,
+)
 from maesn.learners import AbstractMetaLearner, Problem, method_name
 from maesn.runs import checkpoint, sources
 from maesn.runs.checkpoint import Checkpoint, CheckpointError, named_leaves
-from maesn.runs.config import CONFIG, RunConfig, RunSettings, new_config, read_config, write_config
+from maesn.runs.config import (
+    CONFIG,
+    NotNamedError,
+    RunConfig,
+    RunSettings,
+    new_config,
+    read_config,
+    write_config,
+)
 from maesn.runs.log import METRICS
 from maesn.runs.serialization import digest_of_document, to_json
 from maesn.storage import RunError, refusals
@@ -28,6 +42,9 @@ from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_po
 logger = logging.getLogger(__name__)
 
 CHECKPOINTS = "checkpoints"
+# Beginnings of names there: of a checkpoint, and of the replay that belongs to the newest one.
+ITERATION, REPLAY = "iteration-", "replay-"
+LARGEST_REPLAY = 200  # megabytes, in memory and on disk
 
 # An "iteration" that no run reaches: its key makes the untrained state. A split of the seed's key
 # would yield those of iterations 0 and 1 again.
@@ -43,11 +60,13 @@ class Run:
     family: TaskFamily
     training_tasks: TaskSet
     own_family: str | None = None  # `module:name` of a user's own family, where it is known
+    own_method: str | None = None  # likewise of a user's own method
 
     @property
-    def family_option(self) -> str:
-        """The option that commands need which go on with a run of the user's own family."""
-        return f" --family {self.own_family}" if self.own_family else ""
+    def own_options(self) -> str:
+        """The options that commands need which go on with a run of the user's own modules."""
+        own = {"method": self.own_method, "family": self.own_family}
+        return "".join(f" --{option} {name}" for option, name in own.items() if name)
 
     @property
     def settings(self) -> RunSettings:
@@ -70,16 +89,19 @@ class Run:
     ) -> "Run":
         """Make a new run directory with the state in it that training begins with.
 
-        Arguments are those of `maesn.train`. What tasks share comes from the run `init_from`, such
-        as policy and step sizes; what belongs to single tasks, such as the latents, begins afresh,
-        and so does the count of iterations. What cannot be used, or does not fit, is a `RunError`.
+        Arguments are those of `maesn.train`. Weights that tasks share come from the run
+        `init_from`, such as policy and step sizes; what belongs to single tasks, such as the
+        latents, begins afresh, and so does all that is no weight. What cannot be used, or does
+        not fit, is a `RunError`.
         """
         named = settings.family if family is None else family.name
         family = resolve_family(named) if family is None else family
-        settings = dataclasses.replace(settings, family=named, method=method_name(learner))
+        method = settings.own_method or method_name(learner)
+        settings = dataclasses.replace(settings, family=named, method=method)
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
-        run = cls(Path(directory), config, family, tasks, settings.own_family)
+        own = settings.own_family, settings.own_method
+        run = cls(Path(directory), config, family, tasks, *own)
         run.world().close()  # the engine may lack something
         with refusals():
             check_env_contract(run.env(), tasks[0])
@@ -94,6 +116,10 @@ class Run:
             config = dataclasses.replace(config, provenance=begun)
             run = dataclasses.replace(run, config=config)
         check_policy(learner.player(state), run.env())
+        megabytes = sum(x.nbytes for x in jax.tree.leaves(learner.replay(state))) / 1e6
+        if megabytes > LARGEST_REPLAY:
+            what_to_do = f"at most {LARGEST_REPLAY} MB are kept: let it hold fewer episodes"
+            raise RunError(f"the replay of `{method}` takes {megabytes:.0f} MB; {what_to_do}.")
         with storage.locked(run.directory):
             # Of a process that was killed here the first checkpoint may be left.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
@@ -106,22 +132,34 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, source: "str | Path | Run", family: str | TaskFamily | None = None) -> "Run":
-        """Open a run. Nothing that stands in its directory is executed.
+    def open(
+        cls,
+        source: "str | Path | Run",
+        family: str | TaskFamily | None = None,
+        method: str | None = None,
+    ) -> "Run":
+        """Open a run. Nothing that stands in its directory is executed or imported.
 
         `source` is a directory, else the name of a policy that comes with the library, or a run,
         which is read again. `family` is that of the run, itself or `module:name`, if it does not
-        come with the library.
+        come with the library. `method` is `module:name` of a method that does not, or of anything
+        in the module that its settings are from; a module that is imported need not be named.
         """
         own = family if isinstance(family, str) else None
         if isinstance(source, Run):
             own, family = own or source.own_family, family or source.family
-            source = source.directory
+            method, source = method or source.own_method, source.directory
+        if method is not None:
+            imported(method, "method")
         directory = sources.find_run(source)
         config = read_config(directory)
+        if family is None and config.settings.own_family:
+            raise NotNamedError(directory, vars(config.settings))
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
-        return cls(directory, config, found, tasks, own or config.settings.own_family)
+        settings = config.settings
+        own, method = own or settings.own_family, method or settings.own_method
+        return cls(directory, config, found, tasks, own, method)
 
     def env(
         self, reward_kind: RewardKind | None = None, sparse_radius: float | None = None
@@ -169,9 +207,10 @@ class Run:
             return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
 
     def identity(self) -> dict[str, str]:
-        """Return which learner the latest checkpoint is, and a digest of its weights."""
+        """Return which learner the latest checkpoint is of, and a digest of its weights."""
         learner = f"{self.settings.method} {digest_of_document(to_json(self.learner))}"
-        return {"learner": learner, "weights": checkpoint.digest_of_arrays(self.latest_state())}
+        weights = self.learner.weights(self.latest_state())
+        return {"learner": learner, "weights": checkpoint.digest_of_arrays(weights)}
 
     def metrics(self) -> list[dict[str, Any]]:
         """Return what training has logged per iteration: name -> number, None if not finite."""
@@ -179,13 +218,13 @@ class Run:
 
     def checkpoints(self) -> list[Path]:
         """Return the paths of all checkpoints, the earliest first."""
-        found = self.directory.glob(f"{CHECKPOINTS}/iteration-[0-9]*.safetensors")
+        found = self.directory.glob(f"{CHECKPOINTS}/{ITERATION}[0-9]*.safetensors")
         return sorted(found, key=lambda path: (len(path.name), path.name))
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state, and how many control steps were played for it, and return the path."""
         iteration = int(self.learner.iteration(state))
-        path = self.directory / CHECKPOINTS / f"iteration-{iteration:06d}.safetensors"
+        folder, file = self.directory / CHECKPOINTS, f"{iteration:06d}.safetensors"
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -194,8 +233,16 @@ class Run:
             "iteration": str(iteration),
             "environment_steps": str(environment_steps),
         }
-        checkpoint.save_checkpoint(path, state, metadata)
-        return path
+        arrays = named_leaves(state)
+        names = checkpoint.names_of(self.learner.replay(state), state)
+        replay = {name: arrays.pop(name) for name in names}
+        if replay:  # first: a checkpoint never lacks it
+            checkpoint.save_checkpoint(folder / (REPLAY + file), replay, metadata)
+        checkpoint.save_checkpoint(folder / (ITERATION + file), arrays, metadata)
+        for old in folder.glob(f"{REPLAY}[0-9]*"):
+            if old.name != REPLAY + file:
+                old.unlink()
+        return folder / (ITERATION + file)
 
     def prune(self, path: Path, keep: int) -> None:
         """Delete the checkpoints before a sound one, but for the first and the latest `keep`."""
@@ -213,11 +260,23 @@ class Run:
                 f"`{path}` was written with another `config.json` than this run's: restore that "
                 "file. (To change settings: `maesn resume RUN --change NAME=VALUE`.)"
             )
-        state = checkpoint.restore(self.structure(), values, path)
+        structure = self.structure()
+        if names := checkpoint.names_of(self.learner.replay(structure), structure):
+            values |= self._replay_beside(Path(path), names)
+        state = checkpoint.restore(structure, values, path)
         iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
         if not steps.isdecimal() or not all(np.isfinite(x).all() for x in values.values()):
             raise CheckpointError(f"`{path}` is damaged: a number in it cannot be.")
         return Checkpoint(state, int(iteration), int(steps))
+
+    def _replay_beside(self, path: Path, names: set[str]) -> dict[str, Any]:
+        """Return the replay that was written with a checkpoint, by name; else an empty one."""
+        file = path.with_name(path.name.replace(ITERATION, REPLAY))
+        if file.exists():
+            return dict(checkpoint.read_checkpoint(file)[0])
+        logger.warning("`%s` is not the newest, and without its replay: that begins anew.", path)
+        fresh = named_leaves(self.untrained_state())
+        return {name: np.asarray(fresh[name]) for name in names}
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
@@ -238,13 +297,12 @@ class Run:
         return Run.open(init_from, self.family if same_family else None)
 
     def _begun_state(self, fresh: Any, source: "Run") -> Any:
-        """Return a fresh state with what another run has learned; see `create`."""
-        values = named_leaves(source.latest_state())
+        """Return a fresh state with the weights of another run; see `create`."""
+        learned, values = named_leaves(source.latest_state()), named_leaves(fresh)
         larger = named_leaves(self.structure(more_tasks=1))
-        for name, leaf in named_leaves(fresh).items():
-            per_task = leaf.shape != larger[name].shape  # a row for each
-            if per_task or leaf is self.learner.iteration(fresh):
-                values[name] = leaf
+        for name in checkpoint.names_of(self.learner.weights(fresh), fresh):
+            if values[name].shape == larger[name].shape:  # what belongs to a task begins afresh
+                values[name] = learned.get(name)
         return checkpoint.restore(fresh, values, source.directory)
 
     def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:

@@ -1,7 +1,8 @@
 """Settings as JSON: a learner goes into `config.json` and comes out the same.
 
-Objects have a tag, `"type"`, that is looked up in a closed registry: a file can ask for nothing but
-the settings listed here. What is unknown, missing or of the wrong type is a `ValueError`.
+Objects have a tag, `"type"`. A file can ask for nothing but settings that fit their field, of this
+library or of a module that the program has imported already: reading imports nothing. What is
+unknown, missing or of the wrong type is a `ValueError`.
 """
 
 import ast
@@ -9,69 +10,76 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import inspect
+import itertools
 import json
+import sys
 from collections.abc import Iterable, Mapping
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 
-from maesn import learners
-from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
-from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.inner.advantage import AdvantageEstimator
-from maesn.numerics import MinibatchDescent
-from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
 from maesn.settings import leaves
+from maesn.storage import RunError
 
 Settings = TypeVar("Settings")
 
 TAG = "type"
 
-REGISTRY: dict[str, type[eqx.Module]] = {
-    settings.__name__: settings
-    for settings in (
-        Adaptation,
-        AdvantageEstimator,
-        AnnealedGaussianMLP,
-        BiasContext,
-        CategoricalMLP,
-        learners.BonusMetaLearner,
-        learners.CuriosityBonus,
-        GaussianMLP,
-        learners.GradientMetaLearner,
-        InnerStep,
-        LatentContext,
-        MinibatchDescent,
-        NoContext,
-        learners.ProximalStep,
-        Recurrent,
-        learners.RecurrentMetaLearner,
-        learners.RecurrentValue,
-        StepSchedule,
-        OracleContext,
-        TrustRegion,
-        learners.TrustRegionStep,
-    )
-}
+
+class UnknownTypeError(RunError):
+    """A document names a type of a module that nobody has imported.
+
+    Attributes:
+        tag: `module:name` of the type.
+    """
+
+    def __init__(self, tag: str) -> None:
+        super().__init__(f"it holds a `{tag}`, and reading a file never imports a module.")
+        self.tag = tag
+
+
+def tag_of(kind: type) -> str:
+    """Return how files call a type: by its name in this library, by `module:name` elsewhere."""
+    own = kind.__module__.split(".")[0] != "maesn"
+    return f"{kind.__module__}:{kind.__qualname__}" if own else kind.__name__
 
 
 def to_json(module: eqx.Module) -> dict[str, Any]:
     """Return settings as JSON values, each object with its tag."""
-    tag = type(module).__name__
-    if REGISTRY.get(tag) is not type(module):
-        raise ValueError(f"settings of type `{tag}` cannot be stored: only {[*REGISTRY]} can.")
+    tag = tag_of(type(module))
+    if ":" in tag and _tagged(tag, eqx.Module) is not type(module):
+        raise ValueError(f"settings of type `{tag}` must stand at the top of their module.")
     return {TAG: tag, **fields_to_json(module)}
 
 
-def from_json(document: Mapping[str, Any]) -> eqx.Module:
-    """Return the settings that `to_json` has written."""
+def from_json(document: Mapping[str, Any], kind: type) -> Any:
+    """Return the settings that `to_json` has written, of a type that extends `kind`."""
     fields = dict(document)
-    tag = fields.pop(TAG, None)
-    if not isinstance(tag, str) or tag not in REGISTRY:
-        raise ValueError(f"`{TAG}` must be one of {[*REGISTRY]}, got {tag!r}.")
-    return fields_from_json(REGISTRY[tag], fields)
+    return fields_from_json(_tagged(fields.pop(TAG, None), kind), fields)
+
+
+def _tagged(tag: Any, kind: type) -> type:
+    """Return the type that a tag names, which must extend `kind`. Nothing is imported."""
+    found: Any
+    if isinstance(tag, str) and ":" in tag:
+        module, _, name = tag.partition(":")
+        if module not in sys.modules:
+            raise UnknownTypeError(tag)
+        found = getattr(sys.modules[module], name, None)
+    else:
+        found = next((one for one in _extensions(kind) if tag_of(one) == tag), None)
+    is_settings = isinstance(found, type) and issubclass(found, eqx.Module)
+    if is_settings and issubclass(found, kind) and not inspect.isabstract(found):
+        return found
+    raise ValueError(f"`{TAG}` must name settings of type {kind.__name__}, got {tag!r}.")
+
+
+def _extensions(kind: type) -> list[type]:
+    """Return a type and all that extend it."""
+    extensions: list[type] = kind.__subclasses__()
+    return [kind, *itertools.chain.from_iterable(map(_extensions, extensions))]
 
 
 def digest_of_document(document: Mapping[str, Any]) -> str:
@@ -149,15 +157,13 @@ def decode(value: Any, hint: Any, where: str) -> Any:
         return tuple(decode(one, arguments[0], f"{where}[{i}]") for i, one in enumerate(value))
     if origin is dict and isinstance(value, dict):
         return {name: decode(one, arguments[1], f"{where}.{name}") for name, one in value.items()}
-    if isinstance(value, dict) and isinstance(origin, type):
+    if isinstance(value, dict) and isinstance(origin, type) and dataclasses.is_dataclass(origin):
         # Settings have a tag; of another dataclass the field tells the class.
-        tagged = not dataclasses.is_dataclass(origin) or issubclass(origin, eqx.Module)
-        made = from_json(value) if tagged else fields_from_json(origin, value)
-        if isinstance(made, origin):
-            return made
-    elif (origin is Literal and value in arguments) or type(value) is origin:
+        tagged = issubclass(origin, eqx.Module)
+        return from_json(value, origin) if tagged else fields_from_json(origin, value)
+    if (origin is Literal and value in arguments) or type(value) is origin:
         return value  # `type`, not `isinstance`: True is no number of tasks
-    elif origin is float and type(value) is int:
+    if origin is float and type(value) is int:
         return float(value)
     name = wanted.__name__ if isinstance(wanted, type) else wanted
     raise ValueError(f"`{where}` must be of type {name}, got {value!r}.")

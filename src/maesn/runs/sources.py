@@ -7,14 +7,37 @@ import contextlib
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 from maesn.envs import NAMED_SETS, TaskFamily, TaskSet, find_family
-from maesn.envs.sources import find_tasks, load_tasks, resolve_family
+from maesn.envs.sources import find_tasks, imported, load_tasks, resolve_family
+from maesn.learners import AbstractMetaLearner
 from maesn.runtime.archive import PARTIAL
 from maesn.storage import RunError, explained, refusals
 
 TASKS_FILE = "tasks.npz"  # in a run directory, if the tasks are a user's own
 TRAINED = Path(__file__).resolve().parents[1] / "trained"
+
+
+def own_method(name: str) -> AbstractMetaLearner[Any, Any]:
+    """Import a meta-learner of a user's own: a value, or a class whose settings have defaults.
+
+    Raises:
+        RunError: `module:name` cannot be imported, or is something else.
+    """
+    found = imported(name, "method")
+    if isinstance(found, type) and issubclass(found, AbstractMetaLearner):
+        with refusals(f"`{name}` cannot be made with its defaults: "):
+            try:
+                found = found()
+            except TypeError as error:
+                raise ValueError(f"{error}.") from error
+    if not isinstance(found, AbstractMetaLearner):
+        raise RunError(
+            f"`{name}` must be a `maesn.AbstractMetaLearner`, or a class that extends it, got "
+            f"{type(found).__name__}."
+        )
+    return found
 
 
 def recorded_family(recorded: str, given: str | TaskFamily | None) -> TaskFamily:
