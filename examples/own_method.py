@@ -15,25 +15,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from maesn.axes import ActionKind, Key
-from maesn.experience.episodes import Collect
-from maesn.learners import (
-    AbstractMetaLearner,
-    FineTuning,
-    FixedPolicy,
-    PolicyImprovement,
-    Problem,
-    TrustRegionStep,
-)
-from maesn.learners.meta_batch import draw_tasks, task_keys
-from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import AbstractPolicy, AbstractPolicySettings, GaussianMLP
+import maesn
 
 
 class ReptileState(eqx.Module):
     """What changes in training: arrays only."""
 
-    policy: AbstractPolicy
+    policy: maesn.AbstractPolicy
     iteration: Int[Array, ""]
 
 
@@ -46,13 +34,13 @@ class ReptileInfo(eqx.Module):
     """Mean return after all but the last of them."""
 
 
-class Reptile(AbstractMetaLearner[ReptileState, ReptileInfo]):
+class Reptile(maesn.AbstractMetaLearner[ReptileState, ReptileInfo]):
     """Weights from which a few steps of policy gradient lead far."""
 
-    policy: AbstractPolicySettings = GaussianMLP()
+    policy: maesn.AbstractPolicySettings = maesn.GaussianMLP()
     """The policy's network."""
-    improvement: PolicyImprovement = PolicyImprovement(
-        TrustRegionStep(TrustRegion(max_kl=0.05, damping=0.1))
+    improvement: maesn.PolicyImprovement = maesn.PolicyImprovement(
+        maesn.TrustRegionStep(maesn.TrustRegion(max_kl=0.05, damping=0.1))
     )
     """The policy gradient inside a task."""
     inner_updates: int = 3
@@ -62,23 +50,25 @@ class Reptile(AbstractMetaLearner[ReptileState, ReptileInfo]):
     rate: float = 0.5
     """Share of the way to the mean of the tasks' weights that one meta-iteration goes."""
 
-    def init(self, key: Key, problem: Problem) -> ReptileState:
+    def init(self, key: Array, problem: maesn.Problem) -> ReptileState:
         sizes = problem.observation_size, problem.action_size
         return ReptileState(self.policy.init(key, *sizes, 0), jnp.zeros((), int))
 
-    def fast_learner(self, state: ReptileState) -> FineTuning:
-        return FineTuning(FixedPolicy(state.policy), self.improvement, after=0, least_batch=1)
+    def fast_learner(self, state: ReptileState) -> maesn.FineTuning:
+        return maesn.FineTuning(
+            maesn.FixedPolicy(state.policy), self.improvement, after=0, least_batch=1
+        )
 
     def step(
-        self, key: Key, state: ReptileState, collect: Collect
+        self, key: Array, state: ReptileState, collect: maesn.Collect
     ) -> tuple[ReptileState, ReptileInfo]:
         task_key, play_key, learn_key = jax.random.split(key, 3)
-        tasks = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
+        tasks = maesn.draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         learner = self.fast_learner(state)
-        learned = learner.init(task_keys(learn_key, 0, self.meta_batch_size))
+        learned = learner.init(maesn.task_keys(learn_key, 0, self.meta_batch_size))
         returns = []
         for update in range(self.inner_updates):
-            keys = task_keys(play_key, update, self.meta_batch_size)
+            keys = maesn.task_keys(play_key, update, self.meta_batch_size)
             episodes = collect(keys, learner.agents(learned), tasks, stage=update)
             returns.append(episodes.undiscounted_return.mean())
             learned = learner.update(learned, episodes)
@@ -91,11 +81,11 @@ class Reptile(AbstractMetaLearner[ReptileState, ReptileInfo]):
     def iteration(self, state: ReptileState) -> Int[Array, ""]:
         return state.iteration
 
-    def weights(self, state: ReptileState) -> AbstractPolicy:
+    def weights(self, state: ReptileState) -> maesn.AbstractPolicy:
         return state.policy
 
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.inner_updates * self.meta_batch_size * episodes_per_task
 
-    def for_actions(self, kind: ActionKind) -> "Reptile":
+    def for_actions(self, kind: maesn.ActionKind) -> "Reptile":
         return replace(self, policy=self.policy.for_actions(kind))
