@@ -4,6 +4,8 @@ Shapes and types are checked as well: `--jaxtyping-packages` in `pyproject.toml`
 annotated function of the package. Warnings are errors.
 """
 
+import contextlib
+import ctypes
 import gc
 import os
 import signal
@@ -41,6 +43,10 @@ import pytest
 if TYPE_CHECKING:
     from maesn.reporting.style import Drawn
 
+# Bytes of a worker: what lets it forget its compiled programs, and what it may take in all.
+FULL = 1_200_000_000
+WORKER_MEMORY = 2_000_000_000
+
 # Tests interrupt themselves, which what a shell runs in the background would ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -69,19 +75,36 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000, 20, 20)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Start one process per core, but no more than the machine's free memory can hold."""
+    found = Path("/proc/meminfo")
+    if not found.exists():
+        return None
+    fields = dict(line.split(":") for line in found.read_text().splitlines())
+    available = 1024 * int(fields["MemAvailable"].split()[0])
+    for group in ("memory.max", "memory/memory.limit_in_bytes"):  # a container's own limit
+        with contextlib.suppress(OSError, ValueError):
+            available = min(available, int((Path("/sys/fs/cgroup") / group).read_text()))
+    return max(1, min(len(os.sched_getaffinity(0)), available // WORKER_MEMORY))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled_programs() -> Iterator[None]:
-    """Let compiled programs go before they take too many memory maps.
+    """Let compiled programs go when they take much memory.
 
-    Each holds several, and Linux kills a process that asks for more than 65,530
-    (`vm.max_map_count`): one that ran half of all tests would. Until then, the files that follow
-    use them again.
+    Until then, the files that follow use them again. The C library keeps what is freed in small
+    pieces, and gives it back when it is asked.
     """
     yield
-    maps = Path("/proc/self/maps")
-    if not maps.exists() or maps.read_bytes().count(b"\n") > 45_000:
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        return
+    if int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > FULL:
         jax.clear_caches()
         gc.collect()
+        with contextlib.suppress(AttributeError):  # other C libraries than glibc
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture

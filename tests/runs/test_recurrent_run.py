@@ -11,8 +11,6 @@ from maesn import api
 from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
-from maesn.runs.serialization import from_json, to_json
-from maesn.storage import RunError
 
 DESCENT = MinibatchDescent(epochs=1, minibatches=2)
 
@@ -58,13 +56,3 @@ def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["episodes"] for row in rows[:3]] == ["0", "1", "2"]
     assert not (trained / "adaptation" / "test-sparse.latents.npz").exists()
-
-
-def test_there_is_nothing_to_export(trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="cannot be exported"):
-        api.export(trained, tmp_path / "policy.npz")
-
-
-@pytest.mark.parametrize("learner", [tiny(), rl2()])
-def test_settings_survive_their_file(learner: RecurrentMetaLearner) -> None:
-    assert from_json(to_json(learner)) == learner

@@ -89,52 +89,32 @@ def altered(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "named"),
     [
-        (
-            {"type": "os.system"},
-            "`type` must name settings of type .*, got 'os.system'",
-        ),
-        ({"type": "drop"}, "`type` must name settings of type AbstractMetaLearner, got None"),
-        ({"type": ["Adaptation"]}, "`type` must name settings"),
-        ({"type": "AbstractMetaLearner"}, "`type` must name settings"),
-        ({"type": "os:system"}, "`type` must name settings"),
-        ({"context": {"type": "Unheard"}}, "got 'Unheard'"),
-        (
-            {"context": {"type": "NoContext", "size": 2}},
-            "`NoContext` must have the fields .* got .*'size'",
-        ),
-        (
-            {"schedule": {"type": "StepSchedule", "factor": 0.5}},
-            "`StepSchedule` must have the fields .*'full_steps'",
-        ),
-        ({"schedule": "drop"}, "`GradientMetaLearner` must have the fields"),
-        ({"lr": 0.1}, "`GradientMetaLearner` must have the fields .* got .*'lr'"),
-        ({"meta_batch_size": "20"}, r"`GradientMetaLearner.meta_batch_size` must be of type int"),
-        ({"meta_batch_size": 20.0}, r"meta_batch_size` must be of type int, got 20.0"),
-        ({"meta_batch_size": True}, r"meta_batch_size` must be of type int, got True"),
-        ({"meta_batch_size": None}, r"meta_batch_size` must be of type int, got None"),
-        ({"meta_batch_size": {"value": 1}}, "meta_batch_size` must be of type int"),
-        ({"meta_batch_size": 0}, r"`meta_batch_size` must be at least 1, got 0"),
-        ({"context": {"type": "TrustRegion"}}, "`type` must name settings of type Abstract"),
-        ({"context": to_json(TrustRegion())}, "`type` must name settings of type AbstractContext"),
-        ({"policy": "GaussianMLP"}, r"`GradientMetaLearner.policy` must be of type"),
+        ({"type": "os.system"}, "os.system"),
+        ({"type": "drop"}, "None"),
+        ({"type": ["Adaptation"]}, "Adaptation"),
+        ({"context": {"type": "NoContext", "size": 2}}, "size"),
+        ({"schedule": "drop"}, "schedule"),
+        ({"lr": 0.1}, "lr"),
+        ({"meta_batch_size": "20"}, "meta_batch_size"),
+        ({"meta_batch_size": 20.0}, "meta_batch_size"),
+        ({"meta_batch_size": True}, "meta_batch_size"),
+        ({"meta_batch_size": 0}, "meta_batch_size"),
+        ({"type": "AbstractMetaLearner"}, "AbstractMetaLearner"),
+        ({"type": "os:system"}, "os:system"),
+        ({"context": to_json(TrustRegion())}, "AbstractContextSettings"),
         (
             {"policy": {"type": "GaussianMLP", "hidden_sizes": [8, "8"], "initial_std": 1.0}},
-            r"`GaussianMLP.hidden_sizes\[1\]` must be of type int, got '8'",
+            r"hidden_sizes\[1\]",
         ),
-        (
-            {"policy": {"type": "GaussianMLP", "hidden_sizes": 8, "initial_std": 1.0}},
-            r"`GaussianMLP.hidden_sizes` must be of type tuple",
-        ),
-        (
-            {"context": to_json(LatentContext()) | {"gradient": "exact"}},
-            r"`LatentContext.gradient` must be of type .*reparameterized.*, got 'exact'",
-        ),
+        ({"context": to_json(LatentContext()) | {"gradient": "exact"}}, "LatentContext.gradient"),
     ],
 )
-def test_a_document_that_is_not_ours_is_refused_by_name(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_a_document_that_is_not_ours_is_refused_by_name(
+    changes: dict[str, Any], named: str
+) -> None:
+    with pytest.raises(ValueError, match=named):
         from_json(altered(**changes), AbstractMetaLearner)
 
 
@@ -147,18 +127,13 @@ def test_settings_of_a_run_come_back_equal(radius: float | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("name", "value"),
     [
-        ({"iterations": -1}, "`iterations` must be at least 0, got -1"),
-        ({"seed": -1}, "`seed` must be at least 0"),
-        ({"seed": 2**32}, "`seed` must be at most"),
-        ({"episodes_per_task": 0}, "`episodes_per_task` must be at least 1"),
-        ({"checkpoint_every": 0}, "`checkpoint_every` must be at least 1"),
-        ({"num_threads": -2}, "`num_threads` must be at least 0"),
-        ({"sparse_radius": 0.0}, "`sparse_radius` must be positive"),
-        ({"sparse_radius": float("nan")}, "`sparse_radius` must be positive"),
+        *(("iterations", -1), ("iterations", 2**31), ("seed", -1), ("seed", 2**32)),
+        *(("episodes_per_task", 0), ("episodes_per_task", 2**31), ("checkpoint_every", 0)),
+        *(("num_threads", -2), ("sparse_radius", 0.0), ("sparse_radius", float("nan"))),
     ],
 )
-def test_a_wrong_setting_of_a_run_is_refused_by_name(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        RunSettings(**changes)
+def test_a_wrong_setting_of_a_run_is_refused_by_name(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"`{name}` must be"):
+        RunSettings(**{name: value})
