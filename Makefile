@@ -90,7 +90,7 @@ bench: $(RUN_READY) ## Time a whole meta-iteration against the bare simulator
 
 docs: $(DOCS_READY) ## Build the documentation's site in build/site
 	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -c docs . build/site
-	@echo "open build/site/docs/index.html"
+	@echo "open build/site/index.html"
 
 test-browser: $(BROWSER_READY) ## Use the report page in Chromium, which must be installed
 	@PICTURES=$(PICTURES) $(BIN)/python -m pytest --quiet --tb=short tests/browser

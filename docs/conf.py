@@ -36,6 +36,7 @@ napoleon_numpy_docstring = False
 suppress_warnings = ["myst.header"]  # tables that a program has written begin at any level
 
 html_theme = "furo"
+html_extra_path = ["site"]  # the first page, which leads to `docs/index.html`
 html_title = f"maesn {release}"
 html_show_sourcelink = False
 html_show_copyright = False
