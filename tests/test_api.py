@@ -105,19 +105,6 @@ def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
         api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
 
 
-# `method_name` has a test with every preset.
-@pytest.mark.parametrize(
-    "name",
-    [
-        "maml_bias",
-        *(pytest.param(n, marks=pytest.mark.long) for n in maesn.PRESETS if n != "maml_bias"),
-    ],
-)
-def test_a_run_is_named_after_the_slots_of_its_learner(name: str, tmp_path: Path) -> None:
-    run = Run.create(tmp_path / "run", maesn.PRESETS[name](), SETTINGS)
-    assert run.settings.method == name
-
-
 def test_a_failed_start_leaves_no_directory(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError):
         api.train(latent_space(**TINY), SETTINGS, tmp_path / "new", init_from=trained / "nowhere")

@@ -12,11 +12,9 @@ import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
 from scripts import ROOT, load_script
-from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.trial_state import TrialState
-from maesn.physics import load_model
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -84,23 +82,6 @@ def test_every_family_gets_its_line(
     assert re.findall(r"^(\w+) ratio: \d+\.\d\d$", printed, re.MULTILINE) == list(names)
 
 
-def test_the_ratio_is_the_median_over_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    collection = load_script("benchmarks/collection.py")
-    found = collection.Measurement(9.0, [2.0, 4.0, 1.0], [1.0, 3.0, 0.9], 100)
-    assert found.ratio == 0.75
-
-
-@pytest.mark.parametrize("family", ["wheeled", "ant", "blockpush"])
-def test_the_sweep_leaves_out_contacts_of_geoms_that_exist(family: str) -> None:
-    mjx, model = load_script("benchmarks/mjx.py"), load_model(family)
-    variants = mjx.variants(family, sweep=True).values()
-    untouched = {name for limits in variants for name in limits.untouched}
-    geoms = {model.geom(index).name for index in range(model.ngeom)}
-    assert untouched
-    assert untouched <= geoms
-
-
 def test_memories_are_exchanged_among_tasks() -> None:
     control = load_script("benchmarks/memory_control.py")
     hidden = jnp.array([[[1.0], [3.0]], [[5.0], [7.0]]])
@@ -113,23 +94,3 @@ def test_memories_are_exchanged_among_tasks() -> None:
         np.testing.assert_array_equal(found.recurrent_state.ravel(), values)
         np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
         np.testing.assert_array_equal(found.reward.ravel(), values)
-
-
-def test_only_a_policy_with_memory_has_one_to_exchange(tmp_path: Path) -> None:
-    control = load_script("benchmarks/memory_control.py")
-    run = create(tmp_path / "run")
-    with pytest.raises(ValueError, match=r"must be of a method that remembers .*, got Drift"):
-        next(control.played(control.Settings(run.directory)))
-    single = tmp_path / "single.npz"
-    np.savez(single, goal=np.float32([[0.0, 2.0]]))
-    with pytest.raises(ValueError, match="`tasks` must hold at least 2 tasks, got 1"):
-        next(control.played(control.Settings(run.directory, tasks=str(single))))
-
-
-def test_what_is_said_of_a_memory() -> None:
-    control = load_script("benchmarks/memory_control.py")
-    # Of two units in four trials, one is always -0.5, the other one 1 or -1.
-    hidden = jnp.array([[[-0.5, 1.0], [-0.5, -1.0]], [[-0.5, -1.0], [-0.5, 1.0]]])
-    said = control.describe(TrialState(hidden, action=hidden, reward=hidden[..., 0]))
-    assert "mean size of a unit 0.750" in said
-    assert said.endswith("deviation over 4 trials 0.500")

@@ -101,6 +101,9 @@ def explored(
 
 
 def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFastLearner) -> None:
+    many, latents = explored(learner, collect, NUM_TASKS + 1)
+    # Every episode is one of its own, in the task that is played again as well.
+    assert len(np.unique(many[:, -1], axis=0)) == len(latents) == (NUM_TASKS + 1) * EPISODES
     paths, latents = explored(learner, collect, 1)
     fixed_paths, _ = explored(learner, collect, 1, at_mean=True)
     assert paths.shape == (EPISODES, collect.world.env.horizon + 1, 2)
@@ -110,46 +113,28 @@ def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFa
     assert not np.array_equal(paths, fixed_paths)
 
 
-def test_exploration_is_spread_over_tasks(collect: Collector, learner: GradientFastLearner) -> None:
-    paths, latents = explored(learner, collect, NUM_TASKS + 1)
-    assert len(paths) == (NUM_TASKS + 1) * EPISODES
-    assert latents.shape == ((NUM_TASKS + 1) * EPISODES, 2)
-    # Every episode is one of its own, in the task that is played again as well.
-    assert len(np.unique(paths[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
-
-
 SHORT_LIVES = hidden_end.task_set("test", size=4)
 
 
-def lives_explored(env: HiddenEnd) -> np.ndarray:
-    """The share of the horizon that is over, as the paths of all lives show it."""
+class LostEnd(HiddenEnd):
+    """What is seen of the state that ends an episode is NaN."""
+
+    def observe(self, readings: Readings) -> jax.Array:
+        share = readings["qpos"][:1] / self.horizon
+        return jnp.where(self.terminated(readings), jnp.nan, share)
+
+
+@pytest.mark.parametrize(("env", "lost"), [(HiddenEnd(), 0), (LostEnd(), 1)])
+def test_paths_stay_where_their_episodes_end(env: HiddenEnd, lost: int) -> None:
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
     state = meta.init(jax.random.key(0), Problem(env.observation_size, env.action_size, 10))
     collect = Collector(make_world(env, SHORT_LIVES), 1)
-    return explored(meta.fast_learner(state), collect, 4)[0][..., 0]
-
-
-def test_paths_stay_where_their_episodes_end() -> None:
-    env = HiddenEnd()
-    # The probe shows the share of the horizon that is over, and NaN when its lifetime is.
-    lived = np.minimum(np.ceil(SHORT_LIVES.tasks), env.horizon)
-    expected = np.minimum(np.arange(env.horizon + 1), lived[:, None]) / env.horizon
-    assert (lived < env.horizon).any()
-    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
-
-
-def test_paths_stay_before_a_state_that_blew_up() -> None:
-    class LostEnd(HiddenEnd):
-        def observe(self, readings: Readings) -> jax.Array:
-            share = readings["qpos"][:1] / self.horizon
-            return jnp.where(self.terminated(readings), jnp.nan, share)
-
-    env = LostEnd()
-    # What is seen of the state that ends an episode is NaN: the one before it is the last place.
-    last = np.minimum(np.ceil(SHORT_LIVES.tasks) - 1, env.horizon)
+    paths, _ = explored(meta.fast_learner(state), collect, 4)
+    # The probe shows the share of the horizon that is over. A state that blew up is no place.
+    last = np.minimum(np.ceil(SHORT_LIVES.tasks) - lost, env.horizon)
     expected = np.minimum(np.arange(env.horizon + 1), last[:, None]) / env.horizon
     assert (last < env.horizon).any()
-    np.testing.assert_allclose(lives_explored(env), expected, rtol=1e-6)
+    np.testing.assert_allclose(paths[..., 0], expected, rtol=1e-6)
 
 
 def test_an_agent_that_its_updates_have_led_astray() -> None:

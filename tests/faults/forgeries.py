@@ -180,20 +180,7 @@ def _csv(stream: random.Random, content: bytes, _: Path) -> bytes:
     rows = [line.split(",") for line in content.decode().splitlines()]
     row = stream.choice(rows)
     column = stream.randrange(len(row))
-    odd = [
-        "",
-        "nan",
-        "inf",
-        "1e400",
-        "-1",
-        "x" * 200_000,
-        '"',
-        "\0",
-        "1e300",
-        "9" * 5000,
-        "é",
-        "\ufeff",
-    ]
+    odd = ["", "nan", "inf", "1e400", "-1", "x" * 200_000, '"', "\0", "1e300", "9" * 5000, "\ufeff"]
     row[column] = stream.choice(odd)
     stream.choice([lambda: None, row.pop, lambda: rows.append(row), rows.pop])()
     return "\n".join(map(",".join, rows)).encode()

@@ -62,25 +62,6 @@ def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
     assert backtracks >= 0
 
 
-def test_the_chain_is_played_by_every_method_and_tabulated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    chain = load_script("benchmarks/vime_chain.py")
-    settings = chain.Settings(seeds=1, tasks=2, updates=1, episodes_per_task=2, out=tmp_path)
-    chain.main(settings)
-    printed = capsys.readouterr().out
-    for name in chain.METHODS:
-        assert re.search(
-            rf"^{name} +found the reward in \d of 2 runs, in \d of them within 20 updates, "
-            r"in \d of 1 seeds",
-            printed,
-            re.M,
-        )
-    rows = (tmp_path / "table.csv").read_text().splitlines()
-    assert [row.split(",")[:3] for row in rows[1:]] == [[name, "0", "2"] for name in chain.METHODS]
-
-
 def test_random_bonuses_are_the_control_of_curiosity(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

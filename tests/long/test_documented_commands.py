@@ -9,20 +9,14 @@ import re
 from pathlib import Path
 
 import pytest
+from guides import ADAPTED, FEW, SMALL
 from pages import ROOT, blocks_of, commands_of
 
 from maesn import cli
 
-_FEW = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
-_RL2 = [*_FEW[:4], *(f"--{part}.descent.minibatches=1" for part in ("policy-step", "value"))]
+_RL2 = [*FEW[:4], *(f"--{part}.descent.minibatches=1" for part in ("policy-step", "value"))]
 _POINT = ["--family", "point", "--iterations", "1"]
-_ADAPT = ["--num-tasks", "2", "--episodes", "4", "--episodes-per-update", "4"]
-SMALL = {
-    "train": [*_FEW, "--iterations", "1"],
-    "adapt": _ADAPT,
-    "compare": _ADAPT,
-    "render": ["--after", "0", "--shown", "1", "--episodes", "2", "--episodes-per-update", "2"],
-}
+_TASKS = ["--num-tasks", "2"]
 FOLLOWED = [
     "tutorials/shipped_policy",
     "tutorials/point",
@@ -40,7 +34,7 @@ def small(words: list[str], iterations: int) -> list[str]:
         return [*words, "--iterations", str(iterations)]
     if words[0] == "train" and "--tasks" in words:
         return [*words, *SMALL["train"], "--family", "point"]
-    return [*words, *SMALL.get(words[0], [])]
+    return [*words, *SMALL.get(words[0], []), *(_TASKS if words[0] == "adapt" else [])]
 
 
 def make_runs(words: list[str]) -> None:
@@ -50,7 +44,7 @@ def make_runs(words: list[str]) -> None:
         if named and option not in ("--run", "--family") and not Path(word).exists():
             method = named[1] if named[1] in ("rl2", "maml", "oracle") else "maesn"
             seed = "1" if word.endswith("-1") else "0"
-            few = _RL2 if method == "rl2" else _FEW
+            few = _RL2 if method == "rl2" else FEW
             assert cli.run(["train", method, *few, *_POINT, "--seed", seed, "--run", word]) == 0
 
 
@@ -74,5 +68,5 @@ def test_commands_do_what_they_say(
     for count, words in enumerate(commands):
         make_runs(words)
         if words[0] == "report":  # it would play what is missing with the usual numbers
-            assert cli.run(["adapt", words[1], *_ADAPT[2:]]) == 0
+            assert cli.run(["adapt", words[1], *ADAPTED]) == 0
         assert cli.run(small(words, iterations=count + 2)) == 0, words

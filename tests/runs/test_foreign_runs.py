@@ -4,17 +4,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from pictures import can_draw, drawn
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
 from strangers import HORIZON, draw_walks, make_fragile, make_walker
 
-from maesn.api import adapt, report
+from maesn.api import adapt, export, report
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
+from maesn.evaluation import exploration
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.film import render
 from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.run import Run
 from maesn.runs.training import train
+from maesn.runtime import Explorer
 from maesn.storage import RunError
 from maesn.worlds import EpisodeError
 
@@ -75,3 +81,30 @@ def test_a_reward_that_is_not_given_cannot_be_read(tmp_path: Path) -> None:
     assert Run.create(directory, reader, given, family=family).learner == reader
     with pytest.raises(RunError, match="reads the sparse one"):
         adapt(directory, reward="dense", episodes=0, episodes_per_update=1, family=family)
+
+
+@pytest.mark.long
+def test_every_verb_works_on_a_foreign_family(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    family = fragile(
+        tmp_path / "health",
+        position=lambda observation: observation[-2:],
+        goal=lambda task: task[:2],
+        max_environments=40,
+    )
+    run = finish(new_run(tmp_path / "run", family), 1)
+    # Twice as many episodes of all tasks as there may be environments: ten tasks at a time.
+    outcome = adapt(run, episodes=4, episodes_per_update=4)
+    assert outcome.curves.mean_return.shape == (100, 2)
+    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
+    names = {path.name for path in report([run.directory], family=family).files}
+    assert {"exploration-test-sparse.png", "curves-test-sparse.png"} <= names
+    few = Evaluation(episodes=2, episodes_per_update=2)
+    pictures = drawn(lambda: render(run, few, after=[0], shown=1)) or []
+    assert all(path.parent == run.directory / "render" for path in pictures)
+    assert len(pictures) == (2 if can_draw() else 0)
+    explorer = Explorer.load(export(run.directory, tmp_path / "policy.npz", family=family), seed=0)
+    explorer.begin_episode()
+    control = explorer.act(np.zeros(10))
+    assert np.all((control >= [-1, 0]) & (control <= [1, 0.5]))

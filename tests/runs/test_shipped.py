@@ -1,6 +1,5 @@
 """The policies that come with the library: all that are there, by their names."""
 
-import dataclasses
 import json
 import re
 from pathlib import Path
@@ -13,15 +12,12 @@ from scripts import load_script
 from small_runs import Drift, create, finish, tiny_settings
 
 from maesn import api, cli
-from maesn.commands.train import read_options
-from maesn.context import LatentContext
 from maesn.envs import find_family
 from maesn.evaluation import exploration, film
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import open_run
-from maesn.learners import AbstractMetaLearner, maesn, recommended
-from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import CategoricalMLP, GaussianMLP
+from maesn.learners import AbstractMetaLearner, maesn
+from maesn.policies import CategoricalMLP
 from maesn.runs.config import RunConfig, RunSettings, new_config
 from maesn.runs.run import Run
 from maesn.runs.sources import TRAINED, find_run, policy_names, working_copy
@@ -153,28 +149,6 @@ def test_a_name_that_is_none_is_told_which_there_are(capsys: pytest.CaptureFixtu
     assert cli.run(["adapt", "weeled"]) == cli.USAGE_ERROR
     error = capsys.readouterr().err
     assert all(name in error for name in POLICIES)
-
-
-CHANGED = maesn(
-    context=LatentContext(kl_weight=0.5),
-    policy=GaussianMLP((32, 16)),
-    trust_region=TrustRegion(damping=1e-2),
-    meta_batch_size=10,
-)
-
-
-@pytest.mark.parametrize(
-    ("learner", "family"), [(CHANGED, "point"), (recommended("maesn", "ant"), "ant")]
-)
-def test_the_command_of_a_run_builds_its_learner_and_settings(
-    learner: AbstractMetaLearner[Any, Any], family: str
-) -> None:
-    config = config_of(learner, family=family, sparse_radius=0.25, seed=3)
-    words = ship.command(config).split()
-    assert words[:3] == ["maesn", "train", "maesn"]
-    options = read_options("maesn", words[3:])
-    assert dataclasses.replace(options.run_settings, method="maesn") == config.settings
-    assert options.learner == config.learner
 
 
 def test_what_no_option_can_name_is_refused() -> None:
