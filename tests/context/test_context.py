@@ -9,6 +9,7 @@ import scipy.stats
 from maesn.context import Bias, BiasContext, Latent, LatentContext, NoContext, Nothing
 
 ROWS = 20_000
+NOISE = jnp.zeros((3, 2))  # of three episodes; no penalty here reads it
 
 
 @pytest.mark.parametrize("kl_weight", [0.0, 0.1, 2.0])
@@ -16,17 +17,17 @@ def test_penalty_of_a_latent_is_its_weighted_divergence_from_the_prior(kl_weight
     mean, std = np.array([0.5, -2.0]), np.array([0.3, 1.5])
     latent = Latent(jnp.asarray(mean, float), jnp.asarray(np.log(std), float))
     expected = kl_weight * 0.5 * np.sum(std**2 + mean**2 - 1 - 2 * np.log(std))
-    actual = LatentContext(kl_weight=kl_weight).penalty(latent)
+    actual = LatentContext(kl_weight=kl_weight).penalty(latent, latent, NOISE)
     np.testing.assert_allclose(actual, expected, rtol=1e-6)
 
 
 def test_the_prior_itself_costs_nothing() -> None:
-    assert LatentContext().penalty(Latent(jnp.zeros(2), jnp.zeros(2))) == 0.0
+    assert LatentContext().penalty(*2 * [Latent(jnp.zeros(2), jnp.zeros(2))], NOISE) == 0.0
 
 
 def test_penalty_is_on_the_latents_alone() -> None:
-    assert NoContext().penalty(Nothing()) == 0.0
-    assert BiasContext(2).penalty(Bias(jnp.full(2, 9.0))) == 0.0
+    assert NoContext().penalty(Nothing(), Nothing(), NOISE) == 0.0
+    assert BiasContext(2).penalty(*2 * [Bias(jnp.full(2, 9.0))], NOISE) == 0.0
 
 
 @pytest.mark.parametrize("spread", [1.0, 0.3])

@@ -70,8 +70,16 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         """Return the part of the inner loss that treats z as the zeroth action: 0 by default."""
         return jnp.zeros(())
 
-    def penalty(self, value: Value) -> Float[Array, ""]:
-        """Return the penalty of one task's pre-update context in the outer loss: 0 by default."""
+    def penalty(
+        self, table: Value, value: Value, noise: Float[Array, "episode noise"]
+    ) -> Float[Array, ""]:
+        """Return the penalty of one task's pre-update context in the outer loss: 0 by default.
+
+        Args:
+            table: what training learns, which may hold more than contexts, such as a prior.
+            value: the context.
+            noise: the recorded noise of each z, for a penalty that is estimated from draws.
+        """
         return jnp.zeros(())
 
 
@@ -210,5 +218,7 @@ class LatentContext(AbstractContextSettings[Latent]):
             return jnp.zeros(())
         return -jnp.mean(value.distribution.log_prob(drawn) * episode_advantage)
 
-    def penalty(self, value: Latent) -> Float[Array, ""]:
+    def penalty(
+        self, table: Latent, value: Latent, noise: Float[Array, "episode noise"]
+    ) -> Float[Array, ""]:
         return self.kl_weight * value.distribution.kl(DiagonalGaussian.standard(value.mean.shape))

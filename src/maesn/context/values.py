@@ -4,9 +4,11 @@ import math
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from maesn.axes import Key
 from maesn.numerics import DiagonalGaussian
 
 # Standard deviation of a latent that is held at its mean: small enough not to matter, and its
@@ -24,7 +26,7 @@ class AbstractContext(eqx.Module):
         """Return z, the policy's constant input during one episode.
 
         Args:
-            noise: the episode's standard normal draw, `noise_size` components.
+            noise: the episode's draw of `noise`, `noise_size` components.
             description: the description of the episode's task, `description_size`
                 components.
         """
@@ -43,6 +45,10 @@ class AbstractContext(eqx.Module):
     def description_size(self) -> int:
         """Number of components of the description that z is made of; 0 except for an oracle."""
         return 0
+
+    def noise(self, key: Key) -> Float[Array, " noise"]:
+        """Draw the noise of the z of one episode: standard normal, by default."""
+        return jax.random.normal(key, (self.noise_size,))
 
     def at_mean(self) -> "AbstractContext":
         """Return a context with z fixed at its mean: this one if z is not random."""

@@ -46,6 +46,8 @@ class Agents(eqx.Module):
     trial_state: TrialState | None = None
     """State from which the trials continue, `[task, episode, ...]`: `Episodes.trial_end` of the
     previous episodes. None starts new trials."""
+    is_noisy: bool = eqx.field(static=True, default=True)
+    """Whether actions are drawn at random. If not, each is the `mode` of its distribution."""
 
     def at_mean(self) -> "Agents":
         """Return the same agents, with every context held at its mean."""

@@ -46,8 +46,11 @@ class Categorical(AbstractDistribution):
         Args:
             noise: g, a standard Gumbel draw.
         """
-        choice = jnp.argmax(self.logits + noise, axis=-1)
-        return jax.nn.one_hot(choice, self.logits.shape[-1], dtype=self.logits.dtype)
+        return _one_hot_maximum(self.logits + noise)
+
+    def mode(self) -> Float[Array, "*batch choice"]:
+        """The most probable choice, as a one-hot vector."""
+        return _one_hot_maximum(self.logits)
 
     def log_prob(self, value: Float[Array, "*batch choice"]) -> Float[Array, "*batch"]:
         """Log-probability Σ_k x_k log p_k of a one-hot event x, in nats."""
@@ -86,3 +89,7 @@ class Categorical(AbstractDistribution):
         """
         mean = jnp.sum(self.probabilities * tangent.logits, axis=-1, keepdims=True)
         return Categorical(self.probabilities * (tangent.logits - mean))
+
+
+def _one_hot_maximum(scores: Float[Array, "*batch choice"]) -> Float[Array, "*batch choice"]:
+    return jax.nn.one_hot(jnp.argmax(scores, axis=-1), scores.shape[-1], dtype=scores.dtype)

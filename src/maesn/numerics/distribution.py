@@ -31,6 +31,10 @@ class AbstractDistribution(eqx.Module):
         """The event for a given noise."""
 
     @abstractmethod
+    def mode(self) -> Shaped[Array, "*sample"]:
+        """The event without noise: a mean, a squashed mean, or the most probable choice."""
+
+    @abstractmethod
     def log_prob(self, value: Shaped[Array, "*event"]) -> Float[Array, "*batch"]:
         """Log-density log p(x) of the events `value`, in nats."""
 

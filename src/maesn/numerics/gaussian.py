@@ -59,6 +59,10 @@ class DiagonalGaussian(AbstractDistribution):
         mean, log_std, noise = _broadcast(self.mean, self.log_std, noise)
         return mean + jnp.exp(log_std) * noise
 
+    def mode(self) -> Float[Array, "*batch dim"]:
+        """The mean μ."""
+        return self.mean
+
     def log_prob(self, value: Float[Array, "*value dim"]) -> Float[Array, "*batch"]:
         """Log-density of an event, in nats.
 

@@ -9,7 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
+
+_USUAL_DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
+    "continuous": DiagonalGaussian,
+    "discrete": Categorical,
+}
 
 
 class PolicyInput(NamedTuple):
@@ -43,14 +48,36 @@ class AbstractPolicy(eqx.Module):
     def action_kind(self) -> ActionKind:
         """Whether actions are vectors of real numbers, or choices (one-hot vectors).
 
-        This decides the distribution that a policy returns: `DiagonalGaussian`, or `Categorical`.
+        The collector refuses a policy of another kind than that of its environment.
         """
         return "continuous"
+
+    @property
+    def distribution(self) -> type[AbstractDistribution]:
+        """The type of distribution that the policy returns.
+
+        It is known before the policy is called, because the noise of all actions is drawn first.
+        """
+        return _USUAL_DISTRIBUTIONS[self.action_kind]
 
     @property
     def observed_reward(self) -> ObservedReward:
         """The kind of reward that the policy receives as the previous one."""
         return "own"
+
+    def after_episode(
+        self, policy_input: PolicyInput, recurrent_state: RecurrentState
+    ) -> RecurrentState:
+        """Return the state that the next episode of the trial starts from: the same, by default.
+
+        A policy that infers its task learns here what its last action led to.
+
+        Args:
+            policy_input: the observation after the last step, the last action and its reward. Where
+                physics blew up in that step, the observation is not finite.
+            recurrent_state: the state after the last step.
+        """
+        return recurrent_state
 
     def unroll(
         self,

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from maesn.axes import (
-    ActionKind,
     HostReadings,
     Key,
     Readings,
@@ -23,7 +22,6 @@ from maesn.envs.base import AnyEnv
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
-from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 from maesn.policies import PolicyInput
 from maesn.worlds import (
     AbstractWorld,
@@ -37,13 +35,6 @@ from maesn.worlds import (
 from maesn.worlds.budget import check_memory
 from maesn.worlds.contract import check_policy
 from maesn.worlds.outcome import ends, judge, observe, terminates
-
-# The distribution that a policy returns for each kind of actions. It must be known before the
-# policy is called, because the noise of all actions is drawn first.
-_DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
-    "continuous": DiagonalGaussian,
-    "discrete": Categorical,
-}
 
 
 @lru_cache(maxsize=64)
@@ -163,14 +154,14 @@ class _Batch(NamedTuple):
     def begin(self, keys: TaskKeys, agents: Agents, tasks: Any) -> tuple[Actors, Any]:
         """Draw z, the initial state, and the noise of the actions of every episode."""
         env, episodes = self.env, jnp.arange(self.episodes_per_task)
-        distribution = _DISTRIBUTIONS[env.action_kind]
+        distribution = agents.policy.distribution
 
         def begin_episode(agent: Agent, key: Key, task: Any, episode: Array) -> Any:
             context_key, start_key, action_key = jax.random.split(
                 jax.random.fold_in(key, episode), 3
             )
             context = agent.context
-            noise = jax.random.normal(context_key, (context.noise_size,))
+            noise = context.noise(context_key)
             # For an oracle alone: the episodes of other learners must not contain their task.
             description = env.describe(task) if context.description_size else jnp.zeros(0)
             action_noise = distribution.noise(action_key, (env.horizon, env.action_size))
@@ -198,7 +189,7 @@ class _Batch(NamedTuple):
         readings, previous = jax.tree.map(
             lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
         )
-        start = moment.step == 0
+        start, is_noisy = moment.step == 0, actors.agents.is_noisy
 
         def decide_one(
             agent: Agent, task: Any, z: Array, noise: Array, trial: TrialState, now: Readings,
@@ -214,11 +205,11 @@ class _Batch(NamedTuple):
                 episode_start=start,
             )
             distribution, after = agent.policy(agent.perceive(policy_input), z, state)
-            action = distribution.sample_from_noise(noise)
+            drawn = distribution.sample_from_noise(noise) if is_noisy else distribution.mode()
             # Observations after the end may be NaN, so they must not enter the recurrent state.
             ended = ended | ends(env, now)
             state = jax.tree.map(lambda old, new: jnp.where(ended, old, new), state, after)
-            return env.control(action), action, distribution, state, ended
+            return env.control(drawn), drawn, distribution, state, ended
 
         per_task = jax.vmap(decide_one, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0, 0))
         control, *others = actors.agents.map(
@@ -244,7 +235,11 @@ class _Batch(NamedTuple):
         )(readings, action, actors.tasks)
         terminated = jax.vmap(jax.vmap(partial(terminates, self.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
-        after = jax.vmap(jax.vmap(TrialState.after))
+        trial_end = actors.agents.map(
+            jax.vmap(_end_of_trial_so_far, in_axes=(None, 0, 0, 0, 0, 0, 0)),
+            actors.trial_state, trajectory.recurrent_state, observation, action, observed_reward,
+            valid, how="vmap",
+        )  # fmt: skip
         episodes = Episodes(
             observation=observation,
             action=action,
@@ -258,9 +253,7 @@ class _Batch(NamedTuple):
             description=actors.description,
             z=actors.z,
             behaviour=behaviour,
-            trial_end=after(
-                actors.trial_state, trajectory.recurrent_state, action, observed_reward, valid
-            ),
+            trial_end=trial_end,
             trial_start=actors.trial_state,
             observed_reward=observed_reward,
         )
@@ -270,6 +263,17 @@ class _Batch(NamedTuple):
             jnp.isfinite(reward.total) | ~valid,
         )
         return episodes, finite
+
+
+def _end_of_trial_so_far(
+    agent: Agent, start: TrialState, recurrent_state: RecurrentState, observation: Array,
+    action: Array, observed_reward: Array, valid: Array,
+) -> TrialState:  # fmt: skip
+    """Return the state of a trial after one episode, which began with `start`."""
+    end = start.after(recurrent_state, action, observed_reward, valid)
+    last = PolicyInput(observation[valid.sum()], end.action, end.reward, jnp.zeros((), bool))
+    after = agent.policy.after_episode(agent.perceive(last), recurrent_state)
+    return replace(end, recurrent_state=after)
 
 
 class _Finite(NamedTuple):

@@ -3,6 +3,7 @@
 Arguments and results have a row for each task slot of this process.
 """
 
+from dataclasses import replace
 from typing import Any
 
 from maesn.context import AbstractContextSettings
@@ -32,7 +33,7 @@ def adapt(
     agents_shared, agents_rows = agents.parts()
     shared = adaptation, context, sizes, agents_shared
     _, adapted_rows = over_tasks(_adapt, shared, (agents_rows, episodes, advantages))
-    return Agents.of_parts(agents_shared, adapted_rows)
+    return replace(Agents.of_parts(agents_shared, adapted_rows), is_noisy=agents.is_noisy)
 
 
 # `over_tasks` runs these. All that they return has a row per task, so their shared result is None.

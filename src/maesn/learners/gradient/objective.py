@@ -140,10 +140,13 @@ class MetaObjective(eqx.Module):
 
     def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
         """Return the penalty of every task's pre-update context."""
-        context = self.context.start(parameters.context_table, self.index)
-        # The index tells `vmap` the number of tasks: `NoContext` has no array with a task axis.
+        table = parameters.context_table
+        played = self.pre[0][0] if self.pre else self.post
         penalties: Array = map_tasks(
-            lambda one, _: self.context.penalty(one), context, self.index, how="vmap"
+            lambda one, noise: self.context.penalty(table, one, noise),
+            self.context.start(table, self.index),
+            played.noise,
+            how="vmap",
         )
         return penalties
 
