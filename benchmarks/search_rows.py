@@ -22,7 +22,7 @@ from maesn.runs.run import Run
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import ReturnModel, ReturnPrior, matern
 from maesn.runtime.search import SearchSettings
-from maesn.search import PriorSettings, latent_learner, play_archive
+from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file, read_prior, run_prior
 from maesn.worlds.collector import Collector
@@ -185,7 +185,7 @@ def archive_returns(run: Run, tasks: str, out: Path) -> tuple[ReturnPrior, np.nd
         prior, _ = read_prior(prior_file(run, world))
         path = out / f"{run.directory.name}-archive.npz"
         if not path.exists():
-            learner = latent_learner(run.learner.fast_learner(run.latest_state()))
+            learner = latent_of(run.learner.fast_learner(run.latest_state()))
             settings = PriorSettings(episodes=ARCHIVE_EPISODES, seed=1)
             returns, length = play_archive(learner, world, prior.latents, settings)
             np.savez_compressed(path, returns=np.float32(returns), length=np.float32(length))

@@ -87,5 +87,5 @@ class Reptile(maesn.AbstractMetaLearner[ReptileState, ReptileInfo]):
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.inner_updates * self.meta_batch_size * episodes_per_task
 
-    def for_actions(self, kind: maesn.ActionKind) -> "Reptile":
+    def for_actions(self, kind: str) -> "Reptile":
         return replace(self, policy=self.policy.for_actions(kind))

@@ -6,7 +6,6 @@ from maesn.api import prior as prior
 from maesn.api import report as report
 from maesn.api import resume as resume
 from maesn.api import train as train
-from maesn.axes import ActionKind as ActionKind
 from maesn.context import AbstractContext as AbstractContext
 from maesn.context import AbstractContextSettings as AbstractContextSettings
 from maesn.context import BiasContext as BiasContext

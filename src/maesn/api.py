@@ -144,6 +144,7 @@ def prior(
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
     family: arguments.AnyFamily = None,
+    method: arguments.AnyMethod = None,
 ) -> Path:
     """Play an archive of latents in the training tasks: the prior of the rule `search`.
 
@@ -156,12 +157,13 @@ def prior(
         reward: Reward of the new tasks.
         sparse_radius: Of the new tasks, in metres; None: the run's own.
         family: The run's family as `module:name`, if it is your own.
+        method: The run's method as `module:name`, if it is your own.
 
     Raises:
         RunError: the run has no latent, or a setting cannot be used.
         EpisodeError: an episode went wrong.
     """
-    opened = running.open_run(run, family)
+    opened = running.open_run(run, family, method)
     with played_live() as progress:
         return run_prior(
             opened, settings, reward=reward, sparse_radius=sparse_radius, progress=progress
@@ -172,6 +174,7 @@ def export(
     run: Positional[arguments.AnyRun],
     path: Positional[arguments.AnyPath],
     family: arguments.AnyFamily = None,
+    method: arguments.AnyMethod = None,
     *,
     latents: arguments.OptionalPath = None,
     task: int | None = None,
@@ -187,6 +190,7 @@ def export(
         run: Directory of the run, or the name of a policy that comes with the library.
         path: File to write, `.npz`.
         family: The run's family as `module:name`, if it is your own.
+        method: The run's method as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
@@ -200,7 +204,7 @@ def export(
         raise RunError(
             f"`{path}` exists and would be replaced: give another path, or `--overwrite`."
         )
-    opened = Run.open(run, family=family)
+    opened = Run.open(run, family, method)
     checkpoint = opened.latest()
     about: dict[str, Any] = {"method": opened.settings.method, "iteration": checkpoint.iteration}
     start = search = None
@@ -239,6 +243,7 @@ def report(
     of: Positional[Sequence[arguments.AnyRun]],
     out: arguments.OptionalPath = None,
     family: arguments.AnyFamily = None,
+    method: arguments.AnyMethod = None,
 ) -> Reported:
     """Draw the figures of one or several runs, or figures and tables of a study.
 
@@ -256,6 +261,7 @@ def report(
             study go into its directory. A name that ends in `.html` is that of the page, beside
             which the figures of runs go.
         family: The runs' family as `module:name`, if it is your own.
+        method: The runs' method as `module:name`, if it is your own.
 
     Raises:
         RunError: no run is named, or one cannot be used.
@@ -275,7 +281,7 @@ def report(
             tables += report_study(path, files.append)
             files += write_page(page or path / PAGE, study_page(path))
         return Reported(files, tables)
-    opened = [running.open_run(run, family) for run in of]
+    opened = [running.open_run(run, family, method) for run in of]
     for run in opened:
         if not running.adaptation_file(run.directory, USUAL).exists():
             adapt(run)

@@ -35,10 +35,6 @@ def rules(folder: Path) -> ModuleType:
     return importlib.import_module("my_rules")
 
 
-def test_the_rule_has_at_most_forty_lines() -> None:
-    assert len(GUIDE.files[0].splitlines()) <= 40
-
-
 def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path: Path) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings())
     trained = maesn.Trained(run.learner, run.latest_state())

@@ -30,7 +30,6 @@ from maesn.rules import (
     ThenTrpo,
     Trained,
     VimeBonus,
-    default_rule,
     from_text,
     written_out,
 )
@@ -112,7 +111,7 @@ def test_settings_that_differ_have_files_that_differ() -> None:
     ("name", "rule", "reason"),
     [
         ("rl2", "gradient", "needs a method that follows a gradient in new tasks"),
-        ("oracle", "gradient", "needs a method that changes something in a new task"),
+        ("oracle", "gradient", "follows a gradient"),
         ("maesn", "memory", "needs a policy that remembers earlier episodes"),
     ],
 )
@@ -124,9 +123,11 @@ def test_a_rule_that_does_not_fit_the_method_is_refused(
         api.adapt(run, tasks=few, rule=from_text("rule", rule))
 
 
-def test_each_method_has_a_rule_of_its_own(trained: Path) -> None:
-    run = Run.open(trained)
-    assert default_rule(Trained(run.learner, run.latest_state())) == GradientRule()
+def test_the_rule_gradient_is_what_the_method_does_by_itself(trained: Path, few: str) -> None:
+    own, named = (
+        api.adapt(trained, tasks=few, rule=rule, **FEW) for rule in (None, GradientRule())
+    )
+    np.testing.assert_array_equal(own.curves.mean_return, named.curves.mean_return)
 
 
 def test_without_adaptation_the_agents_stay(trained: Path, few: str) -> None:

@@ -28,7 +28,6 @@ from maesn.learners import (
     GradientFastLearner,
     Problem,
     Purpose,
-    inside,
     latent_space,
     maesn,
     method_name,
@@ -190,9 +189,9 @@ def test_a_bonus_is_not_added_twice_nor_lost_by_fine_tuning() -> None:
         BonusFastLearner(vime, SMALL, 2, 2)
     with pytest.raises(ValueError, match="`learner` must not have a bonus already"):
         BonusMetaLearner(METHODS["maesn+curiosity"]())
-    with pytest.raises(ValueError, match=r"`learner` must not have a bonus, .* `learners.inside`"):
+    with pytest.raises(ValueError, match=r"`learner` must not have a bonus, .* `inside`"):
         FineTuning(vime, IMPROVEMENTS["trpo"])
-    tuned = inside(vime, lambda one: FineTuning(one, IMPROVEMENTS["trpo"]))
+    tuned = vime.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"]))
     assert isinstance(tuned, BonusFastLearner)
     assert tuned.capabilities.has_bonus
     assert tuned.learner == FineTuning(vime.learner, IMPROVEMENTS["trpo"])
@@ -205,7 +204,7 @@ def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
     state = learner.init(jax.random.key(0), Problem(2, 2, 5))
     knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
     fast = learner.fast_learner(replace(state, curiosity=knows))
-    wrapped = inside(fast, lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    wrapped = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
     assert wrapped.learner.learner is fast.learner
 
     def moves(tuned: AbstractFastLearner) -> bool:

@@ -9,7 +9,7 @@ import tyro
 from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.arguments import AnyRule, AnyWrappers
 from maesn.learners import AbstractFastLearner
-from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, default_rule, written_out
+from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, written_out
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
@@ -132,7 +132,8 @@ class Evaluation:
         """Return what learns in new tasks; `RunError` if `method`, rule and budgets do not fit."""
         budget = self.budget
         try:
-            learner = (self.rule or default_rule(trained)).fast_learner(trained, env)
+            own = trained.fast_learner()
+            learner = own if self.rule is None else self.rule.fast_learner(trained, env)
             for wrapper in self.wrappers:
                 learner = wrapper.wrap(learner, env)
             if budget.episodes:

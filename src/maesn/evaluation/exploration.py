@@ -18,7 +18,6 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner
 from maesn.reporting.runs import (
     LATENT_PATHS,
     RECORDED_TASKS,
@@ -30,7 +29,6 @@ from maesn.reporting.runs import (
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
-from maesn.search.archive import holding
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file
 from maesn.storage import RunError, write_arrays
@@ -113,17 +111,17 @@ def record_exploration(run: Run, path: Path) -> None:
 
 def record_explorer(run: Run) -> None:
     """Record paths of latents, if a run has any, and searches, if it has a prior over returns."""
-    learner = run.learner.fast_learner(run.latest_state())
-    if not (isinstance(learner, GradientFastLearner) and isinstance(learner.context_table, Latent)):
+    latent = run.learner.fast_learner(run.latest_state()).latent
+    if latent is None:
         return
-    latents = spread_latents(learner.context_table.size)
+    latents = spread_latents(latent.size)
     keys, paths = jax.random.split(jax.random.key(0), len(latents)), []
     with closing(run.world(run.task_set(RECORDED_TASKS), reward_kind="sparse")) as world:
         collect = Collector(world, 1)
         for part in collect.parts(len(latents)):
             # One episode of each latent, all in the first task.
             slots = jnp.zeros(len(keys[part]), int)
-            played = collect(keys[part], holding(learner, latents[part]), slots)
+            played = collect(keys[part], latent.holding(latents[part]), slots)
             paths.append(_thinned(world.env, played)[:, 0])
         has_prior = prior_file(run, world).exists()
     recorded = LatentPaths(latents, np.concatenate(paths))

@@ -16,7 +16,7 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
-from maesn.evaluation.arguments import AnyFamily, AnyRun, OptionalPath
+from maesn.evaluation.arguments import AnyFamily, AnyMethod, AnyRun, OptionalPath
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation, Evaluation
 from maesn.evaluation.running import adaptation_file, new_tasks, open_run
@@ -59,6 +59,7 @@ def render(
     shown: int = 4,
     out: OptionalPath = None,
     family: AnyFamily = None,
+    method: AnyMethod = None,
 ) -> list[Path]:
     """Film how a trained policy explores a new task, and what it does after adapting to it.
 
@@ -76,12 +77,13 @@ def render(
         shown: Episodes that are shown each time: the first ones that are played from then on.
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.
+        method: The run's method as `module:name`, if it is your own.
 
     Raises:
         RunError: an argument or the run cannot be used.
         RenderingError: the system has no library to draw with.
     """
-    run, asked = open_run(run, family), evaluation
+    run, asked = open_run(run, family, method), evaluation
     each = asked.budget.per_update
     after = sorted(set(after or (0, asked.budget.episodes // each // 2 * each)))
     with refusals():

@@ -17,6 +17,7 @@ from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
 from maesn.learners.presets import BONUS_SUFFIX as BONUS_SUFFIX
 from maesn.learners.presets import METHODS as METHODS
 from maesn.learners.presets import PRESETS as PRESETS
+from maesn.learners.presets import fine_tuned as fine_tuned
 from maesn.learners.presets import latent_space as latent_space
 from maesn.learners.presets import maesn as maesn
 from maesn.learners.presets import maesn_theta as maesn_theta
@@ -27,6 +28,7 @@ from maesn.learners.presets import method_name as method_name
 from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
+from maesn.learners.presets import with_curiosity as with_curiosity
 from maesn.learners.recommended import RECOMMENDED as RECOMMENDED
 from maesn.learners.recommended import RECOMMENDED_RUNS as RECOMMENDED_RUNS
 from maesn.learners.recommended import recommended as recommended
@@ -49,7 +51,7 @@ from maesn.learners.scratch.policy_gradient import reinforce as reinforce
 from maesn.learners.scratch.policy_gradient import trpo as trpo
 from maesn.learners.scratch.policy_gradient import vime as vime
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
-from maesn.learners.wrappers.bonus import inside as inside
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
+from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
 from maesn.learners.wrappers.meta_bonus import BonusMetaLearner as BonusMetaLearner

@@ -103,12 +103,15 @@ class AbstractSettableLatent(eqx.Module):
         """Return one agent per row, whose z is that row in every episode."""
 
     @abstractmethod
-    def of_tasks(self, collect: Collect, key: Key) -> Float[np.ndarray, "row z"]:
-        """Return one latent for each training task, found with the episodes of one batch.
+    def of_tasks(
+        self, collect: Collect, keys: TaskKeys, task_index: Int[Array, " task"]
+    ) -> Float[np.ndarray, "task z"]:
+        """Return one latent for each of some training tasks, found with one batch of episodes.
 
         Args:
-            collect: plays the training tasks.
-            key: random key of the episodes.
+            collect: plays the training tasks, on the reward of training.
+            keys: one random key per task.
+            task_index: the tasks.
         """
 
 

@@ -9,10 +9,14 @@ from typing import Any
 
 from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
+from maesn.learners.scratch.policy_gradient import PolicyImprovement
+from maesn.learners.wrappers.bonus import BonusFastLearner
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.learners.wrappers.fine_tuning import FineTuning
 from maesn.learners.wrappers.meta_bonus import BonusMetaLearner
 from maesn.numerics.trust_region import TrustRegion
 
@@ -153,6 +157,24 @@ def rl2(**settings: Any) -> RecurrentMetaLearner:
 def rl2_trpo(**settings: Any) -> RecurrentMetaLearner:
     """RL2 with the step of its paper, TRPO, instead of PPO (Duan et al. 2016)."""
     return RecurrentMetaLearner(**{"policy_step": TrustRegionStep(), **settings})
+
+
+def fine_tuned(
+    learner: AbstractFastLearner[Any], improvement: PolicyImprovement, after: int
+) -> AbstractFastLearner[Any]:
+    """Return a learner whose policy's weights follow `improvement` after so many episodes."""
+    # Inside of a bonus, so that the weights learn from the bonus as well.
+    return learner.inside(lambda one: FineTuning(one, improvement, after))
+
+
+def with_curiosity(
+    learner: AbstractFastLearner[Any],
+    curiosity: CuriosityBonus,
+    observation_size: int,
+    action_size: int,
+) -> AbstractFastLearner[Any]:
+    """Return a learner that also gets a bonus for what it finds out, as in VIME."""
+    return BonusFastLearner(learner, curiosity, observation_size, action_size)
 
 
 PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {

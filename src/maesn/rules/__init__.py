@@ -9,7 +9,6 @@ from maesn.rules.prescribed import FixedAgents as FixedAgents
 from maesn.rules.prescribed import GradientRule as GradientRule
 from maesn.rules.prescribed import MemoryRule as MemoryRule
 from maesn.rules.prescribed import NoAdaptation as NoAdaptation
-from maesn.rules.prescribed import default_rule as default_rule
 from maesn.rules.search import SearchRule as SearchRule
 from maesn.rules.strategies import BestOfRule as BestOfRule
 from maesn.rules.strategies import CmaEsRule as CmaEsRule

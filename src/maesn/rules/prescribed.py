@@ -4,11 +4,10 @@ from dataclasses import replace
 from typing import Any
 
 from maesn.axes import TaskKeys
-from maesn.context import Latent
 from maesn.envs import AnyEnv
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Capabilities, GradientFastLearner, Purpose, inside
+from maesn.learners import AbstractFastLearner, Capabilities, Purpose
 from maesn.rules.base import AbstractRule, Trained
 from maesn.settings import check_number, check_positive
 
@@ -41,31 +40,21 @@ class GradientRule(AbstractRule):
         return "; ".join(text for text, is_so in parts.items() if is_so)
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        return inside(trained.fast_learner(), self._with_schedule)
+        return trained.fast_learner().inside(self._with_schedule)
 
-    def _with_schedule(self, learner: AbstractFastLearner[Any]) -> GradientFastLearner:
-        if not isinstance(learner, GradientFastLearner):
+    def _with_schedule(self, learner: AbstractFastLearner[Any]) -> AbstractFastLearner[Any]:
+        schedule = learner.step_schedule
+        if schedule is None:
             raise ValueError(
-                f"the rule `gradient` needs a method that follows a gradient in new tasks, but "
-                f"this one has a `{type(learner).__name__}`: leave the rule out."
+                "the rule `gradient` needs a method that follows a gradient in new tasks, but "
+                f"this one has a `{type(learner).__name__}` that does not: leave the rule out."
             )
-        if not learner.capabilities.learns_from_reward:
-            raise ValueError(
-                "the rule `gradient` needs a method that changes something in a new task, but this "
-                "one does not: leave the rule out."
-            )
-        if self.start_std != 1 and not isinstance(learner.context_table, Latent):
-            raise ValueError(
-                "`start_std` needs a method with a latent, as `maesn`, `maesn_theta` or "
-                "`latent_space`: leave it out."
-            )
-        schedule = learner.schedule
-        schedule = replace(
+        changed = replace(
             schedule,
             scale=schedule.scale * self.step_scale,
             full_steps=schedule.full_steps if self.full_steps is None else self.full_steps,
         )
-        return replace(learner, schedule=schedule, start_std=self.start_std)
+        return learner.rescheduled(changed, self.start_std)
 
 
 class MemoryRule(AbstractRule):
@@ -115,11 +104,3 @@ class FixedAgents(AbstractFastLearner[Any]):
     def update(self, state: Any, episodes: Episodes) -> Any:
         """Learn nothing."""
         return state
-
-
-def default_rule(trained: Trained) -> AbstractRule:
-    """Return the rule that the method itself prescribes."""
-    capabilities = trained.fast_learner().capabilities
-    if capabilities.trial_episodes is not None:
-        return MemoryRule()
-    return GradientRule() if capabilities.learns_from_reward else NoAdaptation()

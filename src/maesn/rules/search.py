@@ -7,7 +7,7 @@ from maesn.envs import AnyEnv
 from maesn.learners import AbstractFastLearner
 from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.runtime.search import AcquisitionName, SearchSettings
-from maesn.search import SearchFastLearner, latent_learner
+from maesn.search import SearchFastLearner, latent_of
 
 _USUAL = SearchSettings()
 
@@ -59,10 +59,10 @@ class SearchRule(AbstractRule):
         return "search"
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        learner = latent_learner(trained.fast_learner())
+        latent = latent_of(trained.fast_learner())
         if trained.return_prior is None:
             raise ValueError("a search needs a prior over returns, which is made of a run.")
         prior = trained.return_prior(self.prior, self.any_reward)
         settings = self.settings
         model = settings.model(prior)
-        return SearchFastLearner(learner.policy, learner.statistics, model, settings)
+        return SearchFastLearner(latent, model, settings)

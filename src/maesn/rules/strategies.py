@@ -10,7 +10,7 @@ from maesn.envs import AnyEnv
 from maesn.learners import AbstractFastLearner
 from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.runtime.arrays import FloatArray
-from maesn.search import StrategyFastLearner, latent_learner
+from maesn.search import StrategyFastLearner, latent_of
 from maesn.search.strategies import AbstractStrategy, BestOf, CmaEs, CrossEntropy
 from maesn.settings import check_number, check_positive
 
@@ -112,6 +112,5 @@ def _strategy_learner(
     trained: Trained, start: Callable[[FloatArray], AbstractStrategy]
 ) -> AbstractFastLearner[Any]:
     """Return the learner whose strategy is `start(latent of zeros)`."""
-    learner = latent_learner(trained.fast_learner())
-    zero = np.zeros(learner.context_table.size)
-    return StrategyFastLearner(learner.policy, learner.statistics, start(zero))
+    latent = latent_of(trained.fast_learner())
+    return StrategyFastLearner(latent, start(np.zeros(latent.size)))

@@ -7,15 +7,15 @@ import equinox as eqx
 
 from maesn.envs import AnyEnv
 from maesn.learners import (
+    LEAST_BATCH,
+    TRPO,
     AbstractFastLearner,
-    BonusFastLearner,
-    FineTuning,
+    CuriosityBonus,
     GradientStep,
     PolicyImprovement,
-    inside,
+    fine_tuned,
+    with_curiosity,
 )
-from maesn.learners.scratch.policy_gradient import TRPO
-from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.rules.base import AbstractWrapper
 from maesn.settings import check_number
 
@@ -38,7 +38,7 @@ class AbstractThen(AbstractWrapper):
         check_number("after", self.after, 0)
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        least = FineTuning.least_batch
+        least = LEAST_BATCH
         if self.after + least > episodes:
             raise ValueError(
                 f"`episodes` must be at least {least} more than `after`, got {episodes} and "
@@ -51,8 +51,7 @@ class AbstractThen(AbstractWrapper):
             )
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        # Inside of a bonus, so that the weights learn from the bonus as well.
-        return inside(learner, lambda one: FineTuning(one, self.improvement, self.after))
+        return fine_tuned(learner, self.improvement, self.after)
 
 
 class ThenTrpo(AbstractThen):
@@ -100,4 +99,4 @@ class VimeBonus(AbstractWrapper):
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         if learner.capabilities.has_bonus:
             raise ValueError("it has a curiosity bonus already: leave `bonus` out.")
-        return BonusFastLearner(learner, self.curiosity, env.observation_size, env.action_size)
+        return with_curiosity(learner, self.curiosity, env.observation_size, env.action_size)

@@ -4,17 +4,14 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from maesn._version import __version__
-from maesn.context import Latent, LatentContext
+from maesn.context import Latent
 from maesn.envs.base import AnyEnv
-from maesn.learners import AbstractFastLearner, GradientFastLearner
-from maesn.policies import GaussianMLPPolicy
-from maesn.policies.heads import MINIMUM_STD
-from maesn.runtime import Actuators, ExportedPolicy, GaussianPolicy, LearningRule, Safeguards
+from maesn.learners import AbstractFastLearner
+from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.return_model import ReturnPrior
@@ -49,21 +46,22 @@ def exported_policy(
     Raises:
         ValueError: the runtime cannot learn as this learner does.
     """
-    learner = _checked(learner)
-    start_new = learner.context.start_new(learner.context_table, 1).widened(learner.start_std)
-    prior = jax.tree.map(lambda x: x[0], start_new)
-    latent, update = (prior, 0) if start is None else start
+    policy, prior, rule = learner.exported()
+    latent, update = prior, 0
+    if start is not None:
+        given, update = start
+        latent = RuntimeLatent(_float64(given.mean), _float64(given.log_std))
     if latent.mean.shape != prior.mean.shape:
         raise ValueError(
             f"the latents have {latent.mean.size} components, but the policy's z has "
             f"{prior.mean.size}; give latents to which this run was adapted."
         )
     return ExportedPolicy(
-        policy=_policy(learner),
+        policy=policy,
         actuators=probe_actuators(env),
-        start=RuntimeLatent(_float64(latent.mean), _float64(latent.log_std)),
+        start=latent,
         start_update=update,
-        rule=_rule(learner),
+        rule=rule,
         description={
             "family": env.name,
             "horizon": env.horizon,
@@ -101,58 +99,6 @@ def probe_actuators(env: AnyEnv) -> Actuators:
                 f"upper) for each actuator, but the action {action} becomes {wanted}."
             )
     return actuators
-
-
-def _checked(learner: AbstractFastLearner[Any]) -> GradientFastLearner:
-    """Return a learner whose own update is the runtime's in closed form; refuse any other."""
-    if (
-        isinstance(learner, GradientFastLearner)
-        and isinstance(learner.policy, GaussianMLPPolicy)
-        and isinstance(learner.context, LatentContext)
-        and learner.context.gradient == "likelihood_ratio"
-        and learner.adaptation.policy is None
-        and learner.capabilities.learns_from_reward
-        and not learner.advantage.drifts
-    ):
-        return learner
-    raise ValueError(
-        "`learner` must adapt a latent alone, by the likelihood-ratio gradient, without a bonus or "
-        "`advantage.drifts`: train with the methods `maesn` and `latent_space`."
-    )
-
-
-def _policy(learner: GradientFastLearner) -> GaussianPolicy:
-    assert isinstance(learner.policy, GaussianMLPPolicy)
-    weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
-    biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
-    if learner.statistics is not None:
-        # Observations are normalised by the first layer. With D = diag(1 / scale):
-        # ((o - mean) D) W + b = o (D W) + (b - mean D W).
-        # In double precision, because the two parts may cancel.
-        mean, scaled = _float64(learner.statistics.mean), _float64(weights[0]).copy()
-        scaled[: len(mean)] /= _float64(learner.statistics.scale)[:, None]
-        weights[0], biases[0] = scaled, biases[0] - mean @ scaled[: len(mean)]
-    return GaussianPolicy(
-        weights=tuple(weight.astype(np.float32) for weight in weights),
-        biases=tuple(bias.astype(np.float32) for bias in biases),
-        std=np.maximum(np.exp(_float64(learner.policy.log_std)), MINIMUM_STD),
-    )
-
-
-def _rule(learner: GradientFastLearner) -> LearningRule:
-    step = learner.adaptation.context
-    assert step is not None
-    fixed, learned = float(step.initial_size), learner.step_sizes.context
-    mean, log_std = (learned.mean, learned.log_std) if step.learned else (fixed, fixed)
-    size, scale = learner.context_table.size, float(learner.schedule.scale)
-    return LearningRule(
-        mean_step=scale * np.full(size, _float64(mean)),
-        log_std_step=scale * np.full(size, _float64(log_std)),
-        full_steps=learner.schedule.full_steps,
-        factor=float(learner.schedule.factor),
-        discount=float(learner.advantage.discount),
-        ridge=float(learner.advantage.ridge),
-    )
 
 
 def _float64(values: Any) -> np.ndarray:

@@ -20,21 +20,21 @@ TRAINED = Path(__file__).resolve().parents[1] / "trained"
 
 
 def own_method(name: str) -> AbstractMetaLearner[Any, Any]:
-    """Import a meta-learner of a user's own: a value, or a class whose settings have defaults.
+    """Import a meta-learner of a user's own: a value, or a class or function that makes one.
 
     Raises:
         RunError: `module:name` cannot be imported, or is something else.
     """
     found = imported(name, "method")
-    if isinstance(found, type) and issubclass(found, AbstractMetaLearner):
-        with refusals(f"`{name}` cannot be made with its defaults: "):
+    if callable(found) and not isinstance(found, AbstractMetaLearner):
+        with refusals(f"`{name}` cannot be called without arguments: "):
             try:
                 found = found()
             except TypeError as error:
                 raise ValueError(f"{error}.") from error
     if not isinstance(found, AbstractMetaLearner):
         raise RunError(
-            f"`{name}` must be a `maesn.AbstractMetaLearner`, or a class that extends it, got "
+            f"`{name}` must be a `maesn.AbstractMetaLearner`, or what makes one, got "
             f"{type(found).__name__}."
         )
     return found

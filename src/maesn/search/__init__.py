@@ -1,6 +1,6 @@
 """Search in the latent space: the archive, what training tasks return for it, and the learner."""
 
-from maesn.search.archive import latent_learner as latent_learner
+from maesn.search.archive import latent_of as latent_of
 from maesn.search.learner import SearchFastLearner as SearchFastLearner
 from maesn.search.prior import PriorSettings as PriorSettings
 from maesn.search.prior import make_prior as make_prior

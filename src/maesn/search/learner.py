@@ -4,16 +4,13 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from maesn.axes import TaskKeys
-from maesn.context import Latent
+from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Purpose
-from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import AbstractPolicy
+from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.search.strategy_learner import task_generators
@@ -32,8 +29,8 @@ class SearchState:
 class SearchFastLearner(AbstractFastLearner[SearchState]):
     """Plays the latent that the acquisition function chooses; deploys the best posterior mean."""
 
-    policy: AbstractPolicy
-    statistics: ObservationStatistics | None
+    steered: AbstractSettableLatent
+    """The latent that the search chooses."""
     model: ReturnModel
     settings: SearchSettings
 
@@ -44,12 +41,16 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
 
     def agents(self, state: SearchState, purpose: Purpose = "explore") -> Agents:
         explores = purpose == "explore"
-        context = _latents(state, state.chosen) if explores else self.adapted(state)
-        return Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
+        return self._holding(state, state.chosen if explores else _best(state))
 
-    def adapted(self, state: SearchState) -> Latent:
+    def adapted(self, state: SearchState) -> AbstractContext:
         """Return the latents to deploy."""
-        return _latents(state, tuple(search.best for search in state.searches))
+        return self._holding(state, _best(state)).context
+
+    def _holding(self, state: SearchState, points: Sequence[int]) -> Agents:
+        pairs = zip(state.searches, points, strict=True)
+        latents = [search.latent(point) for search, point in pairs]
+        return self.steered.holding(np.asarray(latents, np.float32))
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
@@ -63,9 +64,8 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
         return _propose(searches, state.generators)
 
 
-def _latents(state: SearchState, points: Sequence[int]) -> Latent:
-    pairs = zip(state.searches, points, strict=True)
-    return Latent.fixed(jnp.asarray([search.latent(point) for search, point in pairs], jnp.float32))
+def _best(state: SearchState) -> tuple[int, ...]:
+    return tuple(search.best for search in state.searches)
 
 
 def _propose(

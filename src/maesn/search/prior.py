@@ -10,9 +10,8 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskSet
-from maesn.learners import GradientFastLearner
+from maesn.learners import AbstractSettableLatent
 from maesn.runtime.return_model import ReturnPrior
-from maesn.search.archive import holding
 from maesn.search.judging import returns_under, situations
 from maesn.settings import check_number, check_positive
 from maesn.worlds import AbstractWorld
@@ -61,7 +60,7 @@ USUAL = PriorSettings()
 
 
 def make_prior(
-    learner: GradientFastLearner,
+    latent: AbstractSettableLatent,
     world: AbstractWorld,
     latents: np.ndarray,
     settings: PriorSettings,
@@ -70,13 +69,13 @@ def make_prior(
     """Play an archive in the training tasks.
 
     Args:
-        learner: the run's learner, for its policy.
+        latent: the latent of the run's learner.
         world: the training tasks, with the reward of the new tasks.
         latents: the archive, `[latent, z]`.
         settings: numbers of episodes, and the seed.
         progress: called after each batch.
     """
-    returns, length = play_archive(learner, world, latents, settings, progress)
+    returns, length = play_archive(latent, world, latents, settings, progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
         # The environment does not say. Most latents of an archive never find the goal.
@@ -94,7 +93,7 @@ def make_prior(
 
 
 def play_archive(
-    learner: GradientFastLearner,
+    latent: AbstractSettableLatent,
     world: AbstractWorld,
     latents: np.ndarray,
     settings: PriorSettings,
@@ -117,18 +116,18 @@ def play_archive(
             chunk = latents[first : first + size]
             rows = np.ix_(group, np.arange(first, first + len(chunk)))
             chunk_key = jax.random.fold_in(key, played)
-            returns[rows], length[rows] = _play_group(learner, collector, chunk, group, chunk_key)
+            returns[rows], length[rows] = _play_group(latent, collector, chunk, group, chunk_key)
             played += len(chunk)
             progress(played, len(groups) * len(latents))
     return returns, length
 
 
 def _play_group(
-    learner: GradientFastLearner, collector: Collector, latents: np.ndarray, group: Any, key: Key
+    latent: AbstractSettableLatent, collector: Collector, latents: np.ndarray, group: Any, key: Key
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play latents in the first task of a group, and compute their returns in all of its tasks."""
     world, count = collector.world, len(latents)
-    agents, slots = holding(learner, latents), jnp.full(count, group[0])
+    agents, slots = latent.holding(latents), jnp.full(count, group[0])
     episodes, readings = collector.play(jax.random.split(key, count), agents, slots)
     action, valid = (x.reshape(-1, *x.shape[2:]) for x in (episodes.action, episodes.valid))
     returns = returns_under(world.env, readings, action, valid, world.tasks[group])

@@ -18,7 +18,7 @@ from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
-from maesn.search.archive import adapted_latents, drawn_latents, latent_learner
+from maesn.search.archive import adapted_latents, drawn_latents, latent_of
 from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld
@@ -73,19 +73,18 @@ def run_prior(
     """
     state = run.latest_state()
     with refusals(f"`{run.settings.method}` cannot search: "):
-        learner = latent_learner(run.learner.fast_learner(state))
+        latent = latent_of(run.learner.fast_learner(state))
         if len(run.training_tasks) < 2:
             raise ValueError("it was trained on one task, and a search needs several to compare.")
-    size = learner.context_table.size
-    latents = [drawn_latents(size, settings.draws, settings.spread, settings.seed)]
+    latents = [drawn_latents(latent.size, settings.draws, settings.spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)
-            latents.append(adapted_latents(learner, collect, jax.random.key(settings.seed)))
+            latents.append(adapted_latents(latent, collect, jax.random.key(settings.seed)))
     # In the precision of the file, so that making and reading a prior give the same numbers.
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
-        prior = make_prior(learner, world, archive, settings, progress)
+        prior = make_prior(latent, world, archive, settings, progress)
         path = (directory or working_copy(run.directory)) / PRIORS / _file_name(world)
         arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
         numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
@@ -140,7 +139,7 @@ def played_live() -> Iterator[Progress]:
 def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
     """Return digests of the checkpoint, the training tasks and the reward of a prior."""
     return {
-        "checkpoint": digest_of_arrays(state),
+        "checkpoint": digest_of_arrays(run.learner.weights(state)),
         "training task set": run.config.task_digest,
         "reward": json.dumps(describe_env(world.env), sort_keys=True),
     }

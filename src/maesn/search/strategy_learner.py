@@ -5,16 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from maesn.axes import TaskKeys
-from maesn.context import Latent
+from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import AbstractFastLearner, Purpose
-from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import AbstractPolicy
+from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.arrays import FloatArray
 from maesn.search.strategies import AbstractStrategy
 
@@ -32,8 +29,8 @@ class StrategyState:
 class StrategyFastLearner(AbstractFastLearner[StrategyState]):
     """Plays the latent that a strategy proposes in all episodes until the next update."""
 
-    policy: AbstractPolicy
-    statistics: ObservationStatistics | None
+    steered: AbstractSettableLatent
+    """The latent that the strategy chooses."""
     start: AbstractStrategy
 
     def init(self, keys: TaskKeys) -> StrategyState:
@@ -41,12 +38,12 @@ class StrategyFastLearner(AbstractFastLearner[StrategyState]):
         return _propose([self.start] * len(generators), generators)
 
     def agents(self, state: StrategyState, purpose: Purpose = "explore") -> Agents:
-        context = _latents(state.chosen) if purpose == "explore" else self.adapted(state)
-        return Agents(self.policy, context, shares_policy=True, statistics=self.statistics)
+        chosen = state.chosen if purpose == "explore" else _deployed(state)
+        return self.steered.holding(np.asarray(chosen, np.float32))
 
-    def adapted(self, state: StrategyState) -> Latent:
+    def adapted(self, state: StrategyState) -> AbstractContext:
         """Return the latents to deploy."""
-        return _latents([strategy.deployed for strategy in state.strategies])
+        return self.steered.holding(np.asarray(_deployed(state), np.float32)).context
 
     def update(self, state: StrategyState, episodes: Episodes) -> StrategyState:
         mean_returns = np.asarray(episodes.undiscounted_return, np.float64).mean(axis=1).tolist()
@@ -65,8 +62,8 @@ def task_generators(keys: TaskKeys) -> tuple[np.random.Generator, ...]:
     return tuple(np.random.default_rng(row.tolist()) for row in words)
 
 
-def _latents(means: Sequence[FloatArray]) -> Latent:
-    return Latent.fixed(jnp.asarray(np.stack(means), jnp.float32))
+def _deployed(state: StrategyState) -> tuple[FloatArray, ...]:
+    return tuple(strategy.deployed for strategy in state.strategies)
 
 
 def _propose(

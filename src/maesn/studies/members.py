@@ -13,7 +13,7 @@ import numpy as np
 
 from maesn import learners
 from maesn.envs import AnyEnv
-from maesn.envs.sources import find_tasks, imported, resolve_family
+from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluate import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
@@ -23,7 +23,8 @@ from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
-from maesn.search import latent_learner
+from maesn.runs.sources import own_method
+from maesn.search import latent_of
 from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.reading import Place
@@ -79,6 +80,8 @@ class TrainedRun(AbstractMember):
     """Of one that exists."""
     family: str | None = None
     """`module:name`, if it is the user's own."""
+    own_method: str | None = None
+    """`module:name` likewise of the method."""
 
     def __getstate__(self) -> dict[str, Any]:
         # A family of the user's own need not be anything that can be pickled.
@@ -91,14 +94,15 @@ class TrainedRun(AbstractMember):
         trained = Trained(self.run.learner, _blank_state(self.run))
         if asked.rule is not None and asked.rule.needs_return_prior:  # which is made later
             with refusals(f"`{self.method}` cannot be adapted like this: "):
-                latent_learner(trained.fast_learner())
+                latent_of(trained.fast_learner())
             return None
         learner = asked.fast_learner(trained, self.method, self.env(asked))
         return learner.capabilities.trial_episodes
 
     def open(self, jobs: Path) -> Run:
         """Open the run, once it is trained."""
-        return Run.open(jobs / self.needs[0] / RUN if self.needs else self.directory, self.family)
+        directory = jobs / self.needs[0] / RUN if self.needs else self.directory
+        return Run.open(directory, self.family, self.own_method)
 
     def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
         return evaluate(self.open(jobs), asked, tasks=tasks)[0]
@@ -186,6 +190,7 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
         identity=identity or " ".join(run.identity().values()),
         run=run,
         family=run.own_family,
+        own_method=run.own_method,
         **where,
     )
 
@@ -206,7 +211,9 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
     learner.check_batch(settings.episodes_per_task)
     tasks = find_tasks(settings.tasks, resolved)
     config = new_config(settings, learner, resolved, tasks)
-    run = Run(Path(name), config, resolved, tasks, settings.own_family)
+    preset = study.runs[name].preset
+    own = settings.own_family, preset if ":" in preset else None
+    run = Run(Path(name), config, resolved, tasks, *own)
     check_policy(learner.player(_blank_state(run)), run.env())
     named, document = study.runs[name].init_from, config.document()
     source = run.source(named) if named else None
@@ -227,7 +234,7 @@ def _settings(
     spec = study.runs[name]
     preset, usual = spec.preset or name, {}
     if ":" in preset:
-        learner = imported(preset, "preset")()
+        learner = own_method(preset)
     elif spec.source == "reference":
         learner = learners.METHODS[preset]()
     else:

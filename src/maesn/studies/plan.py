@@ -13,7 +13,6 @@ from maesn.envs import AnyEnv, describe_env
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
-from maesn.learners import BonusMetaLearner, RecurrentMetaLearner
 from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
@@ -230,13 +229,9 @@ def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
 
 def _steps_of_training(run: Run) -> int:
     """Return the steps of a training, as if all episodes ended in time."""
-    inner: Any = run.learner
-    if isinstance(inner, BonusMetaLearner):
-        inner = inner.learner
-    is_recurrent = isinstance(inner, RecurrentMetaLearner)
-    rounds = inner.trial_episodes if is_recurrent else inner.inner_updates + inner.outer_batches
-    episodes = run.settings.iterations * inner.meta_batch_size * run.settings.episodes_per_task
-    return episodes * rounds * run.env().horizon
+    settings = run.settings
+    episodes = run.learner.planned_episodes(settings.episodes_per_task, settings.iterations)
+    return episodes * run.env().horizon
 
 
 def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:

@@ -29,7 +29,7 @@ class RunSpec:
     """
 
     preset: str = ""
-    """Method, or `module:name` of a function that returns a learner; empty: NAME."""
+    """Method, or `module:name` of your own; empty: NAME."""
     label: str = ""
     """In figures and tables; empty: that of the method."""
     source: Literal["recommended", "reference"] = "recommended"

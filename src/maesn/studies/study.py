@@ -202,6 +202,7 @@ def compare(
     scratch: Sequence[str] = (),
     oracle: OptionalPath = None,
     family: str | None = None,
+    method: str | None = None,
     workers: int | None = None,
     evaluation: AnyEvaluation = USUAL,
     executor: Annotated[ExecutorName | AbstractExecutor, tyro.conf.Suppress] = "local",
@@ -219,6 +220,7 @@ def compare(
             NAME:COUNT adapts to the first COUNT tasks alone, as in vime:30.
         oracle: Directory of a run of the preset `oracle`, the upper end of the score.
         family: Of the tasks, where there are no runs; or `module:name` of the runs' own.
+        method: The runs' method as `module:name`, if it is your own.
         workers: Tasks at a time, in chunks; None: as many as there are CPUs for.
         evaluation: of all lines; its seed is also that of methods from scratch.
         executor: where it is computed; see `Study.run`.
@@ -229,7 +231,7 @@ def compare(
     """
     if not (runs or scratch):
         raise RunError("name at least one run directory, or a method with --scratch.")
-    opened = {run.directory: run for run in [Run.open(one, family) for one in runs]}
+    opened = {run.directory: run for run in [Run.open(one, family, method) for one in runs]}
     if family is None and not opened:
         raise RunError("`family` must be given where no run says it: --family NAME.")
     with storage.refusals("each run takes part without `--rule` as well, for which "):
@@ -252,9 +254,9 @@ def compare(
         raise RunError("`scratch` must name each method once.")
     lines += [*more, *(LineSpec(scratch=name, evaluation=("usual",)) for name in from_scratch)]
     if oracle is not None:
-        method = Run.open(oracle, family).settings.method
-        if method != "oracle" or "oracle" in specs:
-            raise RunError(f"`oracle` must be the only run of the method `oracle`, got `{method}`.")
+        preset = Run.open(oracle, family).settings.method
+        if preset != "oracle" or "oracle" in specs:
+            raise RunError(f"`oracle` must be the only run of the method `oracle`, got `{preset}`.")
         specs["oracle"] = RunSpec(directories=(str(oracle),))
     spec = StudySpec(
         name="comparison",

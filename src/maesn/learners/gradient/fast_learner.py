@@ -1,20 +1,30 @@
 """The fast learner of every gradient-based method: policy gradient on a new task."""
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from maesn.axes import TaskKeys
-from maesn.context import AbstractContext, AbstractContextSettings
+from maesn.context import AbstractContext, AbstractContextSettings, Latent
 from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes
+from maesn.experience.episodes import Collect, Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
+from maesn.learners.base import (
+    AbstractFastLearner,
+    AbstractSettableLatent,
+    Capabilities,
+    Purpose,
+)
+from maesn.learners.gradient.exported import exported_learner
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy
+from maesn.runtime import ExportedLearner
 
 
 class GradientFastState(eqx.Module):
@@ -63,9 +73,31 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
             least_episodes=self.adaptation.least_episodes(self.context),
         )
 
+    @property
+    def latent(self) -> "GradientLatent | None":
+        start = self.context.start_new(self.context_table, 1)
+        return GradientLatent(self) if isinstance(start, Latent) else None
+
+    @property
+    def step_schedule(self) -> StepSchedule | None:
+        return self.schedule if self.capabilities.learns_from_reward else None
+
+    def rescheduled(self, schedule: StepSchedule, start_std: float = 1.0) -> "GradientFastLearner":
+        if start_std != 1 and self.latent is None:
+            raise ValueError(
+                "`start_std` needs a method with a latent, as `maesn`, `maesn_theta` or "
+                "`latent_space`: leave it out."
+            )
+        return replace(self, schedule=schedule, start_std=start_std)
+
+    def exported(self) -> ExportedLearner:
+        return exported_learner(self)
+
     @eqx.filter_jit
     def update(self, state: GradientFastState, episodes: Episodes) -> GradientFastState:
-        """Take one policy-gradient step in every task."""
+        """Take one policy-gradient step in every task; none if there is nothing to move."""
+        if not self.capabilities.learns_from_reward:
+            return GradientFastState(state.agents, state.update + 1)
         self.capabilities.check_episodes(episodes.valid.shape[1])
         moved = self.adaptation(
             state.agents,
@@ -76,3 +108,35 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
             scale=self.schedule(state.update),
         )
         return GradientFastState(moved, state.update + 1)
+
+
+class GradientLatent(AbstractSettableLatent):
+    """The latent of a `GradientFastLearner`."""
+
+    learner: GradientFastLearner
+
+    @property
+    def size(self) -> int:
+        return self.learner.context_table.size
+
+    @property
+    def spread(self) -> float:
+        """Three standard deviations of the prior: adapted latents are that far out."""
+        return 3.0
+
+    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
+        learner, context = self.learner, Latent.fixed(jnp.asarray(latents, jnp.float32))
+        return Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
+
+    def of_tasks(
+        self, collect: Collect, keys: TaskKeys, task_index: Int[Array, " task"]
+    ) -> Float[np.ndarray, "task z"]:
+        """Return the means of the trained latents after one more update."""
+        learner = self.learner
+        state = learner.init(keys)
+        trained = learner.context.start(learner.context_table, task_index)
+        state = eqx.tree_at(lambda state: state.agents.context, state, trained)
+        episodes = collect(keys, learner.agents(state), task_index)
+        adapted = learner.update(state, episodes).agents.context
+        assert isinstance(adapted, Latent)
+        return np.asarray(adapted.mean, np.float64)

@@ -77,6 +77,11 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
     def capabilities(self) -> Capabilities:
         return self.learner.capabilities._replace(has_bonus=True)
 
+    def inside(
+        self, change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]
+    ) -> "BonusFastLearner":
+        return dataclasses.replace(self, learner=self.learner.inside(change))
+
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
         """Learn from reward and bonus, then let the models learn from the transitions."""
         keys = _update_keys(state.keys, state.update)
@@ -103,21 +108,6 @@ def _judge(
 @eqx.filter_jit
 def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
     return map_tasks(curiosity.learn, keys, models, how="vmap")
-
-
-def inside(
-    learner: AbstractFastLearner[Any],
-    change: Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]],
-) -> AbstractFastLearner[Any]:
-    """Apply a change to a learner: inside of its bonus, if it has one.
-
-    Args:
-        learner: a learner with or without a bonus.
-        change: turns the learner without bonus into another one.
-    """
-    if isinstance(learner, BonusFastLearner):
-        return dataclasses.replace(learner, learner=inside(learner.learner, change))
-    return change(learner)
 
 
 def with_bonus(episodes: Episodes, bonus: Float[Array, "task episode time"]) -> Episodes:

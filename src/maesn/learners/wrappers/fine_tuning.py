@@ -23,6 +23,9 @@ from maesn.learners.scratch.policy_gradient import (
     refuse_recurrent,
 )
 
+LEAST_BATCH = 20
+"""Episodes that a step of the weights usually learns from, at least."""
+
 
 class FineTuningState(eqx.Module, Generic[FastState]):
     """State of `FineTuning`."""
@@ -52,7 +55,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
     """Episodes of each task that the learner has before. The update that reaches them is its last
     one. With 50 episodes per update this is ten updates, after which the latents hardly move: the
     reference's steps are halved from the third update on."""
-    least_batch: int = 20
+    least_batch: int = LEAST_BATCH
     """Episodes that a step of the weights learns from, at least. Those of smaller updates, as a
     search has them, are saved until there are as many."""
 
@@ -64,7 +67,7 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         if can.has_bonus:
             raise ValueError(
                 "`learner` must not have a bonus, which the updates after its own would not get: "
-                "fine-tune the learner inside of the bonus, by `learners.inside`."
+                "fine-tune the learner inside of the bonus, by its method `inside`."
             )
 
     def init(self, keys: TaskKeys) -> FineTuningState[Any]:
