@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import maesn
+from maesn import learners
 
 ROOT = Path(maesn.__file__).parent
 HEAVY = {"equinox", "jax", "matplotlib", "mujoco", "numpy", "rich", "scipy", "tyro"}
@@ -94,3 +95,24 @@ def test_every_method_is_documented_by_itself_or_its_interface(module: str) -> N
         if not documented_by_interface(getattr(loaded, owner), method)
     ]
     assert not bare
+
+
+def test_nothing_outside_of_the_learners_knows_a_concrete_one() -> None:
+    """Others ask what a learner can do; presets make learners, and `maesn` names them for users."""
+    concrete = {
+        name
+        for name, one in vars(learners).items()
+        if isinstance(one, type)
+        and issubclass(one, learners.AbstractFastLearner | learners.AbstractMetaLearner)
+        and not name.startswith("Abstract")
+    }
+    assert {"GradientMetaLearner", "GradientFastLearner", "BonusFastLearner"} <= concrete
+    for path in ROOT.rglob("*.py"):
+        if not path.is_relative_to(ROOT / "learners"):
+            nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+            used = {
+                node.id if isinstance(node, ast.Name) else node.attr
+                for node in nodes
+                if isinstance(node, ast.Name | ast.Attribute)
+            }
+            assert not used & concrete, path
