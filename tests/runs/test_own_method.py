@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_runs import tiny_maesn
 
 from maesn import cli
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint
-from maesn.runs.config import NotNamedError
+from maesn.runs.config import NotNamedError, RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
@@ -72,6 +73,18 @@ def test_its_own_advice_works_as_printed(
     advice = capsys.readouterr().out.splitlines()[-1].split("maesn ")[-1].split()
     small = ["--num-tasks", "2", "--episodes", "2", "--episodes-per-update", "1", "--rule", "none"]
     assert cli.run([*advice, *small]) == 0
+
+
+def test_a_run_that_python_made_gives_the_same_advice(tmp_path: Path) -> None:
+    from walk import Walk
+
+    from maesn.policies import GaussianMLP
+
+    settings = RunSettings(family="point", iterations=0)
+    made = Run.create(tmp_path / "run", Walk(), settings)
+    assert made.own_options == Run.open(tmp_path / "run").own_options == " --method walk:Walk"
+    usual = Run.create(tmp_path / "usual", tiny_maesn(policy=GaussianMLP((4,))), settings)
+    assert not usual.own_options
 
 
 def test_it_goes_on_bit_for_bit_replay_included(tmp_path: Path) -> None:

@@ -79,7 +79,6 @@ class NativeSimulator(AbstractSimulator):
 
     @property
     def num_simulations(self) -> int:
-        """See `AbstractSimulator.num_simulations`."""
         return self._num_simulations
 
     def reset(
@@ -89,7 +88,6 @@ class NativeSimulator(AbstractSimulator):
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """See `AbstractSimulator.reset`."""
         batch, rows = self._open(), slice(None) if simulations is None else simulations
         _check_rows("qpos", qpos, self._qpos, rows)
         _check_rows("qvel", qvel, self._qvel, rows)
@@ -108,7 +106,6 @@ class NativeSimulator(AbstractSimulator):
         control: Float[np.ndarray, "simulation control"],
         abandoned: _Mask | None = None,
     ) -> Readings:
-        """See `AbstractSimulator.step`."""
         batch = self._open()
         _check_rows("control", control, self._control)
         self._control[...] = control
@@ -116,7 +113,6 @@ class NativeSimulator(AbstractSimulator):
         return self._read()
 
     def close(self) -> None:
-        """See `AbstractSimulator.close`."""
         # The engine has no such call: it ends with the last reference to one of its arrays.
         self._batch = None
         self._readings = {}

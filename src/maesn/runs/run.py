@@ -35,7 +35,7 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.runs.serialization import digest_of_document, to_json
+from maesn.runs.serialization import digest_of_document, own_type, to_json
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_policy, make_world
 
@@ -100,7 +100,7 @@ class Run:
         settings = dataclasses.replace(settings, family=named, method=method)
         tasks = find_tasks(settings.tasks, family)
         config = new_config(settings, learner, family, tasks)
-        own = settings.own_family, settings.own_method
+        own = settings.own_family, settings.own_method or own_type(learner)
         run = cls(Path(directory), config, family, tasks, *own)
         run.world().close()  # the engine may lack something
         with refusals():
@@ -158,7 +158,8 @@ class Run:
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         settings = config.settings
-        own, method = own or settings.own_family, method or settings.own_method
+        own = own or settings.own_family
+        method = method or settings.own_method or own_type(config.learner)
         return cls(directory, config, found, tasks, own, method)
 
     def env(

@@ -54,6 +54,13 @@ def to_json(module: eqx.Module) -> dict[str, Any]:
     return {TAG: tag, **fields_to_json(module)}
 
 
+def own_type(settings: eqx.Module) -> str | None:
+    """Return the first type in settings that a user has brought, as `module:name`, if any."""
+    found = leaves(to_json(settings)).items()
+    tags = (str(value) for path, value in found if path.split(".")[-1] == TAG)
+    return next((tag for tag in tags if ":" in tag), None)
+
+
 def from_json(document: Mapping[str, Any], kind: type) -> Any:
     """Return the settings that `to_json` has written, of a type that extends `kind`."""
     fields = dict(document)

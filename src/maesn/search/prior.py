@@ -31,8 +31,8 @@ class PriorSettings:
 
     draws: int = 400
     """Latents of the archive that are drawn from the widened prior N(0, spread^2 I)."""
-    spread: float = 3.0
-    """Standard deviation of the widened prior."""
+    spread: float | None = None
+    """Standard deviation of the widened prior; None: that of the latent, 3 for MAESN."""
     adapted: bool = True
     """Whether the archive also holds each training task's latent, after one more update with the
     dense reward."""

@@ -76,7 +76,8 @@ def run_prior(
         latent = latent_of(run.learner.fast_learner(state))
         if len(run.training_tasks) < 2:
             raise ValueError("it was trained on one task, and a search needs several to compare.")
-    latents = [drawn_latents(latent.size, settings.draws, settings.spread, settings.seed)]
+    spread = latent.spread if settings.spread is None else settings.spread
+    latents = [drawn_latents(latent.size, settings.draws, spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)

@@ -22,7 +22,7 @@ from maesn.policies import USUAL
 from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest_of_document, fields_to_json, replaced
+from maesn.runs.serialization import digest_of_document, fields_to_json, own_type, replaced
 from maesn.runs.sources import own_method
 from maesn.search import latent_of
 from maesn.settings import leaves, suggestion
@@ -211,8 +211,7 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
     learner.check_batch(settings.episodes_per_task)
     tasks = find_tasks(settings.tasks, resolved)
     config = new_config(settings, learner, resolved, tasks)
-    preset = study.runs[name].preset
-    own = settings.own_family, preset if ":" in preset else None
+    own = settings.own_family, own_type(learner)
     run = Run(Path(name), config, resolved, tasks, *own)
     check_policy(learner.player(_blank_state(run)), run.env())
     named, document = study.runs[name].init_from, config.document()

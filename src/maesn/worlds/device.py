@@ -36,7 +36,7 @@ class DeviceWorld(AbstractWorld):
         self.tasks = tasks
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
-        """See `AbstractWorld.play`. It cannot fail: JAX raises no numerical errors."""
+        """It cannot fail: JAX raises no numerical errors."""
         first: Readings = {"qpos": start.qpos, "qvel": start.qvel}
         advance = _PureAdvance(self.env)
         return scan_episodes(self.env, advance, act, actors, first, first)[0]

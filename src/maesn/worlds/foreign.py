@@ -38,7 +38,7 @@ def default_num_workers() -> int:
 
 
 class _Camera(NamedTuple):
-    """See `GymnasiumWorld.film`."""
+    """What to film, as `film` was asked."""
 
     shown: int
     stride: int
@@ -66,7 +66,7 @@ class GymnasiumWorld(AbstractWorld):
         return self.env.recipe.max_environments
 
     def play(self, act: Act, actors: Actors, start: UInt32[Array, " simulation"]) -> Trajectory:
-        """See `AbstractWorld.play`. `act` must be compiled by the caller."""
+        """Play with an `act` that the caller has compiled."""
         try:
             first = self._begin(actors, np.asarray(start))
             return play_on_host(self.env, act, actors, first, self._advance)
@@ -75,7 +75,7 @@ class GymnasiumWorld(AbstractWorld):
             raise
 
     def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
-        """See `AbstractWorld.film`. `make_env` must set `render_mode="rgb_array"`."""
+        """Film environments whose `make_env` has set `render_mode="rgb_array"`."""
         try:
             renders = self._open().renders(pickle.dumps(task_row(self.tasks.tasks, 0)))
         except WorkerError as error:

@@ -50,7 +50,6 @@ class MjxWorld(AbstractWorld):
         self._initial = jax.jit(jax.vmap(self._engine.initial))
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
-        """See `AbstractWorld.play`."""
         state, first = self._reset(start)
         advance = _MjxAdvance(self._engine)
         trajectory, ended = scan_episodes(self.env, advance, act, actors, state, first)

@@ -37,7 +37,7 @@ class NativeWorld(AbstractWorld):
         self._simulators: dict[int, AbstractSimulator] = {}
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
-        """See `AbstractWorld.play`. `act` must be compiled by the caller."""
+        """Play with an `act` that the caller has compiled."""
         simulator = self._simulator(start.qpos.shape[0])
         return play_on_host(
             self.env,

@@ -44,7 +44,6 @@ class DeviceSimulator(AbstractSimulator):
 
     @property
     def num_simulations(self) -> int:
-        """See `AbstractSimulator.num_simulations`."""
         return self._num_simulations
 
     def reset(
@@ -54,7 +53,7 @@ class DeviceSimulator(AbstractSimulator):
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> SimulatorReadings:
-        """See `AbstractSimulator.reset`. There is no model, so `model_fields` must be empty."""
+        """There is no model, so `model_fields` must be empty."""
         if model_fields:
             raise ValueError(
                 f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
@@ -72,7 +71,7 @@ class DeviceSimulator(AbstractSimulator):
         control: Float[np.ndarray, "simulation control"],
         abandoned: Bool[np.ndarray, " simulation"] | None = None,
     ) -> SimulatorReadings:
-        """See `AbstractSimulator.step`. JAX raises no errors of its own."""
+        """JAX raises no errors of its own."""
         if not self._state:
             raise RuntimeError("the simulator has no state: make a new one, or `reset` it")
         bad = ~np.isfinite(control).all(axis=1)
@@ -85,7 +84,6 @@ class DeviceSimulator(AbstractSimulator):
         return self._read()
 
     def close(self) -> None:
-        """See `AbstractSimulator.close`."""
         self._state = {}
 
     def _read(self) -> SimulatorReadings:

@@ -55,7 +55,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     """Multiplies the standard deviation of the latents that new tasks start from."""
 
     def init(self, keys: TaskKeys) -> GradientFastState:
-        """See `AbstractFastLearner.init`. Nothing is random."""
+        """Nothing is random."""
         start = self.context.start_new(self.context_table, keys.shape[0]).widened(self.start_std)
         agents = Agents(self.policy, start, shares_policy=True, statistics=self.statistics)
         return GradientFastState(agents, jnp.asarray(0))

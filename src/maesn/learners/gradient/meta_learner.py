@@ -141,7 +141,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return iterations * collections * self.meta_batch_size * episodes_per_task
 
     def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
-        """See `AbstractMetaLearner.for_actions`."""
         return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
@@ -176,7 +175,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def step(
         self, key: Key, state: GradientState, collect: Collect
     ) -> tuple[GradientState, GradientInfo]:
-        """See `AbstractMetaLearner.step`."""
         self._check_rows(state.parameters, collect)
         task_key, play_key, curvature_key = jax.random.split(key, 3)
         parameters, adaptation = state.parameters, self.adaptation.at(int(state.iteration))

@@ -30,11 +30,11 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
     """Episodes of a trial in meta-training."""
 
     def init(self, keys: TaskKeys) -> RecurrentFastState:
-        """See `AbstractFastLearner.init`. Trials begin; nothing is random."""
+        """Trials begin; nothing is random."""
         return RecurrentFastState(None)
 
     def agents(self, state: RecurrentFastState, purpose: Purpose = "explore") -> Agents:
-        """See `AbstractFastLearner.agents`. To be judged, they do what they always do."""
+        """To be judged, they do what they always do."""
         return Agents(self.policy, Nothing(), shares_policy=True, trial_state=state.trial_state)
 
     def update(self, state: RecurrentFastState, episodes: Episodes) -> RecurrentFastState:

@@ -120,7 +120,6 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         return (type(self), type(self.policy_step))
 
     def for_actions(self, kind: ActionKind) -> "RecurrentMetaLearner":
-        """See `AbstractMetaLearner.for_actions`."""
         return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
@@ -146,7 +145,6 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     def step(
         self, key: Key, state: RecurrentMetaState, collect: Collect
     ) -> tuple[RecurrentMetaState, RecurrentInfo]:
-        """See `AbstractMetaLearner.step`."""
         task_key, play_key, learn_key = jax.random.split(key, 3)
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
         episodes: list[Episodes] = []

@@ -76,11 +76,9 @@ class BonusMetaLearner(AbstractMetaLearner[BonusMetaState, BonusMetaInfo[Any]]):
         return self.learner.planned_episodes(episodes_per_task, iterations)
 
     def for_actions(self, kind: ActionKind) -> "BonusMetaLearner":
-        """See `AbstractMetaLearner.for_actions`."""
         return dataclasses.replace(self, learner=self.learner.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`."""
         self.learner.check_batch(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
