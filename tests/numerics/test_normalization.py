@@ -15,7 +15,7 @@ from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 from maesn.envs import point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientState, Problem
+from maesn.learners import AbstractMetaLearner, GradientState, Problem
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.export import exported_policy
@@ -154,5 +154,5 @@ def test_a_robot_computes_the_same_policy() -> None:
 def test_learners_with_normalization_say_so_in_files() -> None:
     learner = tiny_maesn(normalize_observations=True)
     assert to_json(learner)["normalize_observations"] is True
-    assert from_json(to_json(learner)) == learner
+    assert from_json(to_json(learner), AbstractMetaLearner) == learner
     assert to_json(learner) != to_json(tiny_maesn())
