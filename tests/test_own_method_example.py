@@ -1,6 +1,5 @@
 """The method of the page "Add a method": trained, resumed, adapted, compared and exported."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -54,16 +53,3 @@ def test_the_page_has_it_in_a_study(tmp_path: Path) -> None:
 def _written(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
-
-
-@pytest.mark.long
-def test_it_learns_to_learn() -> None:
-    """Three updates from its weights lead further than from untrained ones; three seeds."""
-    gains = []
-    for seed in range(3):
-        words = ["--family", "point", "--seed", str(seed), "--iterations", "60"]
-        assert cli.run(["train", NAME, "--run", str(seed), *words]) == 0
-        lines = Path(str(seed), "metrics.jsonl").read_text("utf-8").splitlines()
-        after = [json.loads(line)["return_after"] for line in lines]
-        gains.append(np.mean(after[-10:]) - np.mean(after[:3]))
-    assert min(gains) > 0
