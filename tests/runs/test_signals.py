@@ -59,7 +59,7 @@ def test_a_signal_saves_says_so_and_ends_with_its_status(
         assert stopped.value.code == 128 + number
         assert signal.getsignal(number) == signal.SIG_DFL
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    assert f"maesn resume {run.directory}\n" in text.getvalue()
+    assert f"maesn resume {run.directory} --method small_runs:Drift\n" in text.getvalue()
     assert run.latest().iteration == len(metrics(run)) == iteration
     assert outcome(finish(reopened(run))) == outcome(finish(create(tmp_path / "whole")))
 
