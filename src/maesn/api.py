@@ -24,7 +24,7 @@ from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
 from maesn.rules import GradientRule, SearchRule, Trained
 from maesn.runs.config import RunSettings
-from maesn.runs.export import exported_policy, write_policy
+from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, change_run, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
@@ -179,22 +179,30 @@ def export(
     latents: arguments.OptionalPath = None,
     task: int | None = None,
     rule: arguments.AnyRule = None,
+    lower: arguments.AnyLimit = None,
+    upper: arguments.AnyLimit = None,
+    control_period: float | None = None,
     overwrite: arguments.Flag = False,
 ) -> Path:
-    """Write the last checkpoint of a run as one file for the NumPy runtime.
+    """Write the last checkpoint of a run as one file for the NumPy runtime, or as a network.
 
     A robot starts at the prior, or at a latent that an adaptation has found, from which its step
-    sizes go on.
+    sizes go on. It is sent what the simulation lets through; the table that is shown says what
+    that is.
 
     Args:
         run: Directory of the run, or the name of a policy that comes with the library.
-        path: File to write, `.npz`.
+        path: File to write: `.npz` for `maesn.runtime`, `.onnx` for the network alone.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
         rule: How the robot adapts: gradient, the default, or search with its settings behind it.
+        lower: Smallest control, of all actuators or of each, where the simulation has a smaller one
+            or none; -inf: none.
+        upper: Largest control; inf: none.
+        control_period: Seconds between two controls, where tasks differ in them.
         overwrite: Replace a file that is there.
 
     Raises:
@@ -207,6 +215,7 @@ def export(
     opened = Run.open(run, family, method)
     checkpoint = opened.latest()
     about: dict[str, Any] = {"method": opened.settings.method, "iteration": checkpoint.iteration}
+    stated = Stated(lower, upper, control_period)
     start = search = None
     if latents is not None and task is not None:
         start = running.adapted_latent(opened, Path(latents), task)
@@ -216,6 +225,8 @@ def export(
     if isinstance(rule, SearchRule) and start is None:
         with closing(opened.world(reward_kind="sparse")) as world:
             found = find_prior(opened, checkpoint.state, world, rule.prior, rule.any_reward)
+            if not rule.any_reward:
+                about["reward"] = f"sparse, within {world.env.sparse_radius:g}"
         search = found, rule.settings
     elif not isinstance(rule, GradientRule | None):
         raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
@@ -224,7 +235,9 @@ def export(
         if isinstance(rule, GradientRule):
             trained = Trained(opened.learner, checkpoint.state)
             learner = rule.fast_learner(trained, opened.env())
-        write_policy(path, exported_policy(learner, opened.env(), about, start, search))
+        task, env = opened.training_tasks[0], opened.env()
+        exported = exported_policy(learner, env, about, start, search, task=task, stated=stated)
+        write_policy(path, exported)
     except (ValueError, OSError) as error:
         raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
     return Path(path)

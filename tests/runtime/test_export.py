@@ -33,7 +33,7 @@ def test_the_file_holds_plain_arrays_and_json(tmp_path: Path) -> None:
     with np.load(policy_file(tmp_path), allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     metadata = json.loads(str(arrays.pop("metadata")))
-    assert (metadata["format"], metadata["version"]) == ("maesn-policy", 1)
+    assert (metadata["format"], metadata["version"]) == ("maesn-policy", 2)
     assert all(array.dtype.kind in "fi" for array in arrays.values())
 
 

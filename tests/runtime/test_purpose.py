@@ -12,6 +12,7 @@ from runtime.robot import constant, contents, observations, play, policy_file, t
 
 from maesn.envs import Point, Wheeled, wheeled
 from maesn.gym import TaskEnv
+from maesn.runs.export import Stated
 from maesn.runtime import Explorer, Safeguards
 from maesn.worlds import open_simulator
 
@@ -157,7 +158,8 @@ class OneSided(Point):
 
 
 def test_actuators_without_limits_cannot_be_normalized(tmp_path: Path) -> None:
-    explorer = Explorer.load(policy_file(tmp_path, OneSided()), seed=6)
+    path = policy_file(tmp_path, OneSided(), stated=Stated(lower=-np.inf))
+    explorer = Explorer.load(path, seed=6)
     explorer.begin_episode()
     before = contents(explorer)
     with pytest.raises(ValueError, match=r"actuator 0 has the range -inf to 1\.0"):

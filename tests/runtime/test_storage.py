@@ -184,13 +184,13 @@ def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
         ("start.mean", np.asarray([0.0, np.nan]), "`start.mean` must hold finite numbers"),
         ("actuators.lower", np.full(2, np.nan), "`actuators.lower` must hold finite numbers"),
         ("rule.mean_step", np.asarray(["a", "b"]), "`rule.mean_step` must hold finite numbers"),
-        ("metadata", np.array('{"format": "maesn-policy", "version": 99}'), "version must be 1"),
+        ("metadata", np.array('{"format": "maesn-policy", "version": 1}'), "version must be 2"),
         ("metadata", np.array('{"format": "other"}'), "format must be 'maesn-policy'"),
         ("metadata", np.array("[1, 2]"), "format must be"),
         ("episodes.length", np.asarray([6, -1]), "`episodes.length` must sum up to 5 steps"),
         ("episodes.rewards", np.full(5, 1e200), "`rewards` must be at most 1e.100"),
         ("metadata", np.array("{"), "something else or damaged"),
-        ("metadata", np.array('{"format": "maesn-policy", "version": 1}'), "entry `"),
+        ("metadata", np.array('{"format": "maesn-policy", "version": 2}'), "entry `"),
     ],
 )
 def test_senseless_entries_are_refused(

@@ -14,6 +14,7 @@ from maesn.envs import TaskFamily
 from maesn.rules import AbstractRule, AbstractWrapper, from_text
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
+from maesn.runtime.safeguards import Limit
 
 
 def _read(
@@ -50,6 +51,11 @@ AnyChange: TypeAlias = Annotated[
     Mapping[str, Any] | None, _read("*", "NAME=VALUE", values_of_words)
 ]
 """Name of a setting -> its new value."""
+AnyLimit: TypeAlias = Annotated[
+    Limit | None,
+    _read("*", "NUMBER", lambda words: [*map(float, words)] if words[1:] else float(words[0])),
+]
+"""Limit of all actuators, or of each."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""
 

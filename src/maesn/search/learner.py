@@ -1,6 +1,7 @@
 """The fast learner that searches the latent space, by a model of the returns."""
 
 import copy
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.search.strategy_learner import task_generators
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,17 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
-        searches = []
+        searches, complaints = [], []
         for search, point, *per_episode in zip(
             state.searches, state.chosen, returns, lengths, strict=True
         ):
             readings = [Reading(point, *one) for one in zip(*per_episode, strict=True)]
+            complaints.append(search.complaint(readings))
             searches.append(search.after(readings))
+        if any(complaints) and not any(search.is_surprised for search in state.searches):
+            number = sum(map(bool, complaints))
+            said = next(filter(None, complaints))
+            logger.warning("In %d of %d tasks, %s", number, len(complaints), said)
         return _propose(searches, state.generators)
 
 

@@ -1,0 +1,141 @@
+"""What an environment does to observations and actions, read off its own functions."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import repeat
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
+from maesn.physics import load_model, reading_owners, resting_readings
+from maesn.runtime import Actuators, Sensors
+
+# An input far outside of every range: what it leads to is a limit. What grows with the input to
+# half that size has none.
+_FAR = 1e6
+_PROBE_STEP = 2.0**-10  # a power of two, so that the scale is exact in single precision
+_NUM_PROBES = 256
+_TOLERANCE = 1e-4  # for environments with an offset, where it is not
+_NEAR = 0.01  # standard deviation of readings around those at rest, where nothing is clipped
+
+
+def probe_actuators(env: AnyEnv) -> Actuators:
+    """Return `env.control` as the numbers of clip(offset + scale * action, lower, upper).
+
+    They are read off the function itself, and compared with it on random actions: `ValueError` if
+    it has another form. The limits are the tightest of those in `control` and of the world.
+    """
+
+    def control(action: np.ndarray | float) -> np.ndarray:
+        return _float64(env.control(jnp.full(env.action_size, action, jnp.float32)))
+
+    lower, upper = _limits(control)
+    own = Actuators(
+        offset=control(0.0),
+        scale=(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP),
+        lower=lower,
+        upper=upper,
+        names=env.actuators().names,
+    )
+    generator = np.random.default_rng(0)
+    sizes = np.geomspace(1e-2, _FAR, _NUM_PROBES)[:, None]
+    for action in sizes * generator.standard_normal((_NUM_PROBES, env.action_size)):
+        wanted = control(action)
+        if not np.allclose(own.control(action), wanted, _TOLERANCE, _TOLERANCE):
+            raise ValueError(
+                f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
+                f"upper) for each actuator, but the action {action} becomes {wanted}."
+            )
+    return own.narrowed(env.actuators().lower, env.actuators().upper)
+
+
+def probe_sensors(env: AnyEnv, task: Any) -> Sensors:
+    """Return what each component of an observation is, and what it is clipped to.
+
+    A component that is one number of the readings, scaled, shifted or clipped, is named after it.
+    Any other is named after the function that computes it.
+
+    Args:
+        env: the environment.
+        task: one of its tasks; None leaves the readings of an environment in JAX without names.
+    """
+    size = env.observation_size
+    names, far = [f"computed by `{env.name}`"] * size, np.full(size, np.inf)
+    sensors = Sensors(tuple(names), -far, far)
+    if isinstance(env, AbstractMujocoEnv) or (
+        task is not None and isinstance(env, AbstractPureEnv)
+    ):
+        sensors = _copies(env, task, names)
+    return replace(sensors, names=env.observation_names() or sensors.names)
+
+
+def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sensors:
+    """Return the sensors of an environment, with names of what is copied from the readings."""
+    readings = _at_rest(env, task)
+    labels = [label for name, value in readings.items() for label in _labels(env, name, value)]
+    rest, as_readings = ravel_pytree(jax.tree.map(jnp.asarray, list(readings.values())))
+
+    @jax.jit
+    def observe(flat: Array) -> Array:
+        return env.observe(dict(zip(readings, as_readings(flat), strict=True)))
+
+    generator = np.random.default_rng(0)
+    near = rest + _NEAR * generator.standard_normal(rest.size)
+    slope, offset = _float64(jax.jacfwd(observe)(near)), _float64(observe(near))
+    source = np.abs(slope).argmax(axis=1)
+    scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
+    offset -= scale * _float64(near)[source]
+    offset[np.abs(offset) < _TOLERANCE] = 0.0
+    shown = len(offset)
+    lower, upper = _limits(lambda x: _float64(observe(jnp.full(rest.size, x))))
+    copied = Actuators(offset, scale, lower, upper)  # the same form
+    fits = (slope != 0).sum(axis=1) == 1
+    for size in np.geomspace(_NEAR, _FAR, _NUM_PROBES):
+        flat = size * generator.standard_normal(rest.size)
+        wanted = _float64(observe(jnp.asarray(flat, jnp.float32)))
+        fits &= np.isclose(copied.control(flat[source]), wanted, _TOLERANCE, _TOLERANCE)
+    for index in np.flatnonzero(fits):
+        names[index] = _written(labels[source[index]], scale[index], offset[index])
+    names[shown:] = [f"instruction[{index}]" for index in range(len(names) - shown)]
+    free = np.full(len(names) - shown, np.inf)
+    return Sensors(
+        tuple(names),
+        np.append(np.where(fits, lower, -np.inf), -free),
+        np.append(np.where(fits, upper, np.inf), free),
+    )
+
+
+def _at_rest(env: AbstractSimulatedEnv[Any], task: Any) -> dict[str, np.ndarray]:
+    if isinstance(env, AbstractMujocoEnv):
+        return resting_readings(load_model(env.model), env.readings)
+    start = env.start(jax.random.key(0), jax.tree.map(jnp.asarray, task))
+    return {"qpos": np.asarray(start.qpos), "qvel": np.asarray(start.qvel)}
+
+
+def _labels(env: AnyEnv, name: str, value: np.ndarray) -> list[str]:
+    owners: Iterable[str] = repeat("", value.size)
+    if isinstance(env, AbstractMujocoEnv):
+        owners = reading_owners(env.model, name, value.size)
+    places = (f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape))
+    return [place + (f" {own}" if own else "") for place, own in zip(places, owners, strict=True)]
+
+
+def _written(label: str, scale: float, offset: float) -> str:
+    scaled = label if np.isclose(scale, 1.0) else f"{scale:.6g} * {label}"
+    return scaled if offset == 0 else f"{scaled} {'+' if offset > 0 else '-'} {abs(offset):.6g}"
+
+
+def _limits(function: Callable[[float], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the smallest and the largest that a function gets to, infinite if it goes on."""
+    far, half = (np.stack([function(-x), function(x)]) for x in (_FAR, _FAR / 2))
+    limits = np.where(far == half, far, np.copysign(np.inf, far))
+    return limits.min(axis=0), limits.max(axis=0)
+
+
+def _float64(values: Any) -> np.ndarray:
+    return np.asarray(values, np.float64)
