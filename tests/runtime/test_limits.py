@@ -16,7 +16,7 @@ from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Point, Wheeled, ant, bl
 from maesn.runs.export import Stated, exported_policy
 from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Explorer
-from maesn.runtime.facts import facts
+from maesn.runtime.table import facts
 from maesn.worlds import open_simulator
 
 LIMITED = '<motor name="push" joint="rail" ctrlrange="-0.2 0.3" ctrllimited="true"/>'

@@ -90,7 +90,7 @@ def test_what_is_no_network_of_observation_and_z_is_refused(
     with pytest.raises(RunError, match="has no form that the runtime can act with"):
         api.export(recurrent.directory, path)
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ValueError, match=r"pip install 'maesn\[onnx\]'"):
+    with pytest.raises(ValueError, match=r"pip install -e '\.\[onnx\]'"):
         write_policy(path, exported_policy(fast_learner(), point, {}))
     assert not path.exists()
 

@@ -18,11 +18,11 @@ from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.episode import PURPOSES
 from maesn.runtime.exported_search import ExportedSearch
-from maesn.runtime.facts import facts
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
 from maesn.runtime.search import SearchSettings
 from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
+from maesn.runtime.table import facts
 
 # Fields of a model that decide what a robot is sent. Where tasks change them, nobody but the user
 # knows which task the robot is in.

@@ -14,8 +14,8 @@ import numpy as np
 from maesn.runtime import ExportedPolicy
 from maesn.runtime.archive import write_whole
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.facts import facts
 from maesn.runtime.policy import Weights
+from maesn.runtime.table import facts
 
 SUFFIX = ".onnx"
 # Old enough for the runtimes of the last years; the operators are older still.
@@ -68,7 +68,7 @@ def _onnx() -> Any:
         return import_module("onnx")
     except ImportError as error:
         raise ValueError(
-            "an ONNX file needs the package onnx: pip install 'maesn[onnx]'."
+            "an ONNX file needs the package onnx: pip install -e '.[onnx]'."
         ) from error
 
 
@@ -99,7 +99,8 @@ def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
 
 def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
     """Return the network: clip(offset + scale * (mlp([o, z]) + std * noise), lower, upper)."""
-    nodes, constants = [], {}
+    nodes: list[Any] = []
+    constants: dict[str, np.ndarray] = {}
 
     def constant(value: np.ndarray) -> str:
         name = f"constant_{len(constants)}"

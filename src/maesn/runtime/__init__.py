@@ -24,3 +24,4 @@ from maesn.runtime.policy import GaussianPolicy as GaussianPolicy
 from maesn.runtime.safeguards import Safeguards as Safeguards
 from maesn.runtime.sensors import Sensors as Sensors
 from maesn.runtime.state import ExplorerState as ExplorerState
+from maesn.runtime.table import facts as facts
