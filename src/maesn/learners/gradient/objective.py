@@ -94,6 +94,10 @@ class MetaObjective(eqx.Module):
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
         return self.adapted(parameters).map(post_distributions, episodes, how="vmap")
 
+    def distributions_before(self, parameters: MetaParameters) -> AbstractDistribution:
+        """Return likewise those of the agents before the inner updates, on what they played."""
+        return self.start(parameters).map(post_distributions, self.pre[0][0], how="vmap")
+
     def statistics_after(self) -> ObservationStatistics | None:
         """Return the statistics after the episodes of this meta-iteration.
 
