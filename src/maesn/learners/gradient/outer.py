@@ -1,6 +1,7 @@
 """Outer steps: how the meta-parameters improve on the episodes of one meta-iteration."""
 
 from abc import abstractmethod
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
@@ -206,7 +207,6 @@ class ProximalOuterStep(FirstOrderOuterStep):
 
     def loss(self, task: MetaObjective, parameters: MetaParameters) -> Float[Array, ""]:
         new = task.distributions(parameters, task.post)
-        clipped = map_tasks(
-            lambda *one: clipped_loss(*one, self.clip), new, task.post, task.advantages, how="vmap"
-        )
+        loss = partial(clipped_loss, clip=self.clip)
+        clipped = map_tasks(loss, new, task.post, task.advantages, how="vmap")
         return jnp.mean(clipped + task.penalties(parameters))
