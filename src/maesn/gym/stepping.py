@@ -17,6 +17,7 @@ from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import TaskChoice, checked_task, make_steppable
+from maesn.gym.units import box_to_action
 from maesn.physics import PhysicsError
 from maesn.worlds import EpisodeError, Scene, arena, open_simulator
 from maesn.worlds.outcome import observe
@@ -81,6 +82,7 @@ class Stepper:
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
+        self._to_action = box_to_action(self.env)
         self._simulator = open_simulator(self.env, num_episodes, num_threads)
         self.task_index = np.zeros(num_episodes, np.int64)
         self._present: Any = None  # the tasks of these indices
@@ -159,7 +161,7 @@ class Stepper:
             EpisodeError: the physics of an episode blew up, or an observation or a reward is not
                 finite.
         """
-        before, action = self._readings, action.astype(np.float32)
+        before, action = self._readings, self._to_action(action.astype(np.float32))
         control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
             self._readings = _single(self._simulator.step(control, ended))

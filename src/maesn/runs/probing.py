@@ -21,7 +21,7 @@ _FAR = 1e6
 _PROBE_STEP = 2.0**-10  # a power of two, so that the scale is exact in single precision
 _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
-_NEAR = 0.01  # standard deviation of readings around those at rest, where nothing is clipped
+_NEAR = 0.01  # standard deviation of inputs that are not clipped
 
 
 def probe_actuators(env: AnyEnv) -> Actuators:
@@ -30,9 +30,10 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     They are read off the function itself, and compared with it on random actions: `ValueError` if
     it has another form. The limits are the tightest of those in `control` and of the world.
     """
+    mapped = jax.jit(jax.vmap(env.control))
 
-    def control(action: np.ndarray | float) -> np.ndarray:
-        return _float64(env.control(jnp.full(env.action_size, action, jnp.float32)))
+    def control(action: float) -> np.ndarray:
+        return _float64(mapped(jnp.full((1, env.action_size), action, jnp.float32)))[0]
 
     lower, upper = _limits(control)
     own = Actuators(
@@ -42,15 +43,15 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         upper=upper,
         names=env.actuators().names,
     )
-    generator = np.random.default_rng(0)
-    sizes = np.geomspace(1e-2, _FAR, _NUM_PROBES)[:, None]
-    for action in sizes * generator.standard_normal((_NUM_PROBES, env.action_size)):
-        wanted = control(action)
-        if not np.allclose(own.control(action), wanted, _TOLERANCE, _TOLERANCE):
-            raise ValueError(
-                f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
-                f"upper) for each actuator, but the action {action} becomes {wanted}."
-            )
+    actions = _probes(env.action_size)
+    wanted = _float64(mapped(jnp.asarray(actions, jnp.float32)))
+    fits = np.isclose(own.control(actions), wanted, _TOLERANCE, _TOLERANCE).all(axis=1)
+    if not fits.all():
+        index = int(np.argmin(fits))
+        raise ValueError(
+            f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, upper) "
+            f"for each actuator, but the action {actions[index]} becomes {wanted[index]}."
+        )
     return own.narrowed(env.actuators().lower, env.actuators().upper)
 
 
@@ -84,8 +85,7 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
     def observe(flat: Array) -> Array:
         return env.observe(dict(zip(readings, as_readings(flat), strict=True)))
 
-    generator = np.random.default_rng(0)
-    near = rest + _NEAR * generator.standard_normal(rest.size)
+    near = rest + _NEAR * np.random.default_rng(1).standard_normal(rest.size)
     slope, offset = _float64(jax.jacfwd(observe)(near)), _float64(observe(near))
     source = np.abs(slope).argmax(axis=1)
     scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
@@ -95,10 +95,10 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
     lower, upper = _limits(lambda x: _float64(observe(jnp.full(rest.size, x))))
     copied = Actuators(offset, scale, lower, upper)  # the same form
     fits = (slope != 0).sum(axis=1) == 1
-    for size in np.geomspace(_NEAR, _FAR, _NUM_PROBES):
-        flat = size * generator.standard_normal(rest.size)
-        wanted = _float64(observe(jnp.asarray(flat, jnp.float32)))
-        fits &= np.isclose(copied.control(flat[source]), wanted, _TOLERANCE, _TOLERANCE)
+    probes = _probes(rest.size)
+    wanted = _float64(jax.vmap(observe)(jnp.asarray(probes, jnp.float32)))
+    copies = copied.control(probes[:, source])
+    fits &= np.isclose(copies, wanted, _TOLERANCE, _TOLERANCE).all(axis=0)
     for index in np.flatnonzero(fits):
         names[index] = _written(labels[source[index]], scale[index], offset[index])
     names[shown:] = [f"instruction[{index}]" for index in range(len(names) - shown)]
@@ -128,6 +128,12 @@ def _labels(env: AnyEnv, name: str, value: np.ndarray) -> list[str]:
 def _written(label: str, scale: float, offset: float) -> str:
     scaled = label if np.isclose(scale, 1.0) else f"{scale:.6g} * {label}"
     return scaled if offset == 0 else f"{scaled} {'+' if offset > 0 else '-'} {abs(offset):.6g}"
+
+
+def _probes(size: int) -> np.ndarray:
+    """Return random inputs of all sizes, `[probe, size]`."""
+    sizes = np.geomspace(_NEAR, _FAR, _NUM_PROBES)[:, None]
+    return sizes * np.random.default_rng(0).standard_normal((_NUM_PROBES, size))
 
 
 def _limits(function: Callable[[float], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
