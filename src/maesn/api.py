@@ -5,7 +5,6 @@ as `module:name`.
 """
 
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,6 +14,7 @@ from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
+from maesn.evaluation.exporting import export_run
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, run_page, study_page, write_page
@@ -22,14 +22,13 @@ from maesn.reporting.report import report_runs, report_study
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import studies_in
 from maesn.reporting.tables import TextTable
-from maesn.rules import GradientRule, SearchRule, Trained
 from maesn.runs.config import RunSettings
-from maesn.runs.export import Stated, exported_policy, write_policy
+from maesn.runs.export import Stated
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, change_run, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
-from maesn.search.stored import find_prior, played_live, run_prior
+from maesn.search.stored import played_live, run_prior
 from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import warn_of_duration
 
@@ -212,34 +211,9 @@ def export(
         raise RunError(
             f"`{path}` exists and would be replaced: give another path, or `--overwrite`."
         )
-    opened = Run.open(run, family, method)
-    checkpoint = opened.latest()
-    about: dict[str, Any] = {"method": opened.settings.method, "iteration": checkpoint.iteration}
-    stated = Stated(lower, upper, control_period)
-    start = search = None
-    if latents is not None and task is not None:
-        start = running.adapted_latent(opened, Path(latents), task)
-        about["task"] = task
-    elif latents is not None or task is not None:
-        raise RunError("`latents` and `task` belong together: give both of them, or none.")
-    if isinstance(rule, SearchRule) and start is None:
-        with closing(opened.world(reward_kind="sparse")) as world:
-            found = find_prior(opened, checkpoint.state, world, rule.prior, rule.any_reward)
-            if not rule.any_reward:
-                about["reward"] = f"sparse, within {world.env.sparse_radius:g}"
-        search = found, rule.settings
-    elif not isinstance(rule, GradientRule | None):
-        raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
-    try:
-        learner = opened.learner.fast_learner(checkpoint.state)
-        if isinstance(rule, GradientRule):
-            trained = Trained(opened.learner, checkpoint.state)
-            learner = rule.fast_learner(trained, opened.env())
-        task, env = opened.training_tasks[0], opened.env()
-        exported = exported_policy(learner, env, about, start, search, task=task, stated=stated)
-        write_policy(path, exported)
-    except (ValueError, OSError) as error:
-        raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
+    opened, stated = Run.open(run, family, method), Stated(lower, upper, control_period)
+    given = None if latents is None else Path(latents)
+    export_run(opened, Path(path), rule, given, task, stated)
     return Path(path)
 
 

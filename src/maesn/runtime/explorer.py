@@ -191,10 +191,9 @@ class Explorer:
                 it or the control is not finite, or `normalized` is asked of actuators without
                 limits.
         """
-        running = self._running("act")
-        size = self.exported.observation_size
-        observed = finite_vector("observation", observation, size, "as in training")
-        observed = self.exported.sensors.clipped(observed)
+        running, size = self._running("act"), self.exported.observation_size
+        seen = finite_vector("observation", observation, size, "as in training")
+        observed = self.exported.sensors.clipped(seen)
         action = self._policy.mean(observed)
         if not np.isfinite(action).all():
             raise ValueError(
