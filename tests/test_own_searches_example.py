@@ -1,12 +1,10 @@
 """The example of own rules: searches by returns alone, named on the command line and in studies."""
 
 import json
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import cmaes
-import jax
 import numpy as np
 import pytest
 from scripts import ROOT, load_script
@@ -18,7 +16,6 @@ from maesn.learners import maml
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
-from maesn.worlds.collector import Collector
 
 searches = load_script("examples/own_searches.py")
 OPTIMUM = np.array([2.0, -1.0])
@@ -33,16 +30,6 @@ def played(search: Any, count: int, seed: int = 0) -> tuple[Any, np.ndarray, np.
         returns.append(-float(((latents[-1] - OPTIMUM) ** 2).sum()))
         memory = search.after(memory, latents[-1], returns[-1])
     return memory, np.stack(latents), np.asarray(returns)
-
-
-def test_the_best_draw_is_deployed() -> None:
-    search = searches.BestOf(spread=3.0)
-    np.testing.assert_array_equal(search.deployed(search.start(2)), 0.0)
-    for count in (1, 7, 200):
-        memory, latents, returns = played(search, count)
-        np.testing.assert_array_equal(search.deployed(memory), latents[returns.argmax()])
-    # 400 numbers of N(0, 3^2): the sample standard deviation, to four standard errors.
-    assert abs(latents.std() - 3.0) < 4 * 3.0 / np.sqrt(2 * latents.size)
 
 
 def test_the_next_round_is_fitted_to_the_best_of_this_one() -> None:
@@ -113,14 +100,6 @@ def test_the_best_draw_of_a_run_is_deployed_in_every_task(trained: Run, few: str
         assert [0, *changes] == np.flatnonzero(moved).tolist()
 
 
-def test_tasks_do_not_depend_on_how_many_there_are(trained: Run, few: str, tmp_path: Path) -> None:
-    asked = maesn.Evaluation(few, rule=searches.CmaEs(), episodes=7, deploy_episodes=1)
-    three = api.adapt(trained, asked, out=tmp_path / "a.csv").outcome.contexts
-    one_by_one = asked.changed(tasks_at_once=1, num_tasks=2)
-    two = api.adapt(trained, one_by_one, out=tmp_path / "b.csv").outcome.contexts
-    np.testing.assert_allclose(two.mean, three.mean[:2], rtol=1e-5)
-
-
 def test_fine_tuning_goes_on_from_the_latent_to_deploy(trained: Run, few: str) -> None:
     added = (maesn.ThenTrpo(after=3), maesn.VimeBonus())
     rule = searches.CrossEntropy(round_size=2)
@@ -128,17 +107,6 @@ def test_fine_tuning_goes_on_from_the_latent_to_deploy(trained: Run, few: str) -
     tuned = api.adapt(trained, asked).outcome.contexts
     np.testing.assert_array_equal(tuned.mean[:, 3:], tuned.mean[:, [3] * 21])
     np.testing.assert_allclose(tuned.log_std, np.log(1e-6), rtol=1e-6)
-
-
-def test_an_update_leaves_the_state_before_as_it_was(trained: Run) -> None:
-    found = maesn.Trained(trained.learner, trained.latest_state())
-    learner = searches.BestOf().fast_learner(found, trained.env())
-    state = learner.init(jax.random.split(jax.random.key(3), 2))
-    with closing(trained.world()) as world:
-        keys = jax.random.split(jax.random.key(4), 2)
-        episodes = Collector(world, 1)(keys, learner.agents(state), jax.numpy.arange(2))
-    first, second = (learner.update(state, episodes) for _ in range(2))
-    np.testing.assert_array_equal(first.chosen, second.chosen)
 
 
 def test_a_method_without_a_latent_is_refused(tmp_path: Path, few: str) -> None:
