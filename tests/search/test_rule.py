@@ -207,11 +207,19 @@ def test_what_makes_no_sense_is_one_sentence(
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"draws": 0, "adapted": False}, {"episodes": 1}, {"spread": -1.0}, {"seed": -1}]
+    ("settings", "said"),
+    [
+        ({"draws": -1}, "`draws` must be at least 0, got -1"),
+        ({"draws": 0, "adapted": False}, "`draws` must be at least 1, got 0"),
+        ({"episodes": 1}, "`episodes` must be at least 2, got 1"),
+        ({"spread": -1.0}, "`spread` must be positive"),
+        ({"seed": -1}, "`seed` must be at least 0, got -1"),
+        ({"simulations": 0}, "`simulations` must be at least 1"),
+    ],
 )
-def test_priors_that_cannot_be_made_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=f"`{next(iter(wrong))}` must be"):
-        PriorSettings(**wrong)
+def test_priors_that_cannot_be_made_are_refused(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        PriorSettings(**settings)
 
 
 def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
@@ -220,6 +228,13 @@ def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(meta_batch_size=1), settings)
     with pytest.raises(RunError, match="trained on one task"):
         maesn.prior(run)
+
+
+def test_python_takes_the_rule_as_an_object(trained: Path, few: str, tmp_path: Path) -> None:
+    done = maesn.adapt(
+        trained, rule=SearchRule(), tasks=few, episodes=2, deploy_episodes=1, out=tmp_path / "t.csv"
+    )
+    assert done.curves.mean_return.shape == (3, 3)
 
 
 def test_a_prior_whose_numbers_are_nested_too_deeply_is_refused(tmp_path: Path) -> None:
