@@ -72,8 +72,8 @@ def small(method: str) -> Any:
     """A learner of eight tasks, a multiple of all numbers of devices."""
     learner = PRESETS[method](meta_batch_size=8)
     if isinstance(learner, GradientMetaLearner):
-        fewer = replace(learner.trust_region, cg_steps=CG_STEPS)
-        return replace(learner, trust_region=fewer)
+        region = replace(learner.outer.trust_region, cg_steps=CG_STEPS)
+        return replace(learner, outer=replace(learner.outer, trust_region=region))
     return learner
 
 
