@@ -13,11 +13,11 @@ from runtime.robot import fast_learner, policy_file
 
 from maesn.axes import Readings
 from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Point, Wheeled, ant, blockpush
+from maesn.physics import NativeSimulator
 from maesn.runs.export import Stated, exported_policy
 from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Explorer
 from maesn.runtime.table import facts
-from maesn.worlds import open_simulator
 
 LIMITED = '<motor name="push" joint="rail" ctrlrange="-0.2 0.3" ctrllimited="true"/>'
 FREE = '<motor name="push" joint="rail"/>'
@@ -67,7 +67,7 @@ def test_the_tightest_limits_hold(reach: float, stated: Any, limits: Any) -> Non
 
 def test_the_engine_clips_to_the_limits_that_the_robot_has() -> None:
     """Two controls beyond the limit move the cart as the limit itself does."""
-    simulator = open_simulator(Driven(), 3)
+    simulator = NativeSimulator(Driven.model, 3)
     simulator.reset(np.zeros((3, 1)), np.zeros((3, 1)))
     speed = simulator.step(np.array([[0.3], [5.0], [0.29]]))["qvel"][:, 0]
     assert speed[0] == speed[1] > speed[2]

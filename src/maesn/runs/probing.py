@@ -18,7 +18,7 @@ from maesn.runtime import Actuators, Sensors
 # An input far outside of every range: what it leads to is a limit. What grows with the input to
 # half that size has none.
 _FAR = 1e6
-_PROBE_STEP = 2.0**-10  # a power of two, so that the scale is exact in single precision
+_PROBE_STEP = 2.0**-10  # powers of two, so that the scale is exact in single precision
 _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
 _NEAR = 0.01  # standard deviation of inputs that are not clipped
@@ -32,13 +32,18 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     """
     mapped = jax.jit(jax.vmap(env.control))
 
-    def control(action: float) -> np.ndarray:
+    def control(action: float | np.ndarray) -> np.ndarray:
         return _float64(mapped(jnp.full((1, env.action_size), action, jnp.float32)))[0]
 
     lower, upper = _limits(control)
+    offset = control(0.0)
+    # The longest step that no limit cuts has the least rounding. A step of half the room is safe.
+    rough = np.abs(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP)
+    room = np.minimum(upper - offset, offset - lower) / (2 * np.maximum(rough, _PROBE_STEP))
+    step = 2.0 ** np.floor(np.log2(np.clip(room, _PROBE_STEP, 1.0)))
     own = Actuators(
-        offset=control(0.0),
-        scale=(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP),
+        offset=offset,
+        scale=(control(step) - control(-step)) / (2 * step),
         lower=lower,
         upper=upper,
         names=env.actuators().names,
