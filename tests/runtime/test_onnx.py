@@ -106,3 +106,9 @@ def test_the_command_writes_it_and_shows_the_table(
     feed = {"observation": np.zeros((1, 12), np.float32), "z": np.full((1, 2), 9.0, np.float32)}
     assert session(path).run(None, feed)[0].max() <= 1.5
     assert cli.run(["export", "wheeled", str(path)]) != 0  # it is not replaced
+    each = ["--lower", "-1", "-0.5", "--upper=inf", "--overwrite"]
+    assert cli.run(["export", "wheeled", str(path), *each]) == 0
+    assert "left_motor, 2 * action, limits -0.5 to 2" in capsys.readouterr().out
+    for wrong in (["--lower"], ["--lower", "x"]):
+        with pytest.raises(SystemExit):
+            cli.run(["export", "wheeled", str(path), *wrong])

@@ -37,6 +37,13 @@ def _named(option: str) -> PrimitiveConstructorSpec[Any]:
     )
 
 
+def _limit(words: list[str]) -> Limit:
+    if not words:
+        raise ValueError("give one number, or one for each actuator")
+    numbers = [float(word) for word in words]
+    return numbers if numbers[1:] else numbers[0]
+
+
 AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
 AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
@@ -51,10 +58,7 @@ AnyChange: TypeAlias = Annotated[
     Mapping[str, Any] | None, _read("*", "NAME=VALUE", values_of_words)
 ]
 """Name of a setting -> its new value."""
-AnyLimit: TypeAlias = Annotated[
-    Limit | None,
-    _read("*", "NUMBER", lambda words: [*map(float, words)] if words[1:] else float(words[0])),
-]
+AnyLimit: TypeAlias = Annotated[Limit | None, _read("*", "NUMBER", _limit)]
 """Limit of all actuators, or of each."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""
