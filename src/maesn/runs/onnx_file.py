@@ -1,7 +1,7 @@
 """An exported policy as an ONNX file, for robots that are not programmed in Python.
 
-The network takes `observation` and `z`, `[batch, ...]` each, and returns `control`, what the
-actuators are sent. To explore, draw its optional input `noise` from N(0, I). Left out, it is 0.
+The network takes `observation` and `z`, `[batch, ...]` each. It returns `control`, what the
+actuators are sent at the mean action, and this `action` itself, for those who add noise to explore.
 """
 
 import json
@@ -98,7 +98,7 @@ def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
 
 
 def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
-    """Return the network: clip(offset + scale * (mlp([o, z]) + std * noise), lower, upper)."""
+    """Return the network: a = mlp([o, z]), and clip(offset + scale * a, lower, upper)."""
     nodes: list[Any] = []
     constants: dict[str, np.ndarray] = {}
 
@@ -123,22 +123,20 @@ def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
     for layer, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         value = add("Add", add("MatMul", value, weight), bias)
         value = value if layer == last else add("Relu", value)
-    action = add("Add", value, add("Mul", "noise", policy.std))
-    control = add("Add", add("Mul", action, actuators.scale), actuators.offset)
+    nodes[-1].output[0] = "action"
+    control = add("Add", add("Mul", "action", actuators.scale), actuators.offset)
     clip(control, actuators.lower, actuators.upper)
     nodes[-1].output[0] = "control"
-    constants["noise"] = np.zeros((1, exported.action_size), np.float32)  # unless it is given
-    sizes = {"observation": exported.observation_size, "z": exported.latent_size}
 
-    def tensor(name: str, size: int, batch: str = "batch") -> Any:
-        return helper.make_tensor_value_info(name, kind, [batch, size])
+    def tensor(name: str, size: int) -> Any:
+        return helper.make_tensor_value_info(name, kind, ["batch", size])
 
-    given = [tensor(name, size) for name, size in sizes.items()]
+    size = exported.action_size
     return helper.make_graph(
         nodes,
         "policy",
-        [*given, tensor("noise", exported.action_size, "one_or_batch")],
-        [tensor("control", exported.action_size)],
+        [tensor("observation", exported.observation_size), tensor("z", exported.latent_size)],
+        [tensor("control", size), tensor("action", size)],
         [_tensor(helper, kind, name, value) for name, value in constants.items()],
     )
 
