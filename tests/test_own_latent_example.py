@@ -26,10 +26,6 @@ def train(run: str, iterations: int) -> maesn.Run:
     return maesn.Run.open(run)
 
 
-def test_it_is_short() -> None:
-    assert len((ROOT / "examples" / "own_latent.py").read_text("utf-8").splitlines()) <= 80
-
-
 def test_the_prior_is_learned_and_new_tasks_start_from_it() -> None:
     run = train("run", 3)
     prior = run.latest_state().parameters.context_table.prior

@@ -24,10 +24,6 @@ def train(run: str, iterations: int) -> None:
     assert cli.run(["train", NAME, *words]) == 0
 
 
-def test_it_is_short() -> None:
-    assert len((ROOT / "examples" / "own_method.py").read_text("utf-8").splitlines()) <= 120
-
-
 def test_it_resumes_bit_for_bit_and_adapts_by_its_own_learner() -> None:
     train("whole", 3)
     train("parts", 1)
