@@ -229,28 +229,6 @@ def test_the_pool_holds_a_sample_of_all_batches() -> None:
         assert set(added) <= seen
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "said"),
-    [
-        ("weight", -1.0, "`weight` must be finite and at least 0, got -1.0"),
-        ("hidden_sizes", (0,), r"`hidden_sizes` must be positive, got \(0,\)"),
-        ("updates", -1, "`updates` must be finite and at least 0, got -1"),
-        *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("samples", "batch_size")],
-        *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("pool_size", "pool_additions")],
-        ("median_window", 0, "`median_window` must be at least 1, got 0"),
-        *[
-            (n, 0.0, f"`{n}` must be positive and finite, got 0.0")
-            for n in ("prior_std", "likelihood_std")
-        ],
-        ("likelihood_std", float("inf"), "`likelihood_std` must be positive and finite, got inf"),
-        ("learning_rate", float("nan"), "`learning_rate` must be positive and finite, got nan"),
-    ],
-)
-def test_impossible_settings_are_refused_by_name(setting: str, value: object, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        CuriosityBonus(**{setting: value})
-
-
 def test_a_world_without_observations_is_refused() -> None:
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0"):
         CuriosityBonus().init(KEY, 0, 2)

@@ -155,8 +155,3 @@ def test_the_normalisation_of_observations_stays(collect: Collector) -> None:
     plain = replace(state, agents=replace(state.agents, statistics=None))
     other = improvement(plain, played).agents.policy.mlp.layers[0].weight
     assert (moved.policy.mlp.layers[0].weight != other).any()
-
-
-def test_a_negative_number_of_episodes_is_refused() -> None:
-    with pytest.raises(ValueError, match="`after` must be at least 0 episodes, got -1"):
-        FineTuning(fast(), after=-1)

@@ -1,21 +1,15 @@
 """The oracle: it is given the task, learns what to do with that, and adapts nothing."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from playing import assert_same, keys
-from small_runs import create, finish, outcome
 
-from maesn import api
 from maesn.context import OracleContext
 from maesn.envs import FAMILIES, PROBES, BlockPushTask
 from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
-from maesn.runs.run import Run
-from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -76,17 +70,3 @@ def test_updates_of_the_oracle_change_nothing() -> None:
     state = fast.init(keys(3))
     episodes = Collector(make_world(env, tasks), 3)(keys(3), fast.agents(state), jnp.arange(3))
     assert_same(fast.agents(fast.update(state, episodes)), fast.agents(state))
-
-
-@pytest.mark.long  # its state is that of every gradient meta-learner, which `tests/runs` resume
-def test_runs_of_the_oracle_resume_bit_for_bit(tmp_path: Path) -> None:
-    whole = finish(create(tmp_path / "whole", oracle(**SMALL)))
-    finish(create(tmp_path / "parts", oracle(**SMALL)), iterations=4)
-    assert outcome(finish(Run.open(tmp_path / "parts"))) == outcome(whole)
-    assert whole.settings.method == "oracle"
-
-
-def test_an_oracle_cannot_be_exported(tmp_path: Path) -> None:
-    run = create(tmp_path / "run", oracle(**SMALL))
-    with pytest.raises(RunError, match="must adapt a latent alone"):
-        api.export(run.directory, tmp_path / "policy.npz")

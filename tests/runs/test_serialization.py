@@ -11,7 +11,6 @@ from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners import METHODS, AbstractMetaLearner, maesn
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.runs.config import RunSettings
 from maesn.runs.serialization import (
     digest_of_document,
     from_json,
@@ -114,16 +113,3 @@ def test_a_document_that_is_not_ours_is_refused_by_name(
 ) -> None:
     with pytest.raises(ValueError, match=named):
         from_json(altered(**changes), AbstractMetaLearner)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("iterations", -1), ("iterations", 2**31), ("seed", -1), ("seed", 2**32)),
-        *(("episodes_per_task", 0), ("episodes_per_task", 2**31), ("checkpoint_every", 0)),
-        *(("num_threads", -2), ("sparse_radius", 0.0), ("sparse_radius", float("nan"))),
-    ],
-)
-def test_a_wrong_setting_of_a_run_is_refused_by_name(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=f"`{name}` must be"):
-        RunSettings(**{name: value})

@@ -12,13 +12,6 @@ from maesn.runtime import Explorer, ExplorerState, Latent
 OBSERVATION = np.asarray([0.1, -0.2])
 
 
-def test_a_new_task_starts_from_the_prior(policy: Path) -> None:
-    explorer = Explorer.load(policy)
-    assert explorer.latent_mean.tolist() == [0.0, 0.0]
-    assert explorer.latent_std.tolist() == [1.0, 1.0]
-    assert (explorer.update, explorer.episodes, explorer.is_running) == (0, (), False)
-
-
 def test_z_and_actions_are_the_draws_that_the_seed_says(policy: Path) -> None:
     explorer, stream = Explorer.load(policy, seed=5), np.random.default_rng(5)
     z = explorer.begin_episode()
@@ -28,14 +21,6 @@ def test_z_and_actions_are_the_draws_that_the_seed_says(policy: Path) -> None:
     mean = explorer.exported.policy.given(z).mean(OBSERVATION)
     expected = mean + explorer.exported.policy.std * stream.standard_normal(2)
     np.testing.assert_array_equal(episode.actions, [expected])
-
-
-def test_without_exploration_the_action_is_the_policy_s_mean(policy: Path) -> None:
-    explorer = Explorer.load(policy, seed=1)
-    mean = explorer.exported.policy.given(explorer.begin_episode()).mean(OBSERVATION)
-    control = explorer.act(OBSERVATION, explore=False)
-    np.testing.assert_array_equal(control, np.clip(mean, -1, 1))  # the point's own limits
-    np.testing.assert_array_equal(control, explorer.control(mean))
 
 
 def test_z_is_drawn_from_the_present_latent(policy: Path) -> None:
@@ -206,11 +191,3 @@ def test_an_update_to_a_latent_that_draws_infinity_is_refused(policy: Path) -> N
 def test_latents_that_nothing_can_be_drawn_from_are_refused(mean: float, log_std: float) -> None:
     with pytest.raises(ValueError, match="the latent must have a mean of at most 1e"):
         Latent(np.full(2, mean), np.full(2, log_std))
-
-
-def test_after_a_refusal_the_episode_goes_on(policy: Path) -> None:
-    explorer = Explorer.load(policy, seed=10)
-    begin(explorer, 2)
-    with pytest.raises(ValueError, match="`rewards`"):
-        explorer.end_episode([1.0])
-    assert explorer.end_episode([1.0, 2.0]).undiscounted_return == 3.0

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runtime.robot import STEPS, constant, contents, observations, play, policy_file, towards
+from runtime.robot import STEPS, constant, contents, observations, play, towards
 
-from maesn.envs import Wheeled
 from maesn.runtime import Actuators, Explorer, Safeguards
 
 
@@ -109,15 +108,6 @@ def test_rollback_tolerates_a_drop(policy: Path, drop: float | None, rolls_back:
     assert fallen[1] == rolls_back
 
 
-def test_a_taken_back_update_is_not_the_same_again(policy: Path) -> None:
-    # The schedule has moved on: with full steps 1, 1 and then halves, the retry is no longer.
-    explorer = Explorer.load(policy, seed=3, safeguards=Safeguards(max_return_drop=0.0))
-    for reward in (1.0, 0.0):
-        play(explorer, 4, constant(reward))
-        explorer.adapt()
-    assert explorer.exported.rule.scale(explorer.update) == 0.5
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -176,8 +166,3 @@ def test_actuators_scale_shift_and_clip() -> None:
     )
     assert actuators.control(np.asarray([-3.0, -7.0])).tolist() == [-1.0, 7.0]
     assert actuators.control(np.asarray([1.0, 7.0])).tolist() == [2.5, -1.0]
-
-
-def test_the_wheeled_robot_s_controls(tmp_path: Path) -> None:
-    explorer = Explorer.load(policy_file(tmp_path, Wheeled()))
-    assert explorer.control([0.3, -4.0]).tolist() == [0.6, -2.0]
