@@ -53,3 +53,16 @@ def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path:
     deployed = learner.agents(state, "deploy").context
     np.testing.assert_array_equal(deployed.mean, state.context.mean)
     assert float(np.exp(deployed.log_std).max()) < 1e-5
+
+
+@pytest.mark.long
+def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    GUIDE.follow("adapt", "compare", more=["--num-tasks", "2"])
+    tables = folder / "maesn-wheeled" / "adaptation"
+    written = sorted(tables.glob("test-sparse-*.csv"))
+    # With other settings of the rule the table is another one.
+    assert len(written) == 2
+    assert all(path.name.startswith("test-sparse-crossentropy-") for path in written)
+    assert (folder / "cross-entropy" / "comparison.png").exists()
+    assert "MAESN (CrossEntropy)" in (folder / "cross-entropy" / "summary.md").read_text()

@@ -15,10 +15,12 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import (
     METHODS,
     BonusFastLearner,
+    BonusMetaLearner,
     CuriosityBonus,
     FineTuning,
     GradientFastLearner,
 )
+from maesn.policies import GaussianMLP
 from maesn.rules import (
     BestOfRule,
     FixedAgents,
@@ -251,3 +253,23 @@ def test_a_label_says_what_is_changed() -> None:
     assert Evaluation(rule=GradientRule(2.0, 10)).label == "steps × 2; 10 full steps"
     both = Evaluation(episodes=1000, wrappers=(ThenTrpo(), VimeBonus()))
     assert both.label == "500 episodes, then TRPO; bonus by VIME"
+
+
+@pytest.mark.long
+def test_a_run_with_a_bonus_is_trained_stored_and_adapted(tmp_path: Path, few: str) -> None:
+    command = (
+        "train maesn+curiosity --family point --reward sparse --iterations 1 "
+        "--episodes-per-task 3 --learner.meta-batch-size 2 --learner.policy.hidden-sizes 4 "
+        f"--curiosity.updates 2 --curiosity.weight 0.5 --run {tmp_path / 'run'}"
+    )
+    assert cli.run(command.split()) == 0
+    run = Run.open(tmp_path / "run")
+    assert run.settings.method == "maesn+curiosity"
+    assert isinstance(run.learner, BonusMetaLearner)
+    assert run.learner.curiosity.weight == 0.5
+    assert run.learner.learner.policy == GaussianMLP((4,))
+    assert run.latest().iteration == 1
+    assert "bonus" in (run.directory / "metrics.jsonl").read_text()
+    api.adapt(run, tasks=few, **FEW)
+    with pytest.raises(RunError, match="it has a curiosity bonus already"):
+        api.adapt(run, tasks=few, wrappers=(VimeBonus(),))

@@ -10,7 +10,7 @@ import pytest
 from learning_problems.transitions import linear_episodes
 from playing import keys
 
-from maesn.envs import point
+from maesn.envs import chain, point
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.agent import Agents
@@ -93,10 +93,6 @@ def test_every_task_has_a_model_of_its_own() -> None:
 
 @pytest.fixture(scope="module")
 def collect() -> Collector:
-    return make_collect()
-
-
-def make_collect() -> Collector:
     env = point.make_env(reward_kind="sparse", horizon=8)
     return Collector(make_world(env, point.task_set("training", size=5)), 4)
 
@@ -135,10 +131,12 @@ ALONE = {
     # A trial is played by the same agents, episode after episode.
     "rl2": rl2(policy=Recurrent(hidden_size=3), meta_batch_size=2),
 }
-LONG = ["latent_space", "more batches", "rl2"]  # in `tests/long`
 
 
-@pytest.mark.parametrize("name", [name for name in ALONE if name not in LONG])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name == "maesn" else [pytest.mark.long]) for name in ALONE],
+)
 def test_with_a_weight_of_0_it_is_the_learner_itself(name: str, collect: Collector) -> None:
     alone: AbstractMetaLearner = ALONE[name]
     wrapped = BonusMetaLearner(alone, replace(SMALL, weight=0.0))
@@ -225,3 +223,25 @@ def test_methods_with_a_bonus_have_names() -> None:
     for name, preset in METHODS.items():
         assert method_name(preset()) == name
     assert METHODS["maesn+curiosity"](meta_batch_size=3).learner.meta_batch_size == 3
+
+
+@pytest.mark.long
+def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None:
+    # `benchmarks/vime_chain.py` is the long form, with more seeds.
+    env, tasks = chain.make_env(reward_kind="sparse"), chain.task_set("test", size=TASKS)
+    playing = Collector(make_world(env, tasks), 6)
+    options = {"policy": GaussianMLP((16,))}
+    eager = CuriosityBonus(updates=60, pool_additions=100, samples=4)
+    found, stays = {}, {}
+    for name, wrapped in (("trpo", {}), ("vime", {"curiosity": eager})):
+        learner = SCRATCH[name](1, 1, **options, **wrapped)
+        state = learner.init(keys(TASKS))
+        for update in range(16):
+            episodes = playing(keys(TASKS, update), learner.agents(state), jnp.arange(TASKS))
+            state = learner.update(state, episodes)
+        found[name] = np.asarray(episodes.reward > 0).any(axis=(1, 2)).tolist()
+        policies = (learner.agents(s).policy for s in (learner.init(keys(TASKS)), state))
+        leaves = zip(*map(jax.tree.leaves, policies), strict=True)
+        stays[name] = all(np.array_equal(one, other) for one, other in leaves)
+    assert stays == {"trpo": True, "vime": False}
+    assert found == {"trpo": [False] * TASKS, "vime": [True] * TASKS}

@@ -36,10 +36,15 @@ SMALL = {
     "hessian_stride": 2,
 }
 # Those with memory have tests of their own (`test_recurrent`). The slots of MAML with a bias appear
-# in MAML and in MAESN; `tests/long` has it as well.
-LONG = ["maml_bias", "maml_bias_only"]
-SHORT = [name for name in PRESETS if not name.startswith("rl2") and name not in LONG]
-every_preset = pytest.mark.parametrize("preset", SHORT)
+# in MAML and in MAESN.
+every_preset = pytest.mark.parametrize(
+    "preset",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if name.startswith("maml_bias") else [])
+        for name in PRESETS
+        if not name.startswith("rl2")
+    ],
+)
 
 
 @contextmanager

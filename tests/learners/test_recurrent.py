@@ -173,9 +173,9 @@ def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was(
 
 
 @pytest.mark.long
-def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
-    """`tests/long` has RL2 by TRPO."""
-    assert_a_probe_of_memory_is_solved("rl2")
+@pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])
+def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> None:
+    assert_a_probe_of_memory_is_solved(method)
 
 
 def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:

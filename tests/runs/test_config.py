@@ -67,25 +67,6 @@ def assert_is_changed(directory: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("settings", {"seed": 7}),
-        ("settings", {"reward": "sparse"}),
-        ("settings", {"engine": "mjx"}),
-        ("provenance", {"commit": "0" * 40}),
-        ("changes", [{"iteration": 0, "changed": {}, "digest": "0" * 16}]),
-    ],
-)
-def test_a_forged_configuration_does_not_fit_the_checkpoints(
-    directory: Path, name: str, value: Any
-) -> None:
-    held = json.loads((directory / "config.json").read_text())[name]
-    edit(directory, **{name: held | value if isinstance(held, dict) else value})
-    with pytest.raises(RunError):
-        Run.open(directory).latest()
-
-
-@pytest.mark.parametrize(
     ("changes", "named"),
     [
         ({"schema": 1}, "schema"),

@@ -3,7 +3,6 @@
 import dataclasses
 import errno
 import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,8 @@ from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 from maesn import cli
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, AnyEnv, Point
-from maesn.learners import METHODS, maml
-from maesn.policies import CategoricalMLP, GaussianMLP
+from maesn.learners import METHODS
+from maesn.policies import CategoricalMLP
 from maesn.runs.run import Run
 from maesn.storage import LOCK, RunError
 
@@ -160,24 +159,3 @@ def test_no_run_there(tmp_path: Path) -> None:
     for place in (tmp_path, tmp_path / "missing"):
         with pytest.raises(RunError, match="maesn train"):
             Run.open(place)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"tasks": "validation"},
-        {"family": "wheeled"},
-        {"learner": maml(policy=GaussianMLP((8,)), meta_batch_size=4)},
-        {"learner": tiny_maesn(context=LatentContext(kl_weight=0.3))},
-    ],
-)
-def test_a_checkpoint_of_another_run_is_refused(
-    directory: Path, tmp_path: Path, other: dict[str, Any]
-) -> None:
-    settings = dict(other)
-    learner = settings.pop("learner", tiny_maesn())
-    foreign = Run.create(tmp_path / "other", learner, tiny_settings(**settings))
-    run = Run.open(directory)
-    shutil.copy(foreign.checkpoints()[0], run.checkpoints()[0])
-    with pytest.raises(RunError, match=r"config\.json"):
-        run.latest()

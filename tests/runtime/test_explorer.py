@@ -13,28 +13,16 @@ OBSERVATION = np.asarray([0.1, -0.2])
 
 
 def test_z_and_actions_are_the_draws_that_the_seed_says(policy: Path) -> None:
-    explorer, stream = Explorer.load(policy, seed=5), np.random.default_rng(5)
+    exported, stream = Explorer.load(policy).exported, np.random.default_rng(5)
+    latent = Latent(np.asarray([1.0, -0.5]), np.asarray([0.3, -2.0]))
+    explorer = Explorer(exported, ExplorerState(latent), seed=5)
     z = explorer.begin_episode()
-    np.testing.assert_array_equal(z, stream.standard_normal(2))
+    np.testing.assert_allclose(z, latent.mean + np.exp(latent.log_std) * stream.standard_normal(2))
     explorer.act(OBSERVATION)
     episode = explorer.end_episode([0.0])
     mean = explorer.exported.policy.given(z).mean(OBSERVATION)
     expected = mean + explorer.exported.policy.std * stream.standard_normal(2)
     np.testing.assert_array_equal(episode.actions, [expected])
-
-
-def test_z_is_drawn_from_the_present_latent(policy: Path) -> None:
-    explorer = Explorer.load(policy, seed=2)
-    play(explorer, 20, towards([1.0, 0.5]))
-    explorer.adapt()
-    mean, std = explorer.latent_mean, explorer.latent_std
-    drawn = []
-    for _ in range(1000):
-        drawn.append(explorer.begin_episode())
-        explorer.discard()
-    error = (np.mean(drawn, axis=0) - mean) / (std / np.sqrt(1000))
-    assert (abs(error) < 4.5).all()
-    assert (abs(np.std(drawn, axis=0) / std - 1) < 4.5 / np.sqrt(2 * 1000)).all()
 
 
 def test_episodes_keep_what_was_seen_and_done(policy: Path) -> None:
@@ -61,15 +49,6 @@ def test_buffers_may_be_reused_and_answers_changed(policy: Path) -> None:
     assert episode.observations.tolist() == [[0.5, 0.5]]
     np.testing.assert_array_equal(episode.controls, [kept])
     assert 99.0 not in [*episode.latent, *explorer.latent_mean, *explorer.latent_std]
-
-
-def test_exploration_finds_a_rewarded_latent(policy: Path) -> None:
-    explorer, target = Explorer.load(policy, seed=4), np.asarray([1.0, 0.5])
-    for _ in range(6):
-        play(explorer, 50, towards(target))
-        explorer.adapt()
-    # Beyond the first updates the schedule stops the latent. A wrong sign leads away from 1.1.
-    assert np.linalg.norm(explorer.latent_mean - target) < 0.4
 
 
 def test_adapt_tells_what_it_did_and_forgets_the_episodes(policy: Path) -> None:

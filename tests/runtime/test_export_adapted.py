@@ -83,24 +83,18 @@ def test_the_settings_of_the_rule_are_exported(
 
 def test_what_cannot_be_a_start_is_refused(adapted: tuple[Path, Adapted], tmp_path: Path) -> None:
     run, done = adapted
-    assert done.latents is not None
     path = tmp_path / "policy.npz"
-    for words in ({"latents": done.latents}, {"task": 0}):
-        with pytest.raises(RunError, match="`latents` and `task` belong together"):
-            api.export(run, path, **words)
-    for task in (-1, 100):
-        with pytest.raises(RunError, match=f"`task` must be at (least 0|most 99), got {task}"):
-            api.export(run, path, latents=done.latents, task=task)
-    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(RunError, match=r"Expected arrays at `.*broken\.npz`"):
-        api.export(run, path, latents=tmp_path / "broken.npz", task=0)
-    np.savez(tmp_path / "goals.npz", goal=np.zeros((3, 2)))
-    with pytest.raises(RunError, match=r"holds other arrays than it should: .*latents"):
-        api.export(run, path, latents=tmp_path / "goals.npz", task=0)
-    three = {"mean": np.zeros((2, 1, 3)), "log_std": np.zeros((2, 1, 3)), "first_update": 0}
-    np.savez(tmp_path / "three.npz", **three)
-    with pytest.raises(RunError, match="have 3 components, but the policy's z has 2"):
-        api.export(run, path, latents=tmp_path / "three.npz", task=0)
+    broken, goals, three = (tmp_path / f"{name}.npz" for name in ("broken", "goals", "three"))
+    broken.write_bytes(b"PK\x03\x04 and no more")
+    np.savez(goals, goal=np.zeros((3, 2)))
+    np.savez(three, mean=np.zeros((2, 1, 3)), log_std=np.zeros((2, 1, 3)), first_update=0)
+    for latents, task, named in (
+        *((done.latents, None, "belong together"), (None, 0, "belong together")),
+        *((done.latents, -1, "least 0"), (done.latents, 100, "most 99")),
+        *((broken, 0, "broken"), (goals, 0, "other arrays"), (three, 0, "3 components")),
+    ):
+        with pytest.raises(RunError, match=named):
+            api.export(run, path, latents=latents, task=task)
     assert not path.exists()
 
 
