@@ -206,22 +206,6 @@ def test_what_makes_no_sense_is_one_sentence(
     assert "acquisition" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"draws": -1}, "`draws` must be at least 0, got -1"),
-        ({"draws": 0, "adapted": False}, "`draws` must be at least 1, got 0"),
-        ({"episodes": 1}, "`episodes` must be at least 2, got 1"),
-        ({"spread": -1.0}, "`spread` must be positive"),
-        ({"seed": -1}, "`seed` must be at least 0, got -1"),
-        ({"simulations": 0}, "`simulations` must be at least 1"),
-    ],
-)
-def test_priors_that_cannot_be_made_are_refused(settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        PriorSettings(**settings)
-
-
 def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
     np.savez(tmp_path / "one.npz", goal=np.float32([[0.0, 2.0]]))
     settings = tiny_settings(tasks=str(tmp_path / "one.npz"))
