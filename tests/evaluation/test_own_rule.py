@@ -1,9 +1,6 @@
 """The guide to a rule of one's own, taken at its word: its file, its commands."""
 
-import importlib
 import math
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -19,20 +16,9 @@ from maesn.runs.run import Run
 GUIDE = Guide("own_rule.md", "my_rules")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where the guide's file is, and can be imported from."""
-    directory = tmp_path_factory.mktemp("own_rule")
-    GUIDE.write(directory)
-    sys.path.insert(0, str(directory))
-    yield directory
-    sys.path.remove(str(directory))
-    del sys.modules["my_rules"]
-
-
-@pytest.fixture(scope="module")
-def rules(folder: Path) -> ModuleType:
-    return importlib.import_module("my_rules")
+@pytest.fixture
+def rules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return GUIDE.imported(tmp_path, monkeypatch)
 
 
 def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path: Path) -> None:
@@ -56,13 +42,10 @@ def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path:
 
 
 @pytest.mark.long
-def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
+@pytest.mark.usefixtures("rules")
+def test_its_commands_do_what_they_say() -> None:
     GUIDE.follow("adapt", "compare", more=["--num-tasks", "2"])
-    tables = folder / "maesn-wheeled" / "adaptation"
-    written = sorted(tables.glob("test-sparse-*.csv"))
-    # With other settings of the rule the table is another one.
-    assert len(written) == 2
-    assert all(path.name.startswith("test-sparse-crossentropy-") for path in written)
-    assert (folder / "cross-entropy" / "comparison.png").exists()
-    assert "MAESN (CrossEntropy)" in (folder / "cross-entropy" / "summary.md").read_text()
+    written = Path("maesn-wheeled/adaptation").glob("test-*-sparse-crossentropy-*.csv")
+    assert len(list(written)) == 2  # with other settings of the rule the table is another one
+    assert Path("cross-entropy/comparison.png").exists()
+    assert "MAESN (CrossEntropy)" in Path("cross-entropy/summary.md").read_text()

@@ -202,7 +202,7 @@ def test_a_fine_tuned_learner_keeps_its_bonus(collect: Collector) -> None:
     state = learner.init(jax.random.key(0), Problem(2, 2, 5))
     knows = replace(state.curiosity, has_learned=jnp.ones((), bool))
     fast = learner.fast_learner(replace(state, curiosity=knows))
-    wrapped = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0))
+    wrapped = fast.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"], after=0, least_batch=4))
     assert wrapped.learner.learner is fast.learner
 
     def moves(tuned: AbstractFastLearner) -> bool:
