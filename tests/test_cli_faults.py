@@ -66,13 +66,6 @@ def test_wrong_words_get_a_sentence(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", ["train maesn --no-such-option 1", "train maesn --reward medium"])
-def test_wrong_options_exit_with_code_2(words: str) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.run(words.split())
-    assert stopped.value.code == cli.USAGE_ERROR
-
-
 @pytest.mark.parametrize(
     "document",
     ["[" * 10**5, "", "\0", '{"schema": 2}', '{"schema": [[2]]}', "1e999"],

@@ -78,38 +78,33 @@ def begin(explorer: Explorer, steps: int) -> None:
         explorer.act(observation)
 
 
-MISUSE: dict[str, tuple[int | None, Callable[[Explorer], object], str]] = {
-    # steps of the running episode (None: none runs), the call, and what its message says
-    "act too early": (None, lambda e: e.act(OBSERVATION), "call `begin_episode"),
-    "end too early": (None, lambda e: e.end_episode([1.0]), "call `begin_episode"),
-    "discard nothing": (None, lambda e: e.discard(), "call `begin_episode"),
-    "begin twice": (2, lambda e: e.begin_episode(), "episode of 2 steps is running"),
-    "adapt in an episode": (2, lambda e: e.adapt(), "episode of 2 steps is running"),
-    "end without a step": (0, lambda e: e.end_episode([]), "at least one step"),
-    "observation too long": (2, lambda e: e.act(np.zeros(3)), r"shape \(2,\).*\(3,\)"),
-    "observation as a batch": (2, lambda e: e.act(np.zeros((1, 2))), r"shape \(2,\).*\(1, 2\)"),
-    "observation of words": (2, lambda e: e.act(["a", "b"]), "`observation` must hold 2 numbers"),
-    "observation NaN": (2, lambda e: e.act([0.0, np.nan]), "component 1 is nan"),
-    "observation infinite": (2, lambda e: e.act([np.inf, 0.0]), "component 0 is inf"),
-    "too few rewards": (2, lambda e: e.end_episode([1.0]), "one for each call of `act`"),
-    "too many rewards": (2, lambda e: e.end_episode([1.0] * 3), "one for each call of `act`"),
-    "reward NaN": (2, lambda e: e.end_episode([1.0, np.nan]), "component 1 is nan"),
-    "reward too large": (2, lambda e: e.end_episode([1.0, -1e200]), "at most 1e.100 in size"),
-    "z too long": (None, lambda e: e.begin_episode(z=np.zeros(3)), r"shape \(2,\).*\(3,\)"),
-    "z NaN": (None, lambda e: e.begin_episode(z=[0.0, np.nan]), "`z` must be finite, but comp"),
-    "z of two minds": (
-        None,
-        lambda e: e.begin_episode(explore=False, z=[0.0, 0.0]),
-        "`explore=False` holds z at the latent's mean",
-    ),
-    "begin with z twice": (2, lambda e: e.begin_episode(z=[0.0, 0.0]), "episode of 2 steps is"),
-    "action too long": (2, lambda e: e.control([1.0, 2.0, 3.0]), "`action` must have shape"),
-}
+MISUSE: list[tuple[int | None, str, Callable[[Explorer], object]]] = [
+    # steps of the running episode (None: none runs), what the message says, and the call
+    (None, "call `begin_episode", lambda e: e.act(OBSERVATION)),
+    (None, "call `begin_episode", lambda e: e.end_episode([1.0])),
+    (None, "call `begin_episode", lambda e: e.discard()),
+    (2, "episode of 2 steps is running", lambda e: e.begin_episode()),
+    (2, "episode of 2 steps is running", lambda e: e.adapt()),
+    (0, "at least one step", lambda e: e.end_episode([])),
+    (2, r"shape \(2,\).*\(3,\)", lambda e: e.act(np.zeros(3))),
+    (2, "`observation` must hold 2 numbers", lambda e: e.act(["a", "b"])),
+    (2, "component 1 is nan", lambda e: e.act([0.0, np.nan])),
+    (2, "component 0 is inf", lambda e: e.act([np.inf, 0.0])),
+    (2, "one for each call of `act`", lambda e: e.end_episode([1.0])),
+    (2, "one for each call of `act`", lambda e: e.end_episode([1.0] * 3)),
+    (2, "component 1 is nan", lambda e: e.end_episode([1.0, np.nan])),
+    (2, "at most 1e.100 in size", lambda e: e.end_episode([1.0, -1e200])),
+    (None, r"shape \(2,\).*\(3,\)", lambda e: e.begin_episode(z=np.zeros(3))),
+    (None, "`z` must be finite", lambda e: e.begin_episode(z=[0.0, np.nan])),
+    (None, "at the latent's mean", lambda e: e.begin_episode(explore=False, z=[0.0, 0.0])),
+    (2, "`action` must have shape", lambda e: e.control([1.0, 2.0, 3.0])),
+]
 
 
-@pytest.mark.parametrize("name", MISUSE)
-def test_misuse_is_refused_and_loses_nothing(policy: Path, name: str) -> None:
-    steps, call, message = MISUSE[name]
+@pytest.mark.parametrize(("steps", "message", "call"), MISUSE)
+def test_misuse_is_refused_and_loses_nothing(
+    policy: Path, steps: int | None, message: str, call: Callable[[Explorer], object]
+) -> None:
     explorer = Explorer.load(policy, seed=7)
     play(explorer, 3, towards([1.0, 0.0]))
     if steps is not None:

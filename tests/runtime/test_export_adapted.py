@@ -2,29 +2,25 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
 
+import jax
 import numpy as np
 import pytest
+from small_runs import create_tiny
 
 import maesn
 from maesn import api, cli
 from maesn.evaluation.running import Adapted
-from maesn.policies import GaussianMLP
-from maesn.runs.config import RunSettings
+from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.storage import RunError
-
-# As in `small_runs`, so that they share compiled programs.
-TINY: dict[str, Any] = {"meta_batch_size": 4, "policy": GaussianMLP(hidden_sizes=(8,))}
-SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=3)
 
 
 @pytest.fixture(scope="module")
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Adapted]:
     """A run, and what adapting it to the test tasks has written."""
     directory = tmp_path_factory.mktemp("adapted") / "run"
-    maesn.train(maesn.PRESETS["maesn"](**TINY), SETTINGS, directory)
+    create_tiny(directory)
     return directory, api.adapt(directory, episodes=6, episodes_per_update=3, reward="dense")
 
 
@@ -102,7 +98,7 @@ def test_latents_of_other_weights_are_refused(
     adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, done = adapted
-    other = shutil.copytree(run, tmp_path / "run")
-    maesn.resume(other, iterations=2)
+    other = Run.open(shutil.copytree(run, tmp_path / "run"))
+    other.save_state(jax.tree.map(lambda x: x + 1, other.latest_state()))
     with pytest.raises(RunError, match="was adapted with other weights"):
         api.export(other, tmp_path / "policy.npz", latents=done.latents, task=0)

@@ -1,5 +1,6 @@
 """Limits on what is executed, the bound on the latent, and taking updates back."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -112,17 +113,15 @@ def test_rollback_tolerates_a_drop(policy: Path, drop: float | None, rolls_back:
     ("fields", "message"),
     [
         ({"lower": 0.5, "upper": -0.5}, "leave no control"),
-        ({"lower": 3.0}, "leave no control"),
-        ({"upper": (1.0, 1.0, 1.0)}, "`upper` must be one number or 2"),
-        ({"max_change": 0.0}, "`max_change` must be positive"),
-        ({"max_change": 0.1, "rest": 7.0}, "`rest` must lie within"),
-        ({"lower": float("inf")}, "leave no control"),
-        ({"upper": float("-inf")}, "leave no control"),
-        ({"rest": float("inf")}, "`rest` must be finite, got inf"),
-        ({"rest": (0.0, float("-inf"))}, "`rest` must be finite"),
-        ({"lower": float("nan")}, "`lower` must be one number"),
-        ({"max_latent_norm": -1.0}, "`max_latent_norm` must be at least 0"),
-        ({"max_return_drop": float("nan")}, "`max_return_drop` must be at least 0"),
+        *[({"lower": value}, "leave no control") for value in (3.0, math.inf)],
+        ({"upper": -math.inf}, "leave no control"),
+        ({"upper": (1.0, 1.0, 1.0)}, "`upper` must"),
+        ({"max_change": 0.0}, "`max_change` must"),
+        ({"max_change": 0.1, "rest": 7.0}, "`rest` must"),
+        *[({"rest": value}, "`rest` must be finite") for value in (math.inf, (0.0, -math.inf))],
+        ({"lower": math.nan}, "`lower` must"),
+        ({"max_latent_norm": -1.0}, "`max_latent_norm` must"),
+        ({"max_return_drop": math.nan}, "`max_return_drop` must"),
     ],
 )
 def test_senseless_safeguards_are_refused(
