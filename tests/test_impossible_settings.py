@@ -12,8 +12,10 @@ from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import (
     CuriosityBonus,
     GradientStep,
+    ProximalOuterStep,
     ProximalStep,
     RecurrentValue,
+    TrustRegionOuterStep,
     TrustRegionStep,
     maesn,
     rl2,
@@ -29,7 +31,6 @@ from maesn.search.prior import PriorSettings
 IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     maesn: [
         *(("meta_batch_size", 0), ("outer_batches", 0), ("inner_updates", -1)),
-        *(("curvature_stride", 0), ("hessian_stride", 0)),
     ],
     rl2: [
         *(("meta_batch_size", 0), ("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -0.5)),
@@ -42,6 +43,8 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     ],
     GradientStep: [("step_size", math.inf), ("step_size", 0.0)],
     TrustRegionStep: [("curvature_stride", 0)],
+    ProximalOuterStep: [("steps", 0), ("learning_rate", 0.0), ("clip", 1.0)],
+    TrustRegionOuterStep: [("curvature_stride", 0), ("hessian_stride", 0)],
     ProximalStep: [("clip", 0.0), ("entropy_weight", -1.0)],
     GradientRule: [("step_scale", math.inf), ("full_steps", 0), ("start_std", 0.0)],
     ThenTrpo: [("after", -2)],

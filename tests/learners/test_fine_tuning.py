@@ -24,6 +24,7 @@ from maesn.learners import (
     maml,
     rl2,
 )
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AnnealedGaussianMLP, GaussianMLP, Recurrent
@@ -120,7 +121,11 @@ def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> Non
 def test_recurrent_policies_are_refused_at_construction() -> None:
     learner = rl2()
     recurrent = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 40)))
-    settings = {"policy": Recurrent(hidden_size=4), "curvature_stride": 1, "meta_batch_size": 2}
+    settings = {
+        "policy": Recurrent(hidden_size=4),
+        "outer": TrustRegionOuterStep(curvature_stride=1),
+        "meta_batch_size": 2,
+    }
     remembers = maesn(**settings)
     gradient = remembers.fast_learner(remembers.init(jax.random.key(0), Problem(2, 2, TASKS)))
     trained = Trained(rl2(), rl2().init(jax.random.key(0), Problem(2, 2, 40)))
