@@ -122,6 +122,10 @@ def report(settings: Settings, times: Times) -> None:
     print(f"ratio: {times.ratio:.2f}")
 
 
+def main(settings: Settings) -> None:
+    """Time meta-iterations, and print where the time goes."""
+    report(settings, measure(settings))
+
+
 if __name__ == "__main__":
-    chosen = tyro.cli(Settings)
-    report(chosen, measure(chosen))
+    main(tyro.cli(Settings))

@@ -76,17 +76,52 @@ def test_tasks_that_change_the_dynamics_do_so_there_as_well(
     assert len(np.unique(alone["qvel"])) >= 3
 
 
-def test_every_family_gets_its_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+LINES: dict[str, tuple[dict[str, Any], str, int]] = {
+    # Settings, and the lines that are printed: their form and number.
+    "collection": (
+        {"families": ("wheeled", "blockpush"), "num_tasks": 2, "episodes_per_task": 2}
+        | {"repetitions": 1},
+        r"^(?:wheeled|blockpush) ratio: \d+\.\d\d$",
+        2,
+    ),
+    "meta_iteration": (
+        {"meta_batch_size": 2, "episodes_per_task": 2, "iterations": 1},
+        r"^meta-iteration .*\d",
+        1,
+    ),
+    "methods": (
+        {"methods": ("maesn",), "scratch": ("reinforce",), "tasks": 2, "meta_episodes": 2}
+        | {"scratch_episodes": 2, "repetitions": 1},
+        r"^(?:maesn|reinforce)(?: +\d+\.\d+){4}$",
+        2,
+    ),
+    # Steps per second, three times, and how far the unlimited engine ends from itself.
+    "mjx": (
+        {"families": ("wheeled",), "meta_batch_size": 2, "episodes_per_task": 2, "repeats": 1},
+        r"^as the model says +\d+(?: +\d+\.?\d*s){3} +0\.000",
+        1,
+    ),
+    "vime_chain": (
+        {"seeds": 1, "tasks": 2, "updates": 1, "episodes_per_task": 2},
+        r"^(?:trpo|reinforce|random_bonus|vime)\t0\t2\t",
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[] if n == "collection" else [pytest.mark.long]) for n in LINES],
+)
+def test_every_line_is_printed(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    settings, form, number = LINES[name]
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    collection = load_script("benchmarks/collection.py")
-    names = ("wheeled", "blockpush")
-    collection.main(
-        collection.Settings(families=names, num_tasks=2, episodes_per_task=2, repetitions=1)
-    )
+    script = load_script(f"benchmarks/{name}.py")
+    script.main(script.Settings(**settings))
     printed = capsys.readouterr().out
-    assert re.findall(r"^(\w+) ratio: \d+\.\d\d$", printed, re.MULTILINE) == list(names)
+    assert len(re.findall(form, printed, re.MULTILINE)) == number, printed
 
 
 def test_memories_are_exchanged_among_tasks() -> None:
@@ -101,35 +136,6 @@ def test_memories_are_exchanged_among_tasks() -> None:
         np.testing.assert_array_equal(found.recurrent_state.ravel(), values)
         np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
         np.testing.assert_array_equal(found.reward.ravel(), values)
-
-
-@pytest.mark.long
-def test_the_engine_on_the_accelerator_gets_its_table(capsys: pytest.CaptureFixture[str]) -> None:
-    mjx = load_script("benchmarks/mjx.py")
-    smallest = {"meta_batch_size": 2, "episodes_per_task": 2, "repeats": 1}
-    mjx.main(mjx.Settings(families=("wheeled",), **smallest))
-    device, title, _, row = filter(None, capsys.readouterr().out.splitlines())
-    assert device.startswith(f"{jax.default_backend()}: ")
-    assert title == "wheeled: 4 simulations of 200 steps"
-    # Steps per second, three times, and how far the unlimited engine ends from itself.
-    assert re.fullmatch(r"as the model says +\d+( +\d+\.?\d*s){3} +0\.000", row)
-
-
-@pytest.mark.long
-def test_every_method_gets_its_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    methods = load_script("benchmarks/methods.py")
-    few = {"tasks": 2, "meta_episodes": 2, "scratch_episodes": 2, "repetitions": 1}
-    methods.main(methods.Settings(methods=("maesn",), scratch=("reinforce",), **few))
-    rows = re.findall(r"^(\w+)((?: +\d+\.\d+){4})$", capsys.readouterr().out, re.MULTILINE)
-    assert [name for name, _ in rows] == ["maesn", "reinforce"]
-    for _, numbers in rows:
-        whole, collections, physics, ratio = map(float, numbers.split())
-        assert whole > collections > 0
-        # Printed with three decimals; both times are far above them.
-        np.testing.assert_allclose(ratio, whole / physics, rtol=0.05)
 
 
 @pytest.mark.long

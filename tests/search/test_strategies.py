@@ -13,8 +13,6 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api, cli
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import maml
-from maesn.policies import GaussianMLP
 from maesn.rules import (
     AbstractRule,
     BestOfRule,
@@ -26,7 +24,6 @@ from maesn.rules import (
 )
 from maesn.runs.run import Run
 from maesn.search.strategies import LEAST_STD, AbstractStrategy, BestOf, CmaEs, CrossEntropy
-from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 
 OPTIMUM = np.array([2.0, -1.0])
@@ -173,13 +170,6 @@ def test_an_update_leaves_the_state_before_as_it_was(trained: Path) -> None:
         )
     first, second = (learner.update(state, episodes) for _ in range(2))
     np.testing.assert_array_equal(first.chosen, second.chosen)
-
-
-def test_what_cannot_be_is_refused(tmp_path: Path, few: str) -> None:
-    learner = maml(policy=GaussianMLP((8,)), meta_batch_size=2)
-    run = Run.create(tmp_path / "run", learner, tiny_settings())
-    with pytest.raises(RunError, match="a search needs a policy with a latent"):
-        api.adapt(run, tasks=few, rule=BestOfRule())
 
 
 def test_the_same_keys_propose_the_same_latents(trained: Path) -> None:
