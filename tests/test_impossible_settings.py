@@ -23,7 +23,7 @@ from maesn.learners import (
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
-from maesn.rules import BestOfRule, CmaEsRule, CrossEntropyRule, GradientRule, ThenTrpo
+from maesn.rules import GradientRule, ThenTrpo
 from maesn.runs.config import RunSettings
 from maesn.runtime.search import SearchSettings
 from maesn.search.prior import PriorSettings
@@ -51,9 +51,6 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     SearchSettings: [
         *(("exploration", -1.0), ("draws", -1), ("draw_std", 0.0), ("length_scale", math.inf)),
     ],
-    BestOfRule: [("spread", 0.0)],
-    CrossEntropyRule: [("round_size", 1), ("elite", 2.0)],
-    CmaEsRule: [("population", 3)],
     PriorSettings: [
         *(("draws", -1), ("episodes", 1), ("spread", -1.0), ("seed", -1), ("simulations", 0)),
     ],

@@ -8,7 +8,7 @@ import pytest
 
 from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.learners import METHODS, AbstractMetaLearner, maesn
+from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
@@ -26,7 +26,7 @@ OTHERS = {
         outer=TrustRegionOuterStep(TrustRegion(max_kl=1 / 3)), schedule=StepSchedule(5, 0.1)
     ),
 }
-LEARNERS = {name: preset() for name, preset in METHODS.items()} | OTHERS
+LEARNERS = {name: preset() for name, preset in PRESETS.items()} | OTHERS
 
 
 def through_a_file(module: eqx.Module) -> eqx.Module:

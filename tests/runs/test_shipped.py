@@ -146,7 +146,7 @@ def test_a_name_that_is_none_is_told_which_there_are(capsys: pytest.CaptureFixtu
 def test_shipping_takes_the_last_checkpoint_and_leaves_a_run(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ship, "METHODS", {"Drift": Drift})
+    monkeypatch.setattr(ship, "PRESETS", {"Drift": Drift})
     run = create(folder / "run")
     with pytest.raises(ValueError, match="0 of 6"):
         ship.ship(run, "0123abc", folder / "shipped")
