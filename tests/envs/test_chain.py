@@ -5,10 +5,10 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from chain import LENGTH, NEAREST, Chain
 from playing import constant_agents, play
 
 from maesn.envs import TaskSet
-from maesn.envs.chain import LENGTH, NEAREST, Chain
 
 GOALS = (28.0, 28.5, 29.7, 30.0)
 TASKS = TaskSet(np.float32(GOALS))

@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from playing import agents, assert_same, keys, play, readings_at
 
-from maesn.envs import FAMILIES, PROBES, AnyEnv, BlockPushTask, Point, TaskFamily, TaskSet
+from maesn.envs import FAMILIES, AnyEnv, BlockPushTask, Point, TaskFamily, TaskSet
 from maesn.experience.episodes import Episodes
 
 EVERY = FAMILIES | PROBES

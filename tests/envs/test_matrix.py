@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from playing import assert_same, readings_at
 
-from maesn.envs import FAMILIES, PROBES, AbstractPureEnv, AnyEnv, TaskFamily
+from maesn.envs import FAMILIES, AbstractPureEnv, AnyEnv, TaskFamily
 
 EVERY = FAMILIES | PROBES
 BATCH = 3

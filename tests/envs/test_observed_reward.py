@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from playing import agents, play
 
-from maesn.envs import FAMILIES, PROBES, AnyEnv, Point
+from maesn.envs import FAMILIES, AnyEnv, Point
 from maesn.experience.episodes import Episodes
 from maesn.policies import GaussianMLPPolicy
 

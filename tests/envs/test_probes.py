@@ -6,21 +6,21 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import LATENT_SIZE, constant_agents, play
-from scipy import stats
-
-from maesn.context import Latent
-from maesn.envs import (
-    AnyEnv,
-    RewardKind,
-    TaskSet,
+from learning_problems.probes import (
+    DelayedTarget,
+    HiddenEnd,
+    HiddenSide,
+    HiddenTarget,
     delayed_target,
     hidden_end,
     hidden_side,
     hidden_target,
 )
-from maesn.envs.probes import HiddenEnd, HiddenSide
-from maesn.envs.target_probes import DelayedTarget, HiddenTarget
+from playing import LATENT_SIZE, constant_agents, play
+from scipy import stats
+
+from maesn.context import Latent
+from maesn.envs import AnyEnv, RewardKind, TaskSet
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear

@@ -13,7 +13,7 @@ from carts import MODEL, MOTOR, Cart, CartTask
 from strange_families import settable
 from strangers import HORIZON
 
-from maesn.envs import FAMILIES, PROBES, AnyEnv, Chain, TaskFamily, Wheeled, find_family, wheeled
+from maesn.envs import FAMILIES, AnyEnv, Point, TaskFamily, Wheeled, find_family, wheeled
 from maesn.envs.recorded import describe_env, rebuild_env
 from maesn.physics.digest import model_digest
 
@@ -28,7 +28,7 @@ def family_of(make_env: Any) -> TaskFamily:
     return TaskFamily("own", make_env, lambda stream, size: np.zeros((size, 1)), ("task",), 0)
 
 
-@pytest.mark.parametrize("name", [*FAMILIES, *PROBES])
+@pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_is_rebuilt_as_it_was(name: str) -> None:
     family = find_family(name)
     for settings in (
@@ -55,7 +55,7 @@ def test_what_decides_numbers_is_recorded() -> None:
 
 
 def test_changed_defaults_change_nothing() -> None:
-    old, changed = Chain(), partial(Chain, sparse_radius=9.0, horizon=3, reward_elsewhere=-1.0)
+    old, changed = Point(), partial(Point, sparse_radius=9.0, horizon=3)
     assert rebuild_env(family_of(changed), written(old)) == old
 
 
@@ -69,7 +69,7 @@ def test_overrides_win() -> None:
 
 def test_a_family_may_choose_its_environment_by_variant() -> None:
     def make(variant: str = "reference", **settings: Any) -> AnyEnv:
-        return (Wheeled if variant == "reference" else Chain)(variant=variant, **settings)
+        return (Wheeled if variant == "reference" else Point)(variant=variant, **settings)
 
     for variant in ("reference", "paper"):
         env = make(variant, reward_kind="sparse")
@@ -82,8 +82,8 @@ class Slower(Wheeled):
     control_period: ClassVar[float] = 0.02
 
 
-class Gained(Chain):
-    """A corridor with more settings and constants than before."""
+class Gained(Point):
+    """A point with more settings and constants than before."""
 
     wind: float = 0.5
     gain = 2.0
@@ -101,18 +101,18 @@ def test_a_changed_constant_is_named() -> None:
 
 
 def test_what_only_one_of_them_has_is_named() -> None:
-    with pytest.raises(ValueError, match=r"`wind` of `chain` is now 0\.5, but was not there"):
-        rebuild_env(family_of(Gained), written(Chain()))
-    with pytest.raises(ValueError, match=r"`wind` of `chain` is now gone, but was 0\.5"):
-        rebuild_env(family_of(Chain), written(Gained()))
+    with pytest.raises(ValueError, match=r"`wind` of `point` is now 0\.5, but was not there"):
+        rebuild_env(family_of(Gained), written(Point()))
+    with pytest.raises(ValueError, match=r"`wind` of `point` is now gone, but was 0\.5"):
+        rebuild_env(family_of(Point), written(Gained()))
     record = written(Gained())
     assert record["gain"] == 2.0
-    with pytest.raises(ValueError, match=r"`gain` of `chain` is now 2\.0, but was 3\.0"):
+    with pytest.raises(ValueError, match=r"`gain` of `point` is now 2\.0, but was 3\.0"):
         rebuild_env(family_of(Gained), record | {"gain": 3.0})
 
 
-class Odd(Chain):
-    """A corridor with settings of every kind."""
+class Odd(Point):
+    """A point with settings of every kind."""
 
     limits: tuple[tuple[float, ...], ...] = ((0.0, 1.0), (-math.inf, math.inf))
     weights: Any = None
@@ -128,19 +128,19 @@ def test_settings_of_every_kind() -> None:
     same = partial(Odd, weights=np.arange(3.0))
     rebuilt: Any = rebuild_env(family_of(same), written(other))
     assert rebuilt.limits == ((2.0,), (-1.0, math.inf))
-    with pytest.raises(ValueError, match="`weights` of `chain` is now"):
+    with pytest.raises(ValueError, match="`weights` of `point` is now"):
         rebuild_env(family_of(partial(Odd, weights=np.arange(4.0))), record)
     other_type = partial(Odd, weights=jnp.arange(3, dtype=jnp.float32))
-    with pytest.raises(ValueError, match="`weights` of `chain` is now"):
+    with pytest.raises(ValueError, match="`weights` of `point` is now"):
         rebuild_env(family_of(other_type), record)
 
 
 def test_values_that_no_environment_has_are_refused() -> None:
-    record = written(Chain())
+    record = written(Point())
     with pytest.raises(ValueError, match="`horizon` must be at least 1, got 0"):
-        rebuild_env(family_of(Chain), record | {"horizon": 0})
+        rebuild_env(family_of(Point), record | {"horizon": 0})
     with pytest.raises(ValueError, match="`own` cannot be made as recorded"):
-        rebuild_env(family_of(Chain), record | {"horizon": None})
+        rebuild_env(family_of(Point), record | {"horizon": None})
 
 
 def test_a_gymnasium_family_is_rebuilt() -> None:

@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from scipy import stats
 
-from maesn.envs import FAMILIES, PROBES, SETS, TaskFamily, TaskSet
+from maesn.envs import FAMILIES, SETS, TaskFamily, TaskSet
 
 # Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest.
 DIGESTS = {

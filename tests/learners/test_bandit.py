@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bernoulli_bandit import Bandit, bandit
 from scripts import ROOT, load_script
-
-from maesn.envs import Bandit, bandit
 
 COMMITTED = ROOT / "results" / "bandit" / "policy.safetensors"
 

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from playing import assert_same, keys
 from small_runs import create, finish, outcome
 
 from maesn import api
 from maesn.context import OracleContext
-from maesn.envs import FAMILIES, PROBES, BlockPushTask
+from maesn.envs import FAMILIES, BlockPushTask
 from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run

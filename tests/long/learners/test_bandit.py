@@ -4,9 +4,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from bernoulli_bandit import Bandit
 from scripts import load_script
 
-from maesn.envs import Bandit, TaskSet
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import RecurrentFastLearner

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chain import chain
 from learners import test_bonus as short
 from playing import keys
 
-from maesn.envs import chain
 from maesn.learners import (
     SCRATCH,
 )

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import jax
 import pytest
+from learning_problems.probes import hidden_target
 from small_runs import create, finish
 
 from maesn import api
-from maesn.envs import hidden_target
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
@@ -19,7 +19,7 @@ SMALL = {"policy": GaussianMLP((8,)), "meta_batch_size": 4}
 
 
 def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
-    # Without the task, -0.595 is the best there is (`maesn.envs.target_probes`); with it, 0.
+    # Without the task, -0.595 is the best there is (`learning_problems.probes`); with it, 0.
     env, tasks = hidden_target.make_env(), hidden_target.task_set("training", 20)
     learner = oracle(policy=GaussianMLP((16,)), meta_batch_size=10)
     state = learner.init(jax.random.key(0), Problem(env.observation_size, env.action_size, 20, 2))

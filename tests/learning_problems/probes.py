@@ -1,7 +1,6 @@
 """Probes: tiny environments whose best return is known, each for one mechanism of learning.
 
-They are not in the paper, and both variants are the same. A learner that fails on one of them has
-an error, which a robot's noise would hide.
+A learner that fails on one of them has an error, which a robot's noise would hide.
 
 | family           | mechanism                                   | best return, dense; sparse      |
 |------------------|---------------------------------------------|---------------------------------|
@@ -12,35 +11,85 @@ an error, which a robot's noise would hide.
 | `chain`          | exploration: only the far end is rewarded   | 30/g; 51 - g, in whole steps    |
 | `bandit`         | recurrence: find the best arm, then pull it | 6.66 of 10 on average, the same |
 
-One control step counts as one second, positions have no unit, velocities are not used (zero), and
-nothing is random but the policy and the rewards of `bandit`. No observation before the end of an
-episode depends on the task.
+The last two are examples of the library. No observation before the end of an episode depends on the
+task, and nothing is random but the policy and the rewards of `bandit`.
 """
 
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from bernoulli_bandit import bandit
+from chain import chain
+from jax import Array
 
 from maesn.axes import Key, Readings
-from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Task, Variant
-from maesn.envs.goals import within
-from maesn.envs.tasks import TaskFamily
+from maesn.envs import AbstractPureEnv, Reward, RewardKind, TaskFamily, Variant
+from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.reaching import AbstractReaching
 
-Side: TypeAlias = Float[Array, ""]
-Lifetime: TypeAlias = Float[Array, ""]
-
+TARGET_RADIUS = 1.0
 LONGEST_LIFETIME = 12.0  # steps
 
 
-class AbstractProbe(AbstractPureEnv[Task]):
-    """What all probes share: one control step counts as one second."""
+class HiddenTarget(AbstractReaching, AbstractPureEnv[Array]):
+    """The first action has to hit a target g on the upper half circle of radius 1.
 
+    The observation is the elapsed share of the episode (1 component) and a_0 (2 components, zero
+    before the first step). Later actions change nothing. All rewards are 0 but the last. The dense
+    one is -|a_0 - g|^2. The sparse one is the same if |a_0 - g| is at most `sparse_radius`;
+    otherwise it is -|g|^2, as for the action 0.
+
+    If a_0 ~ N(m, diag(s^2)), the expected dense return is -(|m - g|^2 + sum_i s_i^2). The best
+    single action for all targets is their mean (0, 2/pi), with return -(1 - 4/pi^2) = -0.595. An
+    agent with a higher return has adapted to the task.
+    """
+
+    name: ClassVar[str] = "hidden_target"
     control_period: ClassVar[float] = 1.0
 
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = 0.5  # the action 0 is twice as far away
+    horizon: int = 1
+    observation_size: int = 3
+    action_size: int = 2
 
-class HiddenSide(AbstractProbe[Side]):
+    def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
+        return jnp.zeros(3), jnp.zeros(3)
+
+    def control(self, action: Array) -> Array:
+        return action
+
+    def advance(self, readings: Readings, control: Array) -> Readings:
+        step, first_action = readings["qpos"][:1], readings["qpos"][1:]
+        first_action = jnp.where(step == 0, control, first_action)
+        return {"qpos": jnp.concatenate([step + 1, first_action]), "qvel": readings["qvel"]}
+
+    def observe(self, readings: Readings) -> Array:
+        return readings["qpos"] / jnp.array([self.horizon, 1.0, 1.0])
+
+    def reward(
+        self, readings: Readings, action: Array, next_readings: Readings, task: Array
+    ) -> Reward:
+        squared_error = jnp.sum((next_readings["qpos"][1:] - task) ** 2)
+        no_hit = -jnp.sum(task**2)
+        goal = goal_reward(squared_error, no_hit, self.reward_kind, self.sparse_radius**2)
+        is_last_step = next_readings["qpos"][0] == self.horizon
+        return Reward(jnp.where(is_last_step, goal, 0.0), jnp.zeros(()))
+
+    def position(self, observation: Array) -> Array:
+        return observation[1:]
+
+
+class DelayedTarget(HiddenTarget):
+    """The same over ten steps: the reward comes nine steps after the action that earned it."""
+
+    name: ClassVar[str] = "delayed_target"
+    horizon: int = 10
+
+
+class HiddenSide(AbstractPureEnv[Array]):
     """Two tasks, left (-1) and right (+1), for an agent that is blind.
 
     Action (1): its sign is the direction of the step, of length 1/T. The agent starts at 0 and
@@ -56,6 +105,7 @@ class HiddenSide(AbstractProbe[Side]):
     """
 
     name: ClassVar[str] = "hidden_side"
+    control_period: ClassVar[float] = 1.0
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
@@ -64,43 +114,38 @@ class HiddenSide(AbstractProbe[Side]):
     observation_size: int = 1
     action_size: int = 1
 
-    def initial(self, key: Key, task: Side) -> tuple[Float[Array, " 1"], Float[Array, " 1"]]:
+    def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
         return jnp.zeros(1), jnp.zeros(1)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 1"]:
+    def control(self, action: Array) -> Array:
         return jnp.sign(action)
 
-    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+    def advance(self, readings: Readings, control: Array) -> Readings:
         # Whole steps are counted, so that their sum is exact.
         return {"qpos": readings["qpos"] + control, "qvel": readings["qvel"]}
 
-    def observe(self, readings: Readings) -> Float[Array, " 1"]:
+    def observe(self, readings: Readings) -> Array:
         return jnp.zeros(1)
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Side,
+        self, readings: Readings, action: Array, next_readings: Readings, task: Array
     ) -> Reward:
         step = (next_readings["qpos"][0] - readings["qpos"][0]) / self.horizon
         reached = self.solved(next_readings, task).astype(step.dtype)
         goal = task * step if self.reward_kind == "dense" else reached
         return Reward(goal, jnp.zeros(()))
 
-    def solved(self, readings: Readings, task: Side) -> Bool[Array, ""]:
+    def solved(self, readings: Readings, task: Array) -> Array:
         return within(jnp.abs(readings["qpos"][0] / self.horizon - task), self.sparse_radius)
 
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        """Return the start: what the agent sees does not say where it is."""
+    def position(self, observation: Array) -> Array:
         return jnp.zeros(2)
 
-    def goal(self, task: Side) -> Float[Array, " 2"]:
+    def goal(self, task: Array) -> Array:
         return jnp.stack([task, jnp.zeros(())])
 
 
-class HiddenEnd(AbstractProbe[Lifetime]):
+class HiddenEnd(AbstractPureEnv[Array]):
     """An episode that ends after ceil(L) steps, L being the task, whatever the agent does.
 
     Observation (1): elapsed share of the horizon. Reward: 1 for every step lived, so that the
@@ -109,52 +154,52 @@ class HiddenEnd(AbstractProbe[Lifetime]):
     """
 
     name: ClassVar[str] = "hidden_end"
+    control_period: ClassVar[float] = 1.0
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"
-    sparse_radius: float = 0.0
-    """Sparse, steps are rewarded from this many steps before the end."""
+    sparse_radius: float = 0.0  # sparse, steps are rewarded from this many before the end
     horizon: int = 10
     observation_size: int = 1
     action_size: int = 1
 
-    def initial(self, key: Key, task: Lifetime) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+    def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
         return jnp.stack([jnp.zeros(()), task]), jnp.zeros(2)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
+    def control(self, action: Array) -> Array:
         return action
 
-    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+    def advance(self, readings: Readings, control: Array) -> Readings:
         lived, lifetime = readings["qpos"]
         lived = jnp.where(self.terminated(readings), jnp.nan, lived + 1)
         return {"qpos": jnp.stack([lived, lifetime]), "qvel": readings["qvel"]}
 
-    def observe(self, readings: Readings) -> Float[Array, " 1"]:
+    def observe(self, readings: Readings) -> Array:
         return readings["qpos"][:1] / self.horizon
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Lifetime,
+        self, readings: Readings, action: Array, next_readings: Readings, task: Array
     ) -> Reward:
         lived = next_readings["qpos"][0] - readings["qpos"][0]
         sparse = jnp.where(self.solved(next_readings, task), lived, 0.0 * lived)
         return Reward(lived if self.reward_kind == "dense" else sparse, jnp.zeros(()))
 
-    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+    def terminated(self, readings: Readings) -> Array:
         lived, lifetime = readings["qpos"]
         return jnp.logical_not(lived < lifetime)  # true of NaN as well
 
-    def solved(self, readings: Readings, task: Lifetime) -> Bool[Array, ""]:
+    def solved(self, readings: Readings, task: Array) -> Array:
         return within(task - readings["qpos"][0], self.sparse_radius)
 
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+    def position(self, observation: Array) -> Array:
         return jnp.append(observation, 0.0)
 
-    def goal(self, task: Lifetime) -> Float[Array, " 2"]:
+    def goal(self, task: Array) -> Array:
         return jnp.stack([task / self.horizon, jnp.zeros(())])
+
+
+def _draw_targets(stream: np.random.Generator, size: int) -> np.ndarray:
+    return draw_half_circle(stream, size, TARGET_RADIUS)
 
 
 def _draw_sides(stream: np.random.Generator, size: int) -> np.ndarray:
@@ -168,5 +213,12 @@ def _draw_lifetimes(stream: np.random.Generator, size: int) -> np.ndarray:
     return stream.uniform(0.0, LONGEST_LIFETIME, size).astype(np.float32)
 
 
+hidden_target = TaskFamily("hidden_target", HiddenTarget, _draw_targets, ("target",), seed=31)
+delayed_target = TaskFamily("delayed_target", DelayedTarget, _draw_targets, ("target",), seed=32)
 hidden_side = TaskFamily("hidden_side", HiddenSide, _draw_sides, ("side",), seed=33)
 hidden_end = TaskFamily("hidden_end", HiddenEnd, _draw_lifetimes, ("lifetime",), seed=34)
+
+PROBES: dict[str, TaskFamily] = {
+    family.name: family
+    for family in (hidden_target, delayed_target, hidden_side, hidden_end, bandit, chain)
+}
