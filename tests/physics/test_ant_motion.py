@@ -5,7 +5,6 @@ import mujoco
 import numpy as np
 import pytest
 from physics.plain import assert_equal, plain_episodes
-from physics.robots import without_looks
 
 from maesn.envs import Ant
 from maesn.envs.ant import rotation_matrix
@@ -131,19 +130,3 @@ def test_each_motor_turns_its_own_joint_by_thirty_newton_metres(model: mujoco.Mj
         torque = np.zeros(14)
         torque[model.joint(model.actuator(index).name).dofadr[0]] = 0.5 * 30
         np.testing.assert_array_equal(data.qfrc_actuator, torque)
-
-
-def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = without_looks(ROBOT)
-    np.testing.assert_array_equal(_walk(bare), _walk(model))
-
-
-def _walk(model: mujoco.MjModel) -> np.ndarray:
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    states = []
-    for control in controls()[:, 0]:
-        data.ctrl[:] = control
-        mujoco.mj_step(model, data)
-        states.append(np.concatenate([data.qpos, data.qvel]))
-    return np.stack(states)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from physics.plain import assert_equal, plain_episodes
-from physics.robots import text_of, without_looks
+from physics.robots import text_of
 
 from maesn.envs import blockpush
 from maesn.physics import NativeSimulator, Readings
@@ -13,7 +13,7 @@ ROBOT = "blockpush"
 NUM_SIMULATIONS, STEPS = 16, 100
 STATE = ("qpos", "qvel")
 TIME_STEP, ARMATURE = 0.01, 0.04
-GRIPPER_MASS, BLOCK_MASS = 0.00611563, 1.8e-7  # kg; see `test_blockpush_model.py`
+GRIPPER_MASS, BLOCK_MASS = 0.00611563, 1.8e-7  # kg; see `test_models.py`
 HOMES = 0.2 * np.arange(1, 6)
 AWAY = 5.0  # metres; as far as no other block is
 
@@ -157,12 +157,3 @@ def test_a_table_that_can_be_touched_would_change_nothing(model: mujoco.MjModel)
     )
     for one, other in zip(ours, others, strict=True):
         np.testing.assert_allclose(one["qpos"], other["qpos"], atol=1e-10)
-
-
-def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = without_looks(ROBOT)
-    ours, others = (
-        plain_episodes([each] * NUM_SIMULATIONS, *begin(), controls(), STATE)
-        for each in (model, bare)
-    )
-    assert_equal(ours, others)

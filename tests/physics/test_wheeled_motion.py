@@ -3,7 +3,6 @@
 import mujoco
 import numpy as np
 import pytest
-from physics.robots import without_looks
 
 ROBOT = "wheeled"
 GRAVITY, TIME_STEP, FRICTION = 9.81, 0.01, 0.4
@@ -60,20 +59,3 @@ def test_both_wheels_drive_forwards(model: mujoco.MjModel, data: mujoco.MjData) 
         mujoco.mj_step(model, data)
     assert data.qpos[0] > 0.5
     np.testing.assert_allclose(data.qpos[[1, 3]], 0, atol=1e-9)
-
-
-def test_looks_have_no_effect_on_the_dynamics(model: mujoco.MjModel) -> None:
-    bare = without_looks(ROBOT)
-    np.testing.assert_array_equal(_drive(bare), _drive(model))
-
-
-def _drive(model: mujoco.MjModel) -> np.ndarray:
-    generator = np.random.default_rng(1)
-    data = mujoco.MjData(model)
-    data.qvel[:] = 0.1 * generator.normal(size=6)
-    states = []
-    for _ in range(200):
-        data.ctrl[:] = generator.uniform(-2, 2, size=2)
-        mujoco.mj_step(model, data)
-        states.append(np.concatenate([data.qpos, data.qvel]))
-    return np.stack(states)
