@@ -44,11 +44,13 @@ from physics.robots import inertia_tensor, names, text_of, without_looks
 
 from maesn.physics import load_model
 
-LEGS, GRAVITY, WALL = [0] * 6 + [1] * 8, -9.81 * Z, [-10.3213, 10.3]
+LEGS, GRAVITY, GRIPPER = [0] * 6 + [1] * 8, -9.81 * Z, [SLIDE, SLIDE, HINGE]
 EULER, RK4 = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4
-ANT_JOINTS = (7, 8, 1, 2, 3, 4, 5, 6)  # in the order of the motors
+WHEELED_RANGES = np.outer(np.arange(6) == 2, [-1, 0.03])
+ANT_RANGES = [[0, 0], HIP, UP, HIP, DOWN, HIP, DOWN, HIP, UP]
+ANT_MOTORS = [[joint, -1] for joint in (7, 8, 1, 2, 3, 4, 5, 6)]
 USUAL_IMPEDANCE = [0.9, 0.95, 0.001, 0.5, 2]  # the engine's own
-# By the names of `mujoco.MjModel`, to be broadcast to their shapes: all, or wheeled, ant, blockpush.
+# By the names of `mujoco.MjModel`, broadcast to their shapes: of all, or wheeled, ant, blockpush.
 NUMBERS: dict[str, Any] = {
     "opt.timestep": 0.01,
     "opt.disableflags": mujoco.mjtDisableBit.mjDSBL_AUTORESET,
@@ -59,18 +61,10 @@ NUMBERS: dict[str, Any] = {
     "nv": (6, 14, 13),
     "nu": (2, 8, 3),
     "na": 0,
-    "jnt_type": (
-        [SLIDE] * 3 + [HINGE] * 3,
-        [FREE] + 8 * [HINGE],
-        [SLIDE, SLIDE, HINGE] + [SLIDE] * 10,
-    ),
+    "jnt_type": ([SLIDE] * 3 + [HINGE] * 3, [FREE] + 8 * [HINGE], GRIPPER + [SLIDE] * 10),
     "jnt_axis": ([X, Y, Z, Z, Y, Y], [Z, *[Z, RIGHT, Z, LEFT] * 2], [X, Y, Z] + [X, Y] * 5),
     "jnt_limited": ([0, 0, 1, 0, 0, 0], [0] + 8 * [1], 1),
-    "jnt_range": (
-        np.outer(np.arange(6) == 2, [-1, 0.03]),
-        [[0, 0], HIP, UP, HIP, DOWN, HIP, DOWN, HIP, UP],
-        WALL,
-    ),
+    "jnt_range": (WHEELED_RANGES, ANT_RANGES, [-10.3213, 10.3]),
     "jnt_margin": ([0.01] * 4 + [0] * 2, 0, 0),
     "jnt_stiffness": 0,
     "dof_damping": (0, LEGS, [0.5] * 3 + [1.5] * 10),
@@ -82,11 +76,7 @@ NUMBERS: dict[str, Any] = {
     "geom_solref": [0.02, 1],  # the engine's own
     # The last two of the wheeled robot are the engine's: MuJoCo 1.31 knew three numbers.
     "geom_solimp": ([0, 0.8, 0.01, 0.5, 2], USUAL_IMPEDANCE, USUAL_IMPEDANCE),
-    "actuator_trnid": (
-        [[4, -1], [5, -1]],
-        [[i, -1] for i in ANT_JOINTS],
-        [[0, -1], [1, -1], [2, -1]],
-    ),
+    "actuator_trnid": ([[4, -1], [5, -1]], ANT_MOTORS, [[0, -1], [1, -1], [2, -1]]),
     "actuator_gear": (np.eye(6)[0], 30 * np.eye(6)[0], np.eye(6)[0]),
     "actuator_gainprm": np.eye(10)[0],
     "actuator_ctrlrange": ([-2, 2], [-1, 1], [-2, 2]),
@@ -111,9 +101,8 @@ def model(robot: str) -> mujoco.MjModel:
 
 
 def test_numbers(model: mujoco.MjModel, robot: str) -> None:
-    for name, expected in NUMBERS.items():
-        if isinstance(expected, tuple):
-            expected = expected[list(FACTS).index(robot)]
+    for name, given in NUMBERS.items():
+        expected = given[list(FACTS).index(robot)] if isinstance(given, tuple) else given
         value = np.asarray(attrgetter(name)(model))
         wanted = np.broadcast_to(np.asarray(expected, float), value.shape)
         np.testing.assert_allclose(value, wanted, rtol=1e-15, atol=1e-16, err_msg=name)
