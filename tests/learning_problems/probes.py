@@ -2,16 +2,7 @@
 
 A learner that fails on one of them has an error, which a robot's noise would hide.
 
-| family           | mechanism                                   | best return, dense; sparse      |
-|------------------|---------------------------------------------|---------------------------------|
-| `hidden_target`  | policy gradient: one step, one action       | 0; 0                            |
-| `delayed_target` | credit: only a_0 counts, rewarded last      | 0; 0                            |
-| `hidden_side`    | coherent choice: the same side T times      | 1; 1                            |
-| `hidden_end`     | masks: nature ends the episode, NaN follows | steps lived; 1                  |
-| `chain`          | exploration: only the far end is rewarded   | 30/g; 51 - g, in whole steps    |
-| `bandit`         | recurrence: find the best arm, then pull it | 6.66 of 10 on average, the same |
-
-The last two are examples of the library. No observation before the end of an episode depends on the
+Two more, `bandit` and `chain`, are examples of the library. No observation before the end of an episode depends on the
 task, and nothing is random but the policy and the rewards of `bandit`.
 """
 
@@ -32,7 +23,29 @@ TARGET_RADIUS = 1.0
 LONGEST_LIFETIME = 12.0  # steps
 
 
-class HiddenTarget(AbstractReaching, AbstractPureEnv[Array]):
+class Probe(AbstractPureEnv[Array]):
+    """What most probes share."""
+
+    control_period: ClassVar[float] = 1.0
+
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = 0.0
+    horizon: int = 10
+    observation_size: int = 1
+    action_size: int = 1
+
+    def control(self, action: Array) -> Array:
+        return action
+
+    def position(self, observation: Array) -> Array:
+        return jnp.zeros(2)
+
+    def goal(self, task: Array) -> Array:
+        return jnp.append(task, 0.0)
+
+
+class HiddenTarget(AbstractReaching, Probe):
     """The first action has to hit a target g on the upper half circle of radius 1.
 
     The observation is the elapsed share of the episode (1 component) and a_0 (2 components, zero
@@ -46,10 +59,7 @@ class HiddenTarget(AbstractReaching, AbstractPureEnv[Array]):
     """
 
     name: ClassVar[str] = "hidden_target"
-    control_period: ClassVar[float] = 1.0
 
-    variant: Variant = "reference"
-    reward_kind: RewardKind = "dense"
     sparse_radius: float = 0.5  # the action 0 is twice as far away
     horizon: int = 1
     observation_size: int = 3
@@ -57,9 +67,6 @@ class HiddenTarget(AbstractReaching, AbstractPureEnv[Array]):
 
     def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
         return jnp.zeros(3), jnp.zeros(3)
-
-    def control(self, action: Array) -> Array:
-        return action
 
     def advance(self, readings: Readings, control: Array) -> Readings:
         step, first_action = readings["qpos"][:1], readings["qpos"][1:]
@@ -105,14 +112,8 @@ class HiddenSide(AbstractPureEnv[Array]):
     """
 
     name: ClassVar[str] = "hidden_side"
-    control_period: ClassVar[float] = 1.0
 
-    variant: Variant = "reference"
-    reward_kind: RewardKind = "dense"
     sparse_radius: float = 0.05
-    horizon: int = 10
-    observation_size: int = 1
-    action_size: int = 1
 
     def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
         return jnp.zeros(1), jnp.zeros(1)
@@ -138,12 +139,6 @@ class HiddenSide(AbstractPureEnv[Array]):
     def solved(self, readings: Readings, task: Array) -> Array:
         return within(jnp.abs(readings["qpos"][0] / self.horizon - task), self.sparse_radius)
 
-    def position(self, observation: Array) -> Array:
-        return jnp.zeros(2)
-
-    def goal(self, task: Array) -> Array:
-        return jnp.stack([task, jnp.zeros(())])
-
 
 class HiddenEnd(AbstractPureEnv[Array]):
     """An episode that ends after ceil(L) steps, L being the task, whatever the agent does.
@@ -154,20 +149,9 @@ class HiddenEnd(AbstractPureEnv[Array]):
     """
 
     name: ClassVar[str] = "hidden_end"
-    control_period: ClassVar[float] = 1.0
-
-    variant: Variant = "reference"
-    reward_kind: RewardKind = "dense"
-    sparse_radius: float = 0.0  # sparse, steps are rewarded from this many before the end
-    horizon: int = 10
-    observation_size: int = 1
-    action_size: int = 1
 
     def initial(self, key: Key, task: Array) -> tuple[Array, Array]:
         return jnp.stack([jnp.zeros(()), task]), jnp.zeros(2)
-
-    def control(self, action: Array) -> Array:
-        return action
 
     def advance(self, readings: Readings, control: Array) -> Readings:
         lived, lifetime = readings["qpos"]
@@ -193,9 +177,6 @@ class HiddenEnd(AbstractPureEnv[Array]):
 
     def position(self, observation: Array) -> Array:
         return jnp.append(observation, 0.0)
-
-    def goal(self, task: Array) -> Array:
-        return jnp.stack([task / self.horizon, jnp.zeros(())])
 
 
 def _draw_targets(stream: np.random.Generator, size: int) -> np.ndarray:
