@@ -2,8 +2,8 @@
 
 A learner that fails on one of them has an error, which a robot's noise would hide.
 
-Two more, `bandit` and `chain`, are examples of the library. No observation before the end of an episode depends on the
-task, and nothing is random but the policy and the rewards of `bandit`.
+No observation before the end of an episode depends on the task. Two more, `bandit` and `chain`, are
+examples of the library.
 """
 
 from typing import ClassVar
@@ -96,7 +96,7 @@ class DelayedTarget(HiddenTarget):
     horizon: int = 10
 
 
-class HiddenSide(AbstractPureEnv[Array]):
+class HiddenSide(Probe):
     """Two tasks, left (-1) and right (+1), for an agent that is blind.
 
     Action (1): its sign is the direction of the step, of length 1/T. The agent starts at 0 and
@@ -140,7 +140,7 @@ class HiddenSide(AbstractPureEnv[Array]):
         return within(jnp.abs(readings["qpos"][0] / self.horizon - task), self.sparse_radius)
 
 
-class HiddenEnd(AbstractPureEnv[Array]):
+class HiddenEnd(Probe):
     """An episode that ends after ceil(L) steps, L being the task, whatever the agent does.
 
     Observation (1): elapsed share of the horizon. Reward: 1 for every step lived, so that the
