@@ -1,17 +1,10 @@
-"""How gripper and blocks move: laws of mechanics, and plain MuJoCo bit for bit."""
+"""How gripper and blocks move: laws of mechanics."""
 
 import mujoco
 import numpy as np
 import pytest
-from physics.plain import assert_equal, plain_episodes
-from physics.robots import text_of
-
-from maesn.envs import blockpush
-from maesn.physics import NativeSimulator, Readings
 
 ROBOT = "blockpush"
-NUM_SIMULATIONS, STEPS = 16, 100
-STATE = ("qpos", "qvel")
 TIME_STEP, ARMATURE = 0.01, 0.04
 GRIPPER_MASS, BLOCK_MASS = 0.00611563, 1.8e-7  # kg; see `test_models.py`
 HOMES = 0.2 * np.arange(1, 6)
@@ -30,42 +23,6 @@ def data(model: mujoco.MjModel) -> mujoco.MjData:
 
 def coordinates_of(block: int) -> list[int]:
     return [3 + 2 * block, 4 + 2 * block]
-
-
-def begin() -> tuple[np.ndarray, np.ndarray]:
-    """Layouts of the training set, the gripper at the origin and everything at rest."""
-    layout = blockpush.task_set("training").tasks.layout[:NUM_SIMULATIONS].astype(np.float64)
-    layout[..., 0] -= HOMES
-    qpos = np.concatenate([np.zeros((NUM_SIMULATIONS, 3)), layout.reshape(-1, 10)], axis=1)
-    return qpos, np.zeros((NUM_SIMULATIONS, 13))
-
-
-def controls() -> np.ndarray:
-    """Random, but forwards on the whole, where the blocks are."""
-    generator = np.random.default_rng(1)
-    forwards = np.array([2.0, 0.0, 0.0])
-    drift = generator.normal(size=(1, NUM_SIMULATIONS, 3)) + forwards
-    noise = generator.normal(size=(STEPS, NUM_SIMULATIONS, 3))
-    return np.clip(drift + noise, -2.0, 2.0)
-
-
-def play(num_threads: int, readings: tuple[str, ...]) -> list[Readings]:
-    simulator = NativeSimulator(
-        "blockpush", NUM_SIMULATIONS, readings=readings, num_threads=num_threads
-    )
-    return [simulator.reset(*begin()), *(simulator.step(control) for control in controls())]
-
-
-@pytest.mark.parametrize("num_threads", [1, 2])
-@pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos", "qfrc_constraint")])
-def test_episodes_with_contacts_equal_plain_mujoco(
-    model: mujoco.MjModel, num_threads: int, readings: tuple[str, ...]
-) -> None:
-    got = play(num_threads, readings)
-    expected = plain_episodes([model] * NUM_SIMULATIONS, *begin(), controls(), readings)
-    assert_equal(got, expected)
-    shift = np.abs(got[-1]["qpos"] - got[0]["qpos"])[:, 3:].max(axis=1)
-    assert (shift > 0.05).sum() >= NUM_SIMULATIONS // 2
 
 
 def test_the_way_of_the_gripper_without_contact(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -145,15 +102,3 @@ def test_a_block_pushes_the_next_one(model: mujoco.MjModel, data: mujoco.MjData)
         pairs |= {tuple(sorted(model.geom(i).name for i in pair)) for pair in data.contact.geom}
     assert ("block_2", "block_4") in pairs
     assert data.qpos[11] + HOMES[4] > 0.45
-
-
-def test_a_table_that_can_be_touched_would_change_nothing(model: mujoco.MjModel) -> None:
-    solid = mujoco.MjModel.from_xml_string(text_of(ROBOT))
-    table = solid.geom("table").id
-    solid.geom_contype[table] = solid.geom_conaffinity[table] = 1
-    ours, others = (
-        plain_episodes([each] * NUM_SIMULATIONS, *begin(), controls(), STATE)
-        for each in (model, solid)
-    )
-    for one, other in zip(ours, others, strict=True):
-        np.testing.assert_allclose(one["qpos"], other["qpos"], atol=1e-10)

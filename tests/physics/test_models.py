@@ -239,6 +239,13 @@ def test_looks_have_no_effect_on_the_dynamics(robot: str, model: mujoco.MjModel)
     np.testing.assert_array_equal(driven(bare), driven(model))
 
 
+def test_a_table_that_can_be_touched_would_change_nothing() -> None:
+    solid = load_model("blockpush")
+    table = solid.geom("table").id
+    solid.geom_contype[table] = solid.geom_conaffinity[table] = 1
+    np.testing.assert_allclose(driven(solid), driven(load_model("blockpush")), atol=1e-10)
+
+
 def driven(model: mujoco.MjModel) -> np.ndarray:
     """States under random controls."""
     stream, data = np.random.default_rng(1), mujoco.MjData(model)
