@@ -91,14 +91,3 @@ def test_contacts_have_no_friction(model: mujoco.MjModel, data: mujoco.MjData) -
     assert touched > 0
     assert data.qpos[7] + HOMES[2] > 0.301
     assert data.qpos[8] == pytest.approx(0.0, abs=1e-5)
-
-
-def test_a_block_pushes_the_next_one(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    data.qpos[coordinates_of(4)] = 0.4 - HOMES[4], 0.0
-    data.ctrl[0] = 2.0
-    pairs = set()
-    for _ in range(60):
-        mujoco.mj_step(model, data)
-        pairs |= {tuple(sorted(model.geom(i).name for i in pair)) for pair in data.contact.geom}
-    assert ("block_2", "block_4") in pairs
-    assert data.qpos[11] + HOMES[4] > 0.45

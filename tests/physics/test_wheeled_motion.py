@@ -14,18 +14,6 @@ def data(model: mujoco.MjModel) -> mujoco.MjData:
     return mujoco.MjData(model)
 
 
-def test_contacts_while_driving(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    generator = np.random.default_rng(0)
-    data.qvel[:] = generator.normal(size=6)
-    pairs = set()
-    for _ in range(200):
-        data.ctrl[:] = generator.uniform(-2, 2, size=2)
-        mujoco.mj_step(model, data)
-        pairs |= {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}
-    floor, right, left = (model.geom(name).id for name in ("floor", "right_wheel", "left_wheel"))
-    assert pairs == {(floor, right), (floor, left)}
-
-
 def test_forces_in_the_air_are_gravity_and_torque_alone(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> None:
