@@ -58,10 +58,10 @@ RECOMMENDED: dict[str, dict[str, dict[str, Recommendation]]] = {
                 "gives -129; chosen on the returns of training",
             ),
             "context.initial_spread": _SPREAD_ON_BLOCKPUSH,
-            "trust_region.damping": _DAMPING_ON_BLOCKPUSH,
+            "outer.trust_region.damping": _DAMPING_ON_BLOCKPUSH,
         },
         **{
-            method: {"trust_region.damping": _DAMPING_ON_BLOCKPUSH}
+            method: {"outer.trust_region.damping": _DAMPING_ON_BLOCKPUSH}
             for method in ("latent_space", "maml", "maml_bias_only", "oracle")
         },
     },
@@ -121,7 +121,7 @@ def recommended_run(method: str, family: str) -> dict[str, Any]:
 
 
 def with_setting(settings: Settings, path: str, value: Any) -> Settings:
-    """Return settings with another value at a path such as `trust_region.damping`."""
+    """Return settings with another value at a path such as `outer.trust_region.damping`."""
     name, _, rest = path.partition(".")
     if rest:
         value = with_setting(getattr(settings, name), rest, value)
