@@ -11,7 +11,6 @@ from physics.facts import (
     ARM,
     BLOCK_MASS,
     BLOCKPUSH,
-    BLOCKS,
     CAPSULES,
     CAR_MASS,
     DOWN,
@@ -217,13 +216,6 @@ def test_the_margin_of_a_contact_of_the_ant_is_the_experiments() -> None:
     np.testing.assert_array_equal(data.contact.includemargin, np.full(5, 0.01))
     # The larger friction of the two: sliding in both directions, spinning, rolling.
     np.testing.assert_array_equal(data.contact.friction, np.tile([1, 1, 0.5, 0.5, 0.5], (5, 1)))
-
-
-def test_blocks_have_colours_of_their_own() -> None:
-    model = load_model("blockpush")
-    colours = {tuple(model.mat(name).rgba) for name in (*BLOCKS, "goal", "gripper", "table")}
-    assert len(colours) == 8
-    assert model.site("goal_region").size[0] == 0.2
 
 
 def test_the_file_itself_switches_automatic_resets_off(robot: str) -> None:

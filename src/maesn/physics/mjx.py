@@ -30,7 +30,7 @@ from maesn.physics.mjx_margins import MarginError, margins_as_sizes
 # What follows from the forces between bodies.
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 # Fields that MJX has but never fills would read as zeros, so what can be read is what was compared
-# with MuJoCo: see `tests/long/physics/test_mjx_readings.py`.
+# with MuJoCo: see `tests/long/physics/test_mjx.py`.
 READABLE = (
     *("time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat", "qacc", "sensordata"),
     *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "subtree_com", "cvel"),
