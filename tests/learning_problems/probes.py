@@ -16,7 +16,7 @@ from jax import Array
 
 from maesn.axes import Key, Readings
 from maesn.envs import AbstractPureEnv, Reward, RewardKind, TaskFamily, Variant
-from maesn.envs.goals import draw_half_circle, goal_reward, within
+from maesn.envs.goals import draw_half_circle, goal_reward
 from maesn.envs.reaching import AbstractReaching
 
 TARGET_RADIUS = 1.0
@@ -137,7 +137,7 @@ class HiddenSide(Probe):
         return Reward(goal, jnp.zeros(()))
 
     def solved(self, readings: Readings, task: Array) -> Array:
-        return within(jnp.abs(readings["qpos"][0] / self.horizon - task), self.sparse_radius)
+        return jnp.abs(readings["qpos"][0] / self.horizon - task) <= self.sparse_radius
 
 
 class HiddenEnd(Probe):
@@ -173,7 +173,7 @@ class HiddenEnd(Probe):
         return jnp.logical_not(lived < lifetime)  # true of NaN as well
 
     def solved(self, readings: Readings, task: Array) -> Array:
-        return within(task - readings["qpos"][0], self.sparse_radius)
+        return task - readings["qpos"][0] <= self.sparse_radius
 
     def position(self, observation: Array) -> Array:
         return jnp.append(observation, 0.0)
