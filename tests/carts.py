@@ -9,8 +9,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from playing import keys
 
 from maesn.axes import Key, Readings
 from maesn.envs import AbstractMujocoEnv, Reward, RewardKind, Variant
@@ -93,22 +91,3 @@ def cart_on(directory: Path, actuator: str) -> type[Cart]:
         model: ClassVar[str] = str(path)
 
     return CartOnFile
-
-
-def assert_driven(episodes: Any, tasks: Any, task_index: list[int], force: float) -> None:
-    """Carts under a constant force moved as the integrator's closed form says."""
-    count, steps = episodes.valid.shape[1], np.arange(episodes.valid.shape[-1] + 1)
-    for slot, (key, index) in enumerate(zip(keys(len(task_index)), task_index, strict=True)):
-        for episode in range(count):
-            start_key = jax.random.split(jax.random.fold_in(key, episode), 3)[1]
-            first = float(tasks[index].speed) * bool(pushed(start_key))
-            change = TIME_STEP * force / float(tasks[index].mass)
-            # v_t = v_0 + h a t and x_t = sum_{s = 1 ... t} h v_s = h v_0 t + h^2 a t (t + 1) / 2
-            speed = first + change * steps
-            place = TIME_STEP * (first * steps + change * steps * (steps + 1) / 2)
-            np.testing.assert_allclose(
-                episodes.observation[slot, episode],
-                np.stack([place, speed], axis=-1),
-                rtol=1e-5,
-                atol=1e-6,
-            )

@@ -81,17 +81,6 @@ def test_the_default_radius(make_env: type, radius: float) -> None:
         assert bool(env.solved(state, jnp.array([2.0, 0.0]))) is reached
 
 
-def test_prices_other_than_those_of_the_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    # c_max 3; a = (1, -0.5) gives u = (2, -1), cost 0.5 (4 + 1) = 2.5; |(3, 4)| = 5, d = 0.75.
-    monkeypatch.setattr(Wheeled, "c_max", 3.0)
-    monkeypatch.setattr(Wheeled, "control_cost", 0.5)
-    goal, action = jnp.array([3.0, 4.0]), jnp.array([1.0, -0.5])
-    for variant, expected in {"paper": (-3.0, 0.0), "reference": (-5.0, -2.5)}.items():
-        env = Wheeled(variant=variant, reward_kind="sparse", sparse_radius=0.5)
-        reward = env.reward(readings(env, FAR), action, readings(env, (3.0, 3.25)), goal)
-        assert (float(reward.goal), float(reward.other)) == expected
-
-
 def test_a_reward_that_is_not_a_number_stays_one() -> None:
     # A comparison with NaN is false: the sparse reward must not turn NaN into the safe constant.
     assert bool(jnp.isnan(goal_reward(jnp.float32(jnp.nan), -2.0, "sparse", 0.5)))

@@ -32,13 +32,6 @@ def test_control_scales_and_clips(make_env: type, scale: float) -> None:
         np.testing.assert_array_equal(env.control(given), control)
 
 
-def test_what_robots_see() -> None:
-    readings = {"qpos": jnp.arange(6.0), "qvel": jnp.arange(6.0, 12.0)}
-    np.testing.assert_array_equal(Wheeled().observe(readings), np.arange(12.0))
-    readings = {"qpos": jnp.array([0.3, -0.7]), "qvel": jnp.array([5.0, 6.0])}
-    np.testing.assert_array_equal(Point().observe(readings), np.float32([0.3, -0.7]))
-
-
 @pytest.mark.parametrize(
     ("make_env", "horizon", "period", "observation", "action", "radius"),
     [

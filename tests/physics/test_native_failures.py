@@ -94,16 +94,6 @@ def test_a_blow_up_is_seen_in_the_step_that_makes_it(unstable: Path) -> None:
     assert caught.value.simulations == (2,)
 
 
-def test_a_closed_simulator_says_so() -> None:
-    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS)
-    assert simulator.num_simulations == NUM_SIMULATIONS
-    simulator.close()
-    simulator.close()
-    for call in (lambda: simulator.reset(*start()), lambda: simulator.step(controls()[0])):
-        with pytest.raises(RuntimeError, match="closed"):
-            call()
-
-
 @pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos")])
 def test_a_blow_up_is_raised_at_once_or_reported(unstable: Path, readings: tuple[str, ...]) -> None:
     qpos, blown = np.zeros((6, 1)), np.isin(np.arange(6), [1, 4])
