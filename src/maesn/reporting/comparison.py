@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from maesn.reporting.published import PublishedCurve
-from maesn.reporting.reading import DEPLOY, EXPLORE, AdaptationTable
+from maesn.reporting.reading import DEPLOY, EXPLORE, AdaptationTable, latents_beside
 from maesn.reporting.style import MethodStyle
 
 _JUDGED = {
@@ -31,7 +31,12 @@ class Line:
     settings: Mapping[str, Any] = field(default_factory=dict)  # of run or method, by their path
     published: PublishedCurve | None = None  # what the paper shows, if that is comparable
     recorded: Path | None = None  # where the exploration of the first seed may be recorded
-    latents: Path | None = None  # where its adapted latents are, if only a latent adapts
+    files: tuple[Path, ...] = ()  # of the table, one for each seed
+
+    @property
+    def latents(self) -> Path | None:
+        """Where the adapted latents of the first seed are, if only a latent adapts."""
+        return latents_beside(self.files[0]) if self.files else None
 
     @property
     def label(self) -> str:
@@ -123,7 +128,7 @@ class Comparison:
         with the means of baseline and oracle over the same tasks.
         """
         references = self.references(num_tasks)
-        baseline, oracle = references["baseline"], references.get("oracle", np.nan)
+        baseline, oracle = (references.get(name, np.nan) for name in ("baseline", "oracle"))
         return (returns - baseline) / (oracle - baseline if oracle > baseline else np.nan)
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from maesn.reporting.runs import RECORDED_TASKS
 from maesn.runtime import archive
 from maesn.storage import RunError, read_json
 
-# TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
-_NAME = re.compile(r"(.+)-(dense|sparse)(-.+)?")
+# TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
+# `-search-ee78bb-with-10-episodes`.
+_NAME = re.compile(r"(.+)-(dense|sparse)(-.+?)??(-with-.+)?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
 LATENTS, RECORD = ".latents.npz", ".settings.json"
@@ -25,23 +27,44 @@ _REMEDY = "write it again with `maesn adapt`"
 
 
 class TableName(NamedTuple):
-    """What the name of a table says."""
+    """The parts of a table's name."""
 
     # Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
     # radius, engine and number of tasks where they are not the usual ones.
     tasks: str
     reward: str  # of the adaptation; empty if the file is called otherwise
-    changed: str = ""  # rule and wrappers, with a hyphen before them; empty for the method as it is
+    rule: str = ""  # with wrappers and digest, after a hyphen; empty for the method as it is
+    budget: str = ""  # budgets and seed, as in `-with-10-episodes`; empty for the usual ones
 
-    def path(self, directory: Path) -> Path:
+    @classmethod
+    def of(cls, table: Path) -> "TableName":
+        """Return the name of a file."""
+        found = _NAME.fullmatch(table.stem)
+        return cls(table.stem, "") if found is None else cls(*found.groups(default=""))
+
+    def path(self, run: Path) -> Path:
         """Return where such a table of a run goes by default."""
-        return directory / "adaptation" / f"{self.tasks}-{self.reward}{self.changed}.csv"
+        name = f"{self.tasks}-{self.reward}{self.rule}{self.budget}.csv"
+        return run / "adaptation" / name
+
+    @property
+    def label(self) -> str:
+        """Rule and budget in words, for figures; empty for the usual ones."""
+        return " ".join([*self.rule.split("-")[1:-1], *self.budget.split("-")[1:]])
 
 
-def table_name(path: Path) -> TableName:
-    """Return what the name of a table says."""
-    found = _NAME.fullmatch(path.stem)
-    return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
+def tables_of(run: Path) -> dict[TableName, Path]:
+    """Return the tables in a run directory, those with the shortest names first."""
+    files = sorted((run / "adaptation").glob("*.csv"))
+    named = {TableName.of(file): file for file in files}
+    return {name: named[name] for name in sorted(named) if name.reward}
+
+
+def usual_table(run: Path) -> Path | None:
+    """Return the table of the test tasks on sparse reward by the method's own rule, if any."""
+    tables = tables_of(run).items()
+    found = (path for name, path in tables if name[:3] == (RECORDED_TASKS, "sparse", ""))
+    return next(found, None)
 
 
 def latents_beside(table: Path) -> Path:
@@ -162,16 +185,21 @@ def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
     return replace(tables[0], **stacked)
 
 
+def read_about(table: Path) -> dict[str, Any]:
+    """Read the record beside a table, which says how it was made; empty if there is none."""
+    record = table.with_suffix(RECORD)
+    return read_json(record, _REMEDY) if record.exists() else {}
+
+
 def read_adaptation(path: Path) -> AdaptationTable:
     """Read a table of `maesn adapt` and the record beside it; a `RunError` if one is damaged."""
-    rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
-    about = read_json(record, _REMEDY) if record.exists() else {}
+    rows, about = read_rows(path, _REMEDY), read_about(path)
     try:
         purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
         explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error
-    name = table_name(path)
+    name = TableName.of(path)
     return AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,

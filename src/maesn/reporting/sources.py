@@ -1,11 +1,11 @@
-"""Where comparisons come from: runs, and the tables that a study has left."""
+"""Where comparisons come from: the files of a study, or runs, which are a study in memory."""
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from maesn.reporting import reading
 from maesn.reporting import runs as records
@@ -17,11 +17,21 @@ from maesn.settings import leaves
 from maesn.storage import RunError, read_json
 
 MANIFEST = "study.json"
+RUN_FIGURES = ("curves", "tasks", "exploration", "noise", "latents")
 
-# What decides whether returns can be compared at all.
+# Returns can be compared only if these are the same.
 _WORLD = ("family", "variant", "sparse_radius", "engine")
-# What two seeds of one experiment may differ in: it changes nothing, or chance alone.
+# Two seeds of one experiment may differ in these: they change nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
+
+# What a study calls the entries of a table's record.
+_EVALUATION = {
+    "episodes": "episodes",
+    "per_update": "episodes_per_update",
+    "deploy": "deploy_episodes",
+    "num_tasks": "num_tasks",
+    "seed": "seed",
+}
 
 Document = Mapping[str, Any]
 
@@ -38,6 +48,16 @@ class Series:
         """Return the metrics of meta-training of those runs that have any."""
         found = (records.read_learning_curve(run.path) for run in self.runs)
         return [curve for curve in found if curve is not None]
+
+
+class Compared(NamedTuple):
+    """Everything that a report shows."""
+
+    document: Document
+    """The study, as `study.json` describes it."""
+    comparisons: list[Comparison]
+    series: Sequence[Series] = ()
+    """The runs that make up a study in memory; none for a study in files."""
 
 
 def read_series(directories: Sequence[Path]) -> list[Series]:
@@ -82,44 +102,65 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     return series
 
 
-def compare_runs(series: Sequence[Series]) -> list[Comparison]:
-    """Return a comparison for each task set and reward that some run was adapted to."""
-    found: defaultdict[tuple[str, str], list[Line]] = defaultdict(list)
+def compare_runs(directories: Sequence[Path]) -> Compared:
+    """Make a study of runs: one comparison for each task set and reward that one was adapted to.
+
+    A `RunError` says which file is broken, or why the runs cannot be compared.
+    """
+    series = read_series(directories)
+    worlds: dict[str, dict[str, Any]] = {}
     for one in series:
-        files: defaultdict[reading.TableName, dict[int, Path]] = defaultdict(dict)
-        for run in one.runs:
-            for file in (run.path / "adaptation").glob("*.csv"):
-                files[reading.table_name(file)][run.seed] = file
-        for name in sorted(name for name in files if name.reward):
-            lines = found[name.tasks, name.reward]
-            number = sum(line.source == one.name for line in lines)
-            lines.append(_line_of_runs(one, name, number, files[name]))
-    family = series[0].runs[0].family
-    return [
-        Comparison(tuple(lines), f"{tasks}-{reward}", family)
-        for (tasks, reward), lines in found.items()
-    ]
+        for name, line, record in _adaptations(one):
+            run, world = one.runs[0], record.get("world", {})
+            compared = worlds.setdefault(
+                f"{name.tasks}-{name.reward}",
+                {
+                    "name": f"{name.tasks}-{name.reward}",
+                    "family": run.family,
+                    "variant": run.settings["variant"],
+                    "tasks": name.tasks,
+                    "reward": name.reward,
+                    "sparse_radius": world.get("sparse_radius", run.settings.get("sparse_radius")),
+                    "horizon": world.get("horizon", 0),
+                    "lines": [],
+                    "baselines": [],
+                    "oracle": [],
+                    "recorded": {},
+                },
+            )
+            compared["lines"].append(line)
+            if (name.tasks, name.reward) == (records.RECORDED_TASKS, "sparse"):
+                compared["recorded"][one.name] = run.path / records.EXPLORATION
+    figures = [{"name": kind, "kind": kind, "lines": [], "families": []} for kind in RUN_FIGURES]
+    document = {"comparisons": [*worlds.values()], "figures": figures}
+    styles = {one.name: one.style for one in series}
+    found = [_comparison(world, Path(), styles) for world in worlds.values()]
+    return Compared(document, found, series)
 
 
-def _line_of_runs(
-    one: Series, name: reading.TableName, number: int, files: Mapping[int, Path]
-) -> Line:
-    """Return what one rule has left; it is the series' line of that number, from 0."""
-    run, tables = one.runs[0], [reading.read_adaptation(file) for file in files.values()]
-    table = reading.stack_seeds(tables)
-    rule = " ".join(name.changed.split("-")[1:-1])  # without the digest of its settings
-    world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
-    is_recorded = name[:2] == (records.RECORDED_TASKS, "sparse")
-    return Line(
-        one.name + name.changed,
-        one.style.variant(number, f"{one.style.label} ({rule})" if rule else one.style.label),
-        tuple(files),
-        table,
-        source=one.name,
-        published=None if rule else comparable_curve(*world, run.method, table),
-        recorded=run.path / records.EXPLORATION if is_recorded else None,
-        latents=reading.latents_beside(next(iter(files.values()))),
-    )
+def _adaptations(one: Series) -> Iterator[tuple[reading.TableName, Document, Document]]:
+    """Yield each adaptation of runs: its name, its line in a study, and the first run's record."""
+    files: defaultdict[reading.TableName, list[tuple[int, Path]]] = defaultdict(list)
+    for run in one.runs:
+        for name, path in reading.tables_of(run.path).items():
+            files[name].append((run.seed, path))
+    for name in sorted(files):
+        record = reading.read_about(files[name][0][1])
+        told = {"rule": name.rule, **{key: record.get(of) for key, of in _EVALUATION.items()}}
+        line = {
+            "name": one.name + name.rule + name.budget,
+            "source": one.name,
+            "method": one.runs[0].method,
+            "label": f"{one.style.label} ({name.label})" if name.label else one.style.label,
+            "addition": False,
+            "settings": leaves(one.runs[0].settings),
+            "evaluation": told,
+            "trial_episodes": record.get("trial_episodes"),
+            "seeds": [
+                {"seed": seed, "table": path, "training_steps": None} for seed, path in files[name]
+            ],
+        }
+        yield name, line, record
 
 
 def studies_in(directory: Path) -> list[Path]:
@@ -135,29 +176,32 @@ def joined_files(directory: Path) -> dict[str, list[str]]:
     return {name: jobs for name, jobs in files.items() if (directory / name).exists()}
 
 
-def compare_study(directory: Path) -> tuple[Document, list[Comparison]]:
+def compare_study(directory: Path) -> Compared:
     """Read a study's manifest, and its comparisons; a `RunError` says which file is damaged."""
     document = read_json(directory / MANIFEST, "run the study again")
     try:
         worlds = [one for one in document["comparisons"] if one["lines"] and one["baselines"]]
-        return document, [_comparison(world, directory) for world in worlds]
+        return Compared(document, [_comparison(world, directory) for world in worlds])
     except (KeyError, TypeError) as error:
         raise RunError(
             f"`{directory / MANIFEST}` is not what a study writes ({error!r}): run the study again."
         ) from error
 
 
-def _comparison(world: Document, directory: Path) -> Comparison:
+def _comparison(
+    world: Document, directory: Path, styles: Mapping[str, MethodStyle] | None = None
+) -> Comparison:
     """Read the tables of a comparison; lines of one source have one colour and other dashes."""
-    methods = {line["source"]: line["method"] for line in world["lines"]}
-    styles = dict(zip(methods, series_styles([*methods.values()]), strict=True))
+    if styles is None:
+        methods = {line["source"]: line["method"] for line in world["lines"]}
+        styles = dict(zip(methods, series_styles([*methods.values()]), strict=True))
     lines: list[Line] = []
     for line in world["lines"]:
         number = sum(one.source == line["source"] for one in lines)
         style = styles[line["source"]].variant(number, line["label"])
-        lines.append(_line_of_study(line, style, world, directory))
+        lines.append(_line(line, style, world, directory))
     baselines, oracle = (
-        tuple(_line_of_study(x, MethodStyle(x["label"]), world, directory) for x in world[group])
+        tuple(_line(one, MethodStyle(one["label"]), world, directory) for one in world[group])
         for group in ("baselines", "oracle")
     )
     return Comparison(
@@ -168,11 +212,11 @@ def _comparison(world: Document, directory: Path) -> Comparison:
     )
 
 
-def _line_of_study(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
-    files = [directory / seed["table"] for seed in line["seeds"]]
+def _line(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
+    files = tuple(directory / seed["table"] for seed in line["seeds"])
     steps = [seed["training_steps"] for seed in line["seeds"]]
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
-    # What was published of a method stands beside its first run by its own rule, and no variant.
+    # A published curve stands beside its method's first run by its own rule, and no variant.
     same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
     shown = line["source"] in same[:1] and not (line["addition"] or line["evaluation"]["rule"])
     table = replace(
@@ -193,5 +237,5 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
         settings={**evaluation, **line["settings"]},
         published=comparable_curve(*about, table) if shown else None,
         recorded=directory / recorded if recorded else None,
-        latents=reading.latents_beside(files[0]),
+        files=files,
     )
