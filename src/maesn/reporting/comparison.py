@@ -154,17 +154,14 @@ class Comparison:
         return found
 
 
-def by_line(texts: Mapping[str, str]) -> str:
-    """Join what is said of lines by their label: each text once, with names if texts differ."""
-    named = {text: [name for name in texts if texts[name] == text] for text in texts.values()}
+def note_on_judging(lines: Sequence[Line]) -> str:
+    """Say which episodes the lines are judged on; with their labels if they differ in it."""
+    named: dict[str, list[str]] = {}
+    for line in lines:
+        named.setdefault(_JUDGED[line.table.purpose], []).append(line.label)
     if len(named) == 1:
         return next(iter(named))
-    return "; or ".join(f"{text} ({', '.join(names)})" for text, names in named.items())
-
-
-def note_on_judging(lines: Sequence[Line]) -> str:
-    """Say which episodes the lines are judged on."""
-    return by_line({line.label: _JUDGED[line.table.purpose] for line in lines})
+    return "; or ".join(f"{text} ({', '.join(labels)})" for text, labels in named.items())
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:

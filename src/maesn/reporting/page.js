@@ -307,6 +307,7 @@ function searches(found) {
 // ---- charts and tables ------------------------------------------------------------------------
 
 function chart(found) {
+  if (found.title) return make("div", {}, make("h3", {}, found.title), chart({ ...found, title: "" }));
   const box = make("div", { class: "chart" });
   redraws.push(() => {
     const traces = found.lines.flatMap((line) => {

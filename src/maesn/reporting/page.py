@@ -62,10 +62,10 @@ def page_of(study: Compared) -> Document:
     if study.series:
         return document | _of_runs(study.series)
     names = ", ".join(one.name for one in study.comparisons) or "nothing compared yet"
-    rows = [*map(list, study.document["versions"].items())]
-    rows += [["job", job] for job in study.document["jobs"]]
+    rows = [*map(list, study.study["versions"].items())]
+    rows += [["job", job] for job in study.study["jobs"]]
     provenance = {"columns": ["", "value"], "rows": rows}
-    title = f"Study {study.document['study']}"
+    title = f"Study {study.study['study']}"
     return document | {"title": title, "subtitle": names, "provenance": provenance}
 
 
@@ -87,7 +87,8 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
     """Return charts, tables, the tasks' returns and settings."""
     lines, about = comparison.lines, f"{comparison.family}, {comparison.tasks}"
     if series:
-        about += f"; from {', '.join(str(file) for line in lines for file in line.files)}"
+        tables = ["/".join(file.parts[-3:]) for line in lines for file in line.files]
+        about += f"; from {', '.join(tables)}"
     return {
         "name": comparison.name,
         "about": about,
@@ -103,9 +104,9 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
 
 
 def _chart(chart: Chart) -> Document:
-    y = f"{chart.y}, {chart.title}" if chart.title else chart.y
     shown = [curve for curve in chart.curves if np.isfinite(np.asarray(curve.mean, float)).any()]
-    return {"x": chart.x, "y": y, "lines": [_line(curve) for curve in shown]}
+    lines = [_line(curve) for curve in shown]
+    return {"title": chart.title, "x": chart.x, "y": chart.y, "lines": lines}
 
 
 def _line(curve: Curve) -> Document:

@@ -26,7 +26,7 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    if family not in _PROTOCOLS or "ood" in table.tasks.split("-"):
+    if family not in _PROTOCOLS or {"ood", "radius"} & {*table.tasks.split("-")}:
         return None
     radius, episodes = _PROTOCOLS[family]
     protocol = (variant, table.reward, table.episodes_per_update)

@@ -5,7 +5,7 @@ import gzip
 import re
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,10 +125,9 @@ class AdaptationTable:
     solved_at_reset: Curves
     # `success_rate` of the episodes that were learned from, after every update.
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
-    # Episodes of each task that were played for an update, and those of a trial that meta-training
-    # has prepared for; None if no record says so.
-    explored_episodes: int | None = None
+    # Episodes of a trial that meta-training has prepared for; None if no record says so.
     trial_episodes: int | None = None
+    about: Mapping[str, Any] = field(default_factory=dict)  # the record beside the table, if any
 
     @property
     def num_tasks(self) -> int:
@@ -156,11 +155,16 @@ class AdaptationTable:
     @property
     def prior_reach(self) -> str:
         """What the prior of a run, the first seed, reaches; empty if the table does not tell."""
-        episodes = self.explored_episodes or self.episodes_per_update
+        episodes = self.about.get("episodes_per_update", self.episodes_per_update)
         if self.updates[0] or episodes is None:
             return ""
         of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
+
+    @property
+    def world(self) -> Mapping[str, Any]:
+        """The environment, as `config.json` describes it; empty if no record says so."""
+        return dict(self.about.get("world", {}))
 
     @property
     def curves(self) -> dict[str, Any]:
@@ -185,15 +189,10 @@ def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
     return replace(tables[0], **stacked)
 
 
-def read_about(table: Path) -> dict[str, Any]:
-    """Read the record beside a table, which says how it was made; empty if there is none."""
-    record = table.with_suffix(RECORD)
-    return read_json(record, _REMEDY) if record.exists() else {}
-
-
 def read_adaptation(path: Path) -> AdaptationTable:
     """Read a table of `maesn adapt` and the record beside it; a `RunError` if one is damaged."""
-    rows, about = read_rows(path, _REMEDY), read_about(path)
+    rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
+    about = read_json(record, _REMEDY) if record.exists() else {}
     try:
         purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
         explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
@@ -208,8 +207,8 @@ def read_adaptation(path: Path) -> AdaptationTable:
         episodes=judged["episodes"][0].astype(int),
         **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
-        explored_episodes=about.get("episodes_per_update"),
         trial_episodes=about.get("trial_episodes"),
+        about=about,
     )
 
 

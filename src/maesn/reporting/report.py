@@ -47,12 +47,14 @@ def write_report(study: Compared, out: Path) -> Reported:
     rows = ({"comparison": x.name, **row} for x in study.comparisons for row in tidy_rows(x))
     if study.comparisons and not study.series:
         write_rows(out / RESULTS, rows)
+    has_curves = any(one["kind"] == "curves" for one in study.figures)
+    figures = study.figures if has_curves else [_EVERYTHING, *study.figures]
     for one in study.comparisons:
         found, folder = summary_tables(one), out
         if not study.series:
             folder = out / one.name
             write_whole(folder / SUMMARY, to_page(found).encode())
-        for figure in _figures(study.document):
+        for figure in figures:
             files += _draw(one, figure, folder)
         tables += found
     return Reported(files, tables)
@@ -66,12 +68,6 @@ def say_missing(files: Sequence[Path], say: Callable[[str], None]) -> None:
             f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
             "says where things are in a plane."
         )
-
-
-def _figures(study: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the figures that a study asks for, with one of curves among them."""
-    asked: list[Mapping[str, Any]] = study["figures"]
-    return asked if any(one["kind"] == "curves" for one in asked) else [_EVERYTHING, *asked]
 
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
@@ -98,7 +94,7 @@ def plot_paths(comparison: Comparison) -> Drawn | None:
         has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
         has_regions = comparison.sparse_radius in (None, record.sparse_radius)
         reach = line.table.prior_reach if has_goals and has_regions else ""
-        panels.append(exploration.ExplorationPanel(line.style, record, reach))
+        panels.append((line.style, record, reach))
     return exploration.plot_exploration(panels) if panels else None
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +11,7 @@ from maesn.reporting import reading
 from maesn.reporting import runs as records
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.published import comparable_curve
+from maesn.reporting.reading import TableName
 from maesn.reporting.runs import LearningCurve, RecordedRun
 from maesn.reporting.style import MethodStyle, series_styles
 from maesn.settings import leaves
@@ -23,15 +24,6 @@ RUN_FIGURES = ("curves", "tasks", "exploration", "noise", "latents")
 _WORLD = ("family", "variant", "sparse_radius", "engine")
 # Two seeds of one experiment may differ in these: they change nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
-
-# What a study calls the entries of a table's record.
-_EVALUATION = {
-    "episodes": "episodes",
-    "per_update": "episodes_per_update",
-    "deploy": "deploy_episodes",
-    "num_tasks": "num_tasks",
-    "seed": "seed",
-}
 
 Document = Mapping[str, Any]
 
@@ -51,13 +43,15 @@ class Series:
 
 
 class Compared(NamedTuple):
-    """Everything that a report shows."""
+    """Everything that a report shows: a study in files, or one in memory of runs."""
 
-    document: Document
-    """The study, as `study.json` describes it."""
     comparisons: list[Comparison]
-    series: Sequence[Series] = ()
-    """The runs that make up a study in memory; none for a study in files."""
+    figures: Sequence[Document]
+    """As the file of a study describes them."""
+    study: Document
+    """`study.json`; empty for runs."""
+    series: Sequence[Series]
+    """Runs; none for a study."""
 
 
 def read_series(directories: Sequence[Path]) -> list[Series]:
@@ -103,64 +97,49 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
 
 
 def compare_runs(directories: Sequence[Path]) -> Compared:
-    """Make a study of runs: one comparison for each task set and reward that one was adapted to.
+    """Compare runs in each task set and on each reward that some run was adapted to.
 
     A `RunError` says which file is broken, or why the runs cannot be compared.
     """
-    series = read_series(directories)
-    worlds: dict[str, dict[str, Any]] = {}
+    series, found = read_series(directories), defaultdict[str, list[Line]](list)
     for one in series:
-        for name, line, record in _adaptations(one):
-            run, world = one.runs[0], record.get("world", {})
-            compared = worlds.setdefault(
-                f"{name.tasks}-{name.reward}",
-                {
-                    "name": f"{name.tasks}-{name.reward}",
-                    "family": run.family,
-                    "variant": run.settings["variant"],
-                    "tasks": name.tasks,
-                    "reward": name.reward,
-                    "sparse_radius": world.get("sparse_radius", run.settings.get("sparse_radius")),
-                    "horizon": world.get("horizon", 0),
-                    "lines": [],
-                    "baselines": [],
-                    "oracle": [],
-                    "recorded": {},
-                },
-            )
-            compared["lines"].append(line)
-            if (name.tasks, name.reward) == (records.RECORDED_TASKS, "sparse"):
-                compared["recorded"][one.name] = run.path / records.EXPLORATION
+        files: defaultdict[TableName, dict[int, Path]] = defaultdict(dict)
+        for run in one.runs:
+            for name, table in reading.tables_of(run.path).items():
+                files[name][run.seed] = table
+        for name in sorted(files):
+            lines = found[f"{name.tasks}-{name.reward}"]
+            lines.append(_line_of_runs(one, name, files[name], lines))
+    family = series[0].runs[0].family
+    comparisons = [
+        Comparison(tuple(lines), name, family, horizon=lines[0].table.world.get("horizon", 0))
+        for name, lines in found.items()
+    ]
     figures = [{"name": kind, "kind": kind, "lines": [], "families": []} for kind in RUN_FIGURES]
-    document = {"comparisons": [*worlds.values()], "figures": figures}
-    styles = {one.name: one.style for one in series}
-    found = [_comparison(world, Path(), styles) for world in worlds.values()]
-    return Compared(document, found, series)
+    return Compared(comparisons, figures, {}, series)
 
 
-def _adaptations(one: Series) -> Iterator[tuple[reading.TableName, Document, Document]]:
-    """Yield each adaptation of runs: its name, its line in a study, and the first run's record."""
-    files: defaultdict[reading.TableName, list[tuple[int, Path]]] = defaultdict(list)
-    for run in one.runs:
-        for name, path in reading.tables_of(run.path).items():
-            files[name].append((run.seed, path))
-    for name in sorted(files):
-        record = reading.read_about(files[name][0][1])
-        told = {"rule": name.rule, **{key: record.get(of) for key, of in _EVALUATION.items()}}
-        line = {
-            "name": one.name + name.rule + name.budget,
-            "source": one.name,
-            "method": one.runs[0].method,
-            "label": f"{one.style.label} ({name.label})" if name.label else one.style.label,
-            "addition": False,
-            "settings": leaves(one.runs[0].settings),
-            "evaluation": told,
-            "trial_episodes": record.get("trial_episodes"),
-            "seeds": [
-                {"seed": seed, "table": path, "training_steps": None} for seed, path in files[name]
-            ],
-        }
-        yield name, line, record
+def _line_of_runs(
+    one: Series, name: TableName, files: Mapping[int, Path], others: Sequence[Line]
+) -> Line:
+    """Return the adaptations of that name; `others` are the lines before it in the comparison."""
+    run, tables = one.runs[0], [reading.read_adaptation(file) for file in files.values()]
+    table = reading.stack_seeds(tables)
+    number = sum(line.source == one.name for line in others)
+    label = f"{one.style.label} ({name.label})" if name.label else one.style.label
+    world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
+    is_recorded = (name.tasks, name.reward) == (records.RECORDED_TASKS, "sparse")
+    return Line(
+        one.name + name.rule + name.budget,
+        one.style.variant(number, label),
+        tuple(files),
+        table,
+        source=one.name,
+        settings=leaves({"evaluation": table.about, **run.settings}),
+        published=None if name.rule else comparable_curve(*world, run.method, table),
+        recorded=run.path / records.EXPLORATION if is_recorded else None,
+        files=tuple(files.values()),
+    )
 
 
 def studies_in(directory: Path) -> list[Path]:
@@ -178,55 +157,48 @@ def joined_files(directory: Path) -> dict[str, list[str]]:
 
 def compare_study(directory: Path) -> Compared:
     """Read a study's manifest, and its comparisons; a `RunError` says which file is damaged."""
-    document = read_json(directory / MANIFEST, "run the study again")
+    study = read_json(directory / MANIFEST, "run the study again")
     try:
-        worlds = [one for one in document["comparisons"] if one["lines"] and one["baselines"]]
-        return Compared(document, [_comparison(world, directory) for world in worlds])
+        worlds = [one for one in study["comparisons"] if one["lines"] and one["baselines"]]
+        comparisons = [_comparison(world, directory) for world in worlds]
+        return Compared(comparisons, study["figures"], study, ())
     except (KeyError, TypeError) as error:
         raise RunError(
             f"`{directory / MANIFEST}` is not what a study writes ({error!r}): run the study again."
         ) from error
 
 
-def _comparison(
-    world: Document, directory: Path, styles: Mapping[str, MethodStyle] | None = None
-) -> Comparison:
+def _comparison(world: Document, directory: Path) -> Comparison:
     """Read the tables of a comparison; lines of one source have one colour and other dashes."""
-    if styles is None:
-        methods = {line["source"]: line["method"] for line in world["lines"]}
-        styles = dict(zip(methods, series_styles([*methods.values()]), strict=True))
+    methods = {line["source"]: line["method"] for line in world["lines"]}
+    styles = dict(zip(methods, series_styles([*methods.values()]), strict=True))
     lines: list[Line] = []
     for line in world["lines"]:
         number = sum(one.source == line["source"] for one in lines)
         style = styles[line["source"]].variant(number, line["label"])
-        lines.append(_line(line, style, world, directory))
+        lines.append(_line_of_study(line, style, world, directory))
     baselines, oracle = (
-        tuple(_line(one, MethodStyle(one["label"]), world, directory) for one in world[group])
+        tuple(_line_of_study(x, MethodStyle(x["label"]), world, directory) for x in world[group])
         for group in ("baselines", "oracle")
     )
-    return Comparison(
-        lines=tuple(lines),
-        baselines=baselines,
-        oracle=oracle,
-        **{name: world[name] for name in ("name", "family", "sparse_radius", "horizon")},
-    )
+    about = {name: world[name] for name in ("name", "family", "sparse_radius", "horizon")}
+    return Comparison(tuple(lines), baselines=baselines, oracle=oracle, **about)
 
 
-def _line(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
+def _line_of_study(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
     files = tuple(directory / seed["table"] for seed in line["seeds"])
     steps = [seed["training_steps"] for seed in line["seeds"]]
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
     # A published curve stands beside its method's first run by its own rule, and no variant.
     same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
     shown = line["source"] in same[:1] and not (line["addition"] or line["evaluation"]["rule"])
+    told = {name: world[name] for name in ("tasks", "reward")}
     table = replace(
-        reading.stack_seeds([reading.read_adaptation(file) for file in files]),
-        tasks=world["tasks"],
-        reward=world["reward"],
+        reading.stack_seeds([*map(reading.read_adaptation, files)]),
         trial_episodes=line["trial_episodes"],
+        **told,
     )
     recorded = world["recorded"].get(line["source"])
-    evaluation = {f"evaluation.{name}": value for name, value in line["evaluation"].items()}
     return Line(
         line["name"],
         style,
@@ -234,7 +206,7 @@ def _line(line: Document, style: MethodStyle, world: Document, directory: Path) 
         table,
         source=line["source"],
         training_steps=max((count for count in steps if count is not None), default=None),
-        settings={**evaluation, **line["settings"]},
+        settings=leaves({"evaluation": line["evaluation"], **line["settings"]}),
         published=comparable_curve(*about, table) if shown else None,
         recorded=directory / recorded if recorded else None,
         files=files,

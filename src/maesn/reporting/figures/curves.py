@@ -86,12 +86,13 @@ def plot_charts(charts: Sequence[Chart], title: str = "") -> Figure:
         axes.set(xlabel=chart.x, ylabel=chart.y, title=chart.title)
         if chart.linear_to:
             axes.set_xscale("symlog", linthresh=chart.linear_to, linscale=0.5)
-            axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(ScalarFormatter())
         else:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
         for curve in chart.curves:
             _draw_curve(axes, curve)
+        if chart.linear_to:
+            axes.set_xlim(left=0)
         if chart.is_share:
             axes.set_ylim(-0.03, 1.03)
             axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
