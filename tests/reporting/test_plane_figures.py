@@ -20,7 +20,6 @@ from synthetic_runs import (
 )
 
 from maesn.reporting.figures.exploration import (
-    ExplorationPanel,
     direction_scale,
     directions,
     plot_exploration,
@@ -37,15 +36,15 @@ def exploration_figure() -> Drawn:
     maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
     return plot_exploration(
         [
-            ExplorationPanel(maesn, exploration(), adaptation_table().prior_reach),
-            ExplorationPanel(maml, exploration(has_latents=False), ""),
+            (maesn, exploration(), adaptation_table().prior_reach),
+            (maml, exploration(has_latents=False), ""),
         ]
     )
 
 
 def crowded_exploration_figure() -> Drawn:
     reach = adaptation_table().prior_reach
-    return plot_exploration([ExplorationPanel(one.style, exploration(), reach) for one in crowd()])
+    return plot_exploration([(one.style, exploration(), reach) for one in crowd()])
 
 
 FIGURES: dict[str, Callable[[], Drawn]] = {
@@ -85,8 +84,7 @@ def test_exploration() -> None:
 @pytest.mark.parametrize("number", [1, 3, 6])
 def test_lower_left_panels_keep_their_labels(number: int) -> None:
     styles = list(METHOD_STYLES.values())[:number]
-    panels = [ExplorationPanel(style, exploration(), None) for style in styles]
-    axes = plot_exploration(panels).figure.axes
+    axes = plot_exploration([(style, exploration(), "") for style in styles]).figure.axes
     assert len(axes) == number + 1
     assert axes[-1].get_xlabel() == "x (m)"
     assert axes[0].get_ylabel() == "y (m)"
@@ -94,8 +92,8 @@ def test_lower_left_panels_keep_their_labels(number: int) -> None:
 
 def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() -> None:
     def title(recorded: RecordedExploration) -> str:
-        panel = ExplorationPanel(METHOD_STYLES["maesn"], recorded, None)
-        return str(plot_exploration([panel]).figure.axes[-1].get_title())
+        drawn = plot_exploration([(METHOD_STYLES["maesn"], recorded, "")])
+        return str(drawn.figure.axes[-1].get_title())
 
     # 2 of the 7 tasks that are not solved at reset.
     assert title(exploration()) == "untrained policy\n29% of the goals in 10 episodes"
