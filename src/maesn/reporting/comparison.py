@@ -22,25 +22,25 @@ _JUDGED = {
 class Line:
     """One method, adapted to the same tasks with every seed."""
 
-    name: str  # for file names
+    name: str  # in names of files
     style: MethodStyle
     seeds: tuple[int, ...]
-    table: AdaptationTable  # of all seeds: curves are `[seed, task, update]`
-    source: str = ""  # name of the run or method, which lines by other rules share
+    table: AdaptationTable  # all seeds: curves are `[seed, task, update]`
+    source: str = ""  # the run or method, which lines by other rules share
     training_steps: int | None = None  # environment steps of meta-training; None without any
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of run or method, by their path
-    published: PublishedCurve | None = None  # what the paper shows, if that is comparable
-    recorded: Path | None = None  # where the exploration of the first seed may be recorded
-    files: tuple[Path, ...] = ()  # of the table, one for each seed
+    settings: Mapping[str, Any] = field(default_factory=dict)  # by their path
+    published: PublishedCurve | None = None  # the paper's curve, if it is comparable
+    recorded: Path | None = None  # the first seed's exploration, if this file exists
+    files: tuple[Path, ...] = ()  # one table for each seed
 
     @property
     def latents(self) -> Path | None:
-        """Where the adapted latents of the first seed are, if only a latent adapts."""
+        """The file of the first seed's adapted latents, which exists if only a latent adapts."""
         return latents_beside(self.files[0]) if self.files else None
 
     @property
     def label(self) -> str:
-        """How figures and tables call the method."""
+        """The method's name in figures and tables."""
         return self.style.label
 
     @property
@@ -79,7 +79,7 @@ class Comparison:
     """Methods on the same tasks, and the references below and above them, if there are any."""
 
     lines: tuple[Line, ...]
-    name: str = ""  # for file names
+    name: str = ""  # in names of files
     family: str = ""
     sparse_radius: float | None = None  # metres; None where titles do not say it
     horizon: int = 0  # steps of an episode that runs its full time
@@ -104,7 +104,7 @@ class Comparison:
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
-        """Which tasks some episode starts in the goal region of."""
+        """Whether some episode of a task starts in its goal region."""
         solved = [line.table.is_solved_at_reset for line in self.baselines or self.lines]
         return np.asarray(np.any(solved, axis=0))
 

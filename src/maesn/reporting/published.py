@@ -9,9 +9,8 @@ from jaxtyping import Float
 
 from maesn.reporting.reading import AdaptationTable
 
-# What the published returns depend on, beside the rewards of the reference code and tasks as in
-# training: the sparse radius in metres (also the family's own, that of a run without one) and the
-# episodes per update.
+# The published returns depend on the rewards of the reference code, on tasks as in training, and on
+# these: the sparse radius in metres, which is the family's own, and the episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 
 

@@ -32,8 +32,8 @@ class TableName(NamedTuple):
     # Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
     # radius, engine and number of tasks where they are not the usual ones.
     tasks: str
-    reward: str  # of the adaptation; empty if the file is called otherwise
-    rule: str = ""  # with wrappers and digest, after a hyphen; empty for the method as it is
+    reward: str  # empty if the file has another kind of name
+    rule: str = ""  # rule, wrappers and digest, after a hyphen; empty for the method as it is
     budget: str = ""  # budgets and seed, as in `-with-10-episodes`; empty for the usual ones
 
     @classmethod
@@ -88,7 +88,7 @@ Curves = Float[np.ndarray, "*seed task update"]
 MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
 COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset")
 
-# Which episodes a row judges.
+# The purposes of episodes: a row judges those of one.
 EXPLORE, DEPLOY = "explore", "deploy"
 
 
@@ -113,7 +113,7 @@ class AdaptationTable:
 
     tasks: str  # name of the task set
     reward: str
-    purpose: str  # what the measures judge: `EXPLORE` or `DEPLOY`
+    purpose: str  # of the episodes that are judged: `EXPLORE` or `DEPLOY`
     # Updates that lie before each column, and the episodes per task that they have learned from.
     updates: Int[np.ndarray, " update"]
     episodes: Int[np.ndarray, " update"]
@@ -148,13 +148,13 @@ class AdaptationTable:
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
-        """Which tasks some episode starts in the goal region of."""
+        """Whether some episode of a task starts in its goal region."""
         solved = (self.solved_at_reset > 0).any(axis=-1)
         return np.asarray(solved.reshape(-1, self.num_tasks).any(axis=0))
 
     @property
     def prior_reach(self) -> str:
-        """What the prior of a run, the first seed, reaches; empty if the table does not tell."""
+        """The share of goals that the first seed reaches from the prior; empty if unknown."""
         episodes = self.about.get("episodes_per_update", self.episodes_per_update)
         if self.updates[0] or episodes is None:
             return ""

@@ -26,12 +26,12 @@ _EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": 
 
 
 class Reported(NamedTuple):
-    """What a report has written."""
+    """The files and tables of a report."""
 
     files: list[Path]
     """Figures, and the page."""
     tables: list[TextTable]
-    """Where each method ends, and who beats whom."""
+    """For each comparison: the ends of all methods, the way there, and who beats whom."""
 
 
 def write_report(study: Compared, out: Path) -> Reported:

@@ -1,4 +1,4 @@
-"""Where comparisons come from: the files of a study, or runs, which are a study in memory."""
+"""Sources of comparisons: the files of a study, or runs, which are a study in memory."""
 
 import json
 from collections import defaultdict

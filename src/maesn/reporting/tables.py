@@ -27,7 +27,7 @@ _NO_SCORE = (
 
 
 class Unit(NamedTuple):
-    """How one measure is printed."""
+    """The heading and the format of one measure."""
 
     heading: str
     scale: float = 1.0

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
@@ -19,7 +20,7 @@ from maesn.reporting.charts import (
 from maesn.reporting.comparison import Comparison, note_on_judging
 from maesn.reporting.style import Drawn
 
-_COLUMNS = 3  # of a legend
+_COLUMNS = 3  # in a legend
 
 
 def plot_curves(comparison: Comparison) -> Drawn:
@@ -101,13 +102,12 @@ def plot_charts(charts: Sequence[Chart], title: str = "") -> Figure:
         measures.setdefault(chart.y, axes)
     if title:
         panels[0].set_title(title, loc="left")
-    known = {label: one for axes in panels for one, label in _named(axes)}
+    known: dict[str, Artist] = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        known |= zip(labels, handles, strict=True)
     figure.legend(known.values(), known.keys(), loc="outside lower center", ncols=_COLUMNS)
     return figure
-
-
-def _named(axes: Axes) -> zip:
-    return zip(*axes.get_legend_handles_labels(), strict=True)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

@@ -1,4 +1,4 @@
-"""What is explored before adaptation, and how latents adapt: the paper's Fig. 4 (right), 6 to 8.
+"""Exploration before adaptation, and adapted latents: the paper's Fig. 4 (right), 6 to 8.
 
 Positions in the plane of the world are in metres.
 """
@@ -41,7 +41,7 @@ _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     """Draw the goals of training, those adapted to, and the size of one goal region.
 
-    What a task lays out beside its goal, such as blocks, is drawn as well.
+    Objects that a task lays out beside its goal, such as blocks, are drawn as well.
     """
     training, goals = exploration.training_goals, exploration.goals
     marks = [
