@@ -2,18 +2,15 @@
 
 import csv
 import dataclasses
-import io
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from synthetic_runs import NUM_UPDATES, adaptation_table, columns
 from synthetic_runs import line as named
 
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.reading import AdaptationTable
-from maesn.reporting.statistics import INTERVAL
-from maesn.reporting.tables import TextTable, print_tables, summary_tables
+from maesn.reporting.tables import TextTable, summary_tables
 from maesn.storage import write_rows
 
 HORIZON = 20
@@ -84,28 +81,15 @@ def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Pa
     write_rows(tmp_path / "table.csv", tidy_rows(compared))
     with (tmp_path / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == (
-        "method",
-        "seed",
-        "task",
-        "update",
-        "purpose",
-        "steps",
-        "mean_return",
-        "goal_return",
-        "success_rate",
-        "score",
-        "solved_at_reset",
+    assert ",".join(rows[0]) == (
+        "method,seed,task,update,purpose,steps,mean_return,goal_return,success_rate,score,"
+        "solved_at_reset"
     )
     # Baselines and oracle are played once, at the start.
     assert len(rows) == (2 * 8 + 5) * (NUM_UPDATES + 1) + 3 * 8
     keys = {(row["method"], row["seed"], row["task"], row["update"]) for row in rows}
     assert len(keys) == len(rows)
-    (row,) = (
-        row
-        for row in rows
-        if (row["method"], row["seed"], row["task"], row["update"]) == ("maesn", "1", "3", "2")
-    )
+    (row,) = (row for row in rows if [*row.values()][:4] == ["maesn", "1", "3", "2"])
     assert int(row["steps"]) == 2 * 50 * HORIZON
     # The table has the digits of single precision.
     assert np.float32(row["mean_return"]) == np.float32(tables[1].mean_return[3, 2])
@@ -136,21 +120,6 @@ def test_each_method_has_a_row_by_episodes() -> None:
     for text, column in ((start, 0), (fifty, 1), (hundred, 2), (few[2], 2)):
         assert text.startswith(f"{table.mean_return[:, column].mean():.1f} ±")
     assert success.rows[0][1].startswith(f"{100 * table.success_rate[:, 0].mean():.1f} ±")
-
-
-def test_the_summary_says_what_it_resamples() -> None:
-    tables = [adaptation_table(seed=seed) for seed in range(2)]
-    worse = [adaptation_table(seed=7, gain=-50.0)]
-    compared = comparison(named("maesn", *tables), named("trpo", *worse))
-    text = "".join(table.to_markdown() for table in summary_tables(compared))
-    assert INTERVAL in text
-    assert "| MAESN | TRPO | 1.00 [1.00, 1.00] |" in text
-    console = Console(width=80, record=True, file=io.StringIO())
-    print_tables(summary_tables(compared), console)
-    shown = console.export_text()
-    assert "IQM" in shown
-    last = np.mean([table.mean_return[:, -1] for table in tables])
-    assert f"{last:.1f} [" in shown
 
 
 def test_where_a_method_has_fewer_tasks_all_are_shown_in_these_as_well() -> None:
@@ -195,26 +164,10 @@ def test_tasks_solved_at_reset_are_marked_and_left_out_of_a_second_table(tmp_pat
     rest = np.delete(adaptation_table().mean_return[:, -1], [1, 6])
     assert cells(others, "tasks")[:2] == ["6", "4"]
     assert cells(others, "return")[0].startswith(f"{rest.mean():.1f} [")
-    solved_alone = dataclasses.replace(
-        compared, lines=(with_solved([0], named("vime", adaptation_table(1))), *compared.lines[:1])
-    )
+    # A method without any of these tasks drops out, and if all do, so does the table.
+    alone = with_solved([0], named("vime", adaptation_table(1)))
     baselines = tuple(with_solved([0], line) for line in some.baselines)
-    _, _, others, *_ = summary_tables(dataclasses.replace(solved_alone, baselines=baselines))
-    assert others.rows[0][0] == "MAESN"
-    nobody = dataclasses.replace(solved_alone, baselines=baselines, lines=solved_alone.lines[:1])
-    assert [table.title for table in summary_tables(nobody)][:2] == [
-        everything.title,
-        f"{everything.title}, the first 1 alone",
-    ]
-
-
-def test_memory_beyond_its_trials_is_noted() -> None:
-    counts = np.arange(NUM_UPDATES + 1)
-    remembered = dataclasses.replace(adaptation_table(), episodes=counts, trial_episodes=2)
-    memory = named("rl2", remembered)
-    # It was trained for the first two episodes: those before which it knows 0 and 1.
-    assert memory.table.first_beyond == 2
-    assert dataclasses.replace(remembered, trial_episodes=9).first_beyond is None
-    ends, *_ = (table.notes for table in summary_tables(comparison(memory, memory)))
-    beyond = "RL² was trained for trials of 2 episodes: from update 2 on it is beyond them"
-    assert f"{beyond}." in ends
+    compared = dataclasses.replace(some, lines=(alone, *some.lines[:1]), baselines=baselines)
+    assert cells(summary_tables(compared)[2], "method")[0] == "MAESN"
+    nobody = dataclasses.replace(compared, lines=(alone,))
+    assert not any("solved at reset" in table.title for table in summary_tables(nobody))

@@ -29,8 +29,7 @@ _REMEDY = "write it again with `maesn adapt`"
 class TableName(NamedTuple):
     """The parts of a table's name."""
 
-    # Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
-    # radius, engine and number of tasks where they are not the usual ones.
+    # The task set; behind it number of tasks, radius and engine where they are not the usual ones.
     tasks: str
     reward: str  # empty if the file has another kind of name
     rule: str = ""  # rule, wrappers and digest, after a hyphen; empty for the method as it is
@@ -156,7 +155,7 @@ class AdaptationTable:
     def prior_reach(self) -> str:
         """The share of goals that the first seed reaches from the prior; empty if unknown."""
         episodes = self.about.get("episodes_per_update", self.episodes_per_update)
-        if self.updates[0] or episodes is None:
+        if episodes is None:
             return ""
         of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)

@@ -72,7 +72,7 @@ class Latents:
 
     mean: Float[np.ndarray, "task update z"]
     log_std: Float[np.ndarray, "task update z"]
-    first_update: int  # number of updates that lie before the first column
+    first_update: int  # updates before the first column: 0
 
     def __post_init__(self) -> None:
         """Refuse arrays that somebody else made."""

@@ -175,8 +175,8 @@ def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
         axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **_PRIOR_LINE))
         _set_plane(axes, limits, *(f"latent component {number + 1}" for number in chosen))
         axes.label_outer()
-        update = latents.first_update + column * (latents.mean.shape[1] - 1)
-        axes.set_title(f"after update {update}" if update else "before adaptation")
+        last = latents.mean.shape[1] - 1
+        axes.set_title(f"after update {last}" if column else "before adaptation")
     legend = {
         "prior N(0, I), 1σ": Line2D([], [], **_PRIOR_LINE),
         "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
