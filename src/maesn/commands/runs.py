@@ -14,6 +14,7 @@ from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
+from maesn.reporting.report import Reported
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.rules import SearchRule
@@ -38,7 +39,7 @@ def _say_adapted(done: Adapted) -> None:
         print(f"latents: {done.latents}")
 
 
-def _say_reported(done: api.Reported) -> None:
+def _say_reported(done: Reported) -> None:
     print_tables(done.tables)
     _say_written(done.files)
 

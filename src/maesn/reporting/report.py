@@ -22,7 +22,7 @@ from maesn.storage import write_rows, write_whole
 
 RESULTS, SUMMARY = "results.csv", "summary.md"
 
-_EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
+_EVERYTHING = {"name": "comparison", "kind": "curves"}
 
 
 class Reported(NamedTuple):
@@ -72,9 +72,9 @@ def say_missing(files: Sequence[Path], say: Callable[[str], None]) -> None:
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
     """Draw a figure, as the file of a study describes it, if there is something to draw."""
-    chosen = {*figure["lines"]}
+    chosen = {*figure.get("lines", ())}
     lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
-    if not lines or comparison.family not in (figure["families"] or [comparison.family]):
+    if not lines or comparison.family not in (figure.get("families") or [comparison.family]):
         return []
     drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
     return save_figure(drawn, out, f"{figure['name']}-{comparison.name}") if drawn else []

@@ -115,7 +115,7 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
         Comparison(tuple(lines), name, family, horizon=lines[0].table.world.get("horizon", 0))
         for name, lines in found.items()
     ]
-    figures = [{"name": kind, "kind": kind, "lines": [], "families": []} for kind in RUN_FIGURES]
+    figures = [{"name": kind, "kind": kind} for kind in RUN_FIGURES]
     return Compared(comparisons, figures, {}, series)
 
 
