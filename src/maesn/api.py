@@ -6,7 +6,6 @@ as `module:name`.
 
 from collections.abc import Sequence
 from contextlib import closing
-from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -267,8 +266,12 @@ def report(
                 "a study is reported by itself, into its directory: maesn report DIR. The page of "
                 "one study can go elsewhere: --out NAME.html"
             )
-        done = [_report(compare_study(path), path, page or path / PAGE) for path in studies]
-        return Reported(*map(list, map(chain.from_iterable, zip(*done, strict=True))))
+        all_of_them = Reported([], [])
+        for path in studies:
+            done = _report(compare_study(path), path, page or path / PAGE)
+            all_of_them.files.extend(done.files)
+            all_of_them.tables.extend(done.tables)
+        return all_of_them
     opened = [running.open_run(run, family, method) for run in of]
     for run in opened:
         if usual_table(run.directory) is None:

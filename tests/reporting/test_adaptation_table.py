@@ -97,6 +97,10 @@ def test_all_that_decides_the_numbers_is_in_the_name_of_the_file(
             "ood-on-mjx-sparse-3-full-steps-a0b1c2",
             ("ood-on-mjx", "sparse", "-3-full-steps-a0b1c2", ""),
         ),
+        (
+            "test-sparse-cma-with-restarts-a0b1c2",
+            ("test", "sparse", "-cma-with-restarts-a0b1c2", ""),
+        ),
         ("table", ("table", "", "", "")),
     ],
 )

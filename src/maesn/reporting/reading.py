@@ -18,7 +18,8 @@ from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
 # `-search-ee78bb-with-10-episodes`.
-_NAME = re.compile(r"(.+)-(dense|sparse)(-.+?)??(-with-.+)?")
+_NUMBERS = r"(?:-\d+-(?:episodes|per-update|deployed)|-after(?:-\d+)+|-seed-\d+)+"
+_NAME = re.compile(rf"(.+)-(dense|sparse)(-.+?)??(-with{_NUMBERS})?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
 LATENTS, RECORD = ".latents.npz", ".settings.json"
