@@ -138,7 +138,7 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def _check_names(study: StudySpec, place: Place) -> None:
-    """Refuse names that nothing has."""
+    """Refuse names of families, runs, evaluations and lines that do not exist."""
     with (place / "families").refusing():
         for family in study.families:
             resolve_family(family)
