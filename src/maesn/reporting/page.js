@@ -308,19 +308,28 @@ function searches(found) {
 
 function chart(found) {
   if (found.title) return make("div", {}, make("h3", {}, found.title), chart({ ...found, title: "" }));
-  const box = make("div", { class: "chart" });
+  const named = found.lines.filter((line) => line.dash).length;
+  const box = make("div", { class: "chart", style: `height: ${296 + 34 * Math.ceil(named / 2)}px` });
+  const shift = found.log ? 1 : 0; // a logarithmic axis has no place for 0
   redraws.push(() => {
     const traces = found.lines.flatMap((line) => {
-      const band = line.low && line.low.some((value) => value !== null) ? [
-        { x: line.x, y: line.high, mode: "lines", line: { width: 0 }, showlegend: false, hoverinfo: "skip", legendgroup: line.label },
-        { x: line.x, y: line.low, mode: "lines", line: { width: 0 }, fill: "tonexty", fillcolor: faint(line.colour), showlegend: false, hoverinfo: "skip", legendgroup: line.label },
-      ] : [];
+      const common = { x: line.x.map((x) => x + shift), legendgroup: line.label };
+      const edge = { ...common, mode: "lines", line: { width: 0 }, showlegend: false, hoverinfo: "skip" };
+      const band = line.low && line.low.some((value) => value !== null) ?
+        [{ ...edge, y: line.high }, { ...edge, y: line.low, fill: "tonexty", fillcolor: faint(line.colour) }] : [];
       const colour = visible(line.colour); // published curves are circles
       const look = line.dash ? { mode: "lines", line: { color: colour, dash: line.dash, width: 2.2 } } :
-        { mode: "markers", marker: { color: colour, symbol: "circle-open", size: 6 } };
-      return [...band, { x: line.x, y: line.mean, name: plain(line.label), legendgroup: line.label, ...look }];
+        { mode: "markers", marker: { color: colour, symbol: "circle-open", size: 6 }, showlegend: false };
+      const hover = found.log ? { customdata: line.x, hovertemplate: `%{y}<br>${plain(found.x)}: %{customdata}` } : {};
+      return [...band, { ...common, y: line.mean, name: plain(line.label), ...look, ...hover }];
     });
-    Plotly.react(box, traces, layout(found.x, found.y), { responsive: true, displaylogo: false, displayModeBar: false });
+    const drawn = layout(found.x, found.y);
+    if (found.log) {
+      const ticks = [0, 1, 10, 100, 1000, 10000];
+      Object.assign(drawn.xaxis, { type: "log", tickvals: ticks.map((x) => x + shift), ticktext: ticks });
+      drawn.hovermode = "closest";
+    }
+    Plotly.react(box, traces, drawn, { responsive: true, displaylogo: false, displayModeBar: false });
   });
   return box;
 }

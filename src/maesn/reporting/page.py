@@ -106,7 +106,8 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
 def _chart(chart: Chart) -> Document:
     shown = [curve for curve in chart.curves if np.isfinite(np.asarray(curve.mean, float)).any()]
     lines = [_line(curve) for curve in shown]
-    return {"title": chart.title, "x": chart.x, "y": chart.y, "lines": lines}
+    about = {"title": chart.title, "x": chart.x, "y": chart.y, "log": chart.linear_to is not None}
+    return about | {"lines": lines}
 
 
 def _line(curve: Curve) -> Document:
