@@ -162,11 +162,6 @@ class AdaptationTable:
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
 
     @property
-    def world(self) -> Mapping[str, Any]:
-        """The environment, as `config.json` describes it; empty if no record says so."""
-        return dict(self.about.get("world", {}))
-
-    @property
     def curves(self) -> dict[str, Any]:
         """All curves by name."""
         return {name: x for name, x in vars(self).items() if np.ndim(x) > 1}

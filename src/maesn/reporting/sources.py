@@ -111,10 +111,11 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
             lines = found[f"{name.tasks}-{name.reward}"]
             lines.append(_line_of_runs(one, name, files[name], lines))
     family = series[0].runs[0].family
-    comparisons = [
-        Comparison(tuple(lines), name, family, horizon=lines[0].table.world.get("horizon", 0))
-        for name, lines in found.items()
-    ]
+    comparisons = []
+    for name, lines in found.items():
+        world = lines[0].table.about.get("world", {})
+        horizon = world.get("horizon", 0)
+        comparisons.append(Comparison(tuple(lines), name, family, horizon=horizon))
     figures = [{"name": kind, "kind": kind} for kind in RUN_FIGURES]
     return Compared(comparisons, figures, {}, series)
 
