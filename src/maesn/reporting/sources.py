@@ -112,10 +112,9 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
             lines.append(_line_of_runs(one, name, files[name], lines))
     family = series[0].runs[0].family
     comparisons = []
-    for name, lines in found.items():
-        world = lines[0].table.about.get("world", {})
-        horizon = world.get("horizon", 0)
-        comparisons.append(Comparison(tuple(lines), name, family, horizon=horizon))
+    for title, lines in found.items():
+        horizon = lines[0].table.about.get("world", {}).get("horizon", 0)
+        comparisons.append(Comparison(tuple(lines), title, family, horizon=horizon))
     figures = [{"name": kind, "kind": kind} for kind in RUN_FIGURES]
     return Compared(comparisons, figures, {}, series)
 
