@@ -30,7 +30,7 @@ class Place(NamedTuple):
 
     @contextmanager
     def refusing(self) -> Iterator[None]:
-        """Name the place in what the block refuses."""
+        """Add the place to errors that the block raises."""
         try:
             yield
         except (RunError, ValueError) as error:
@@ -54,7 +54,7 @@ def shipped_studies() -> dict[str, Path]:
 def read_study(source: str | Path) -> StudySpec:
     """Read a study: a path, else the name of one that comes with the library.
 
-    It is a `RunError` if there is none, or if something in it cannot be, with its key.
+    A `RunError` says that there is none, or which key is wrong.
     """
     path = Path(source)
     path = path if path.is_file() else shipped_studies().get(str(source), path)
@@ -81,7 +81,7 @@ def read_study(source: str | Path) -> StudySpec:
 
 
 def _read(hint: Any, value: Any, place: Place) -> Any:
-    """Return what a value of a file is as a field of this type."""
+    """Convert a value of a file to the type of its field."""
     kind, arguments = get_origin(hint), get_args(hint)
     if dataclasses.is_dataclass(hint) or kind is Mapping:
         with place.refusing():
@@ -102,7 +102,7 @@ def _read(hint: Any, value: Any, place: Place) -> Any:
 
 
 def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> Any:
-    """Return a dataclass with what a table gives, and what is given here, which is no key there."""
+    """Build a dataclass from a table; the fields in `given` are no keys of the table."""
     hints = get_type_hints(kind)
     place.check(table, [name for name in hints if name not in given], "key")
     values = {name: _read(hints[name], value, place / name) for name, value in table.items()}
@@ -111,7 +111,7 @@ def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> 
 
 
 def _run(table: Mapping[str, Any], place: Place) -> Any:
-    """Read a run, of which all other keys are settings."""
+    """Read a run; keys that are not its own are settings of the learner or the run."""
     own = get_type_hints(RunSpec).keys() - {"changes"}
     plain = {name: value for name, value in table.items() if name in own}
     changes = {name: value for name, value in table.items() if name not in own}
@@ -119,7 +119,7 @@ def _run(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
-    """Read an evaluation, and those on single families, which have its settings as well."""
+    """Read an evaluation, and the changes to it on single families."""
     usual = {name: value for name, value in table.items() if name != "on"}
     own = _read(Mapping[str, Mapping[str, Any]], table.get("on", {}), place / "on")
     on = {name: _evaluation(usual | own[name], place / "on" / name) for name in own}
@@ -127,7 +127,7 @@ def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
 
 
 def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
-    """Read an evaluation, whose rule and wrappers are texts. Its seed and so on are the study's."""
+    """Read an evaluation: rule and wrappers are texts; the study gives seed, engine and threads."""
     chosen = {}
     for option in (one for one in KNOWN if one in table):
         with (place / option).refusing():
@@ -138,7 +138,7 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def _check_names(study: StudySpec, place: Place) -> None:
-    """Refuse names that nothing has."""
+    """Refuse names of families, runs, evaluations and lines that do not exist."""
     with (place / "families").refusing():
         for family in study.families:
             resolve_family(family)

@@ -16,9 +16,9 @@ from maesn.evaluation.arguments import AnyPath, AnyRun, OptionalPath
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.learners import SCRATCH
 from maesn.reporting.reading import latents_beside, read_rows
-from maesn.reporting.report import report_study
+from maesn.reporting.report import write_report
 from maesn.reporting.runs import read_run
-from maesn.reporting.sources import MANIFEST, group_series, joined_files
+from maesn.reporting.sources import MANIFEST, compare_study, group_series, joined_files
 from maesn.reporting.tables import TextTable
 from maesn.runs.config import RunSettings, installed_versions
 from maesn.runs.process import ending_by_signals
@@ -100,7 +100,9 @@ class Study:
             if only is not None:
                 return Results(directory, [], execution.failed)
             self.write_results(out)
-            tables = report_study(directory, lambda path: say(str(path)))
+            files, tables = write_report(compare_study(directory), directory)
+            for path in files:
+                say(str(path))
             return Results(directory, tables, execution.failed)
 
     def workers(self, asked: int | None) -> int:
