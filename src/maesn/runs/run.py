@@ -123,8 +123,10 @@ class Run:
         with storage.locked(run.directory):
             # Of a process that was killed here the first checkpoint may be left.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
-                what_to_do = f"choose another directory, or go on with it: maesn resume {directory}"
-                raise RunError(f"`{directory}` holds a run; {what_to_do}")
+                raise RunError(
+                    f"`{directory}` holds a run; choose another directory, or go on with it: maesn "
+                    f"resume {directory}{run.own_options}"
+                )
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             run.save_state(state)

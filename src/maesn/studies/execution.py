@@ -4,6 +4,7 @@ What is done is on disk; nothing else is remembered. So a study that was killed 
 """
 
 import dataclasses
+import math
 import multiprocessing
 import os
 import signal
@@ -17,19 +18,23 @@ from collections.abc import Callable, Mapping, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import RunError, is_locked, read_json, write_json
 from maesn.studies.jobs import DONE, Job, computed
-from maesn.worlds.budget import STEPS_PER_SECOND
 
 ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
 ATTEMPTS = 3  # at a job, which may have failed because its process was killed
+
+# About what a job takes before any has shown it: to start and compile, and then on one thread.
+SECONDS_TO_BEGIN = 10
+STEPS_PER_SECOND = 50_000
 
 
 class AbstractExecutor(ABC):
@@ -44,6 +49,10 @@ class AbstractExecutor(ABC):
 
         The future returns its error, or None. It raises if the process or the machine is lost.
         """
+
+    def describe(self, lost: BaseException) -> str:
+        """Return a sentence on why a process or machine was lost; `RunError` if none can work."""
+        return f"it ended with {lost!r}."
 
     def close(self) -> None:
         """Stop all jobs; the same jobs go on later."""
@@ -82,7 +91,7 @@ class Execution:
             timeout = 10.0 if waiting and len(running) < executor.slots else None
             for future in wait(running, timeout, FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
-                error = f"it ended with {lost!r}" if lost else future.result()
+                error = executor.describe(lost) if lost else future.result()
                 if error is None:
                     done += 1
                     (self.directory / job.name / FAILED).unlink(missing_ok=True)
@@ -135,17 +144,37 @@ class Execution:
         return "waiting", ""
 
     def left(self, workers: int) -> str:
-        """Return a sentence on the time until all is done, by the speed of what is done."""
-        done = [one for one in map(self.done, self.jobs) if one]
-        steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
-        speed = steps / seconds if steps and seconds else STEPS_PER_SECOND / 2
-        missing = sum(
-            job.steps * (1 - job.progress(self.directory / job.name))
-            for job in self.jobs.values()
-            if not self.is_done(job.name)
-        )
-        minutes = missing / speed / workers / 60
-        return f"About {minutes:,.0f} minutes left with {workers} at a time."
+        """Return a sentence on the time until all is done, and on what the estimate rests."""
+        done = {name: found for name in self.jobs if (found := self.done(name)) is not None}
+        seconds, ends = 0.0, dict.fromkeys(done, 0.0)
+        rests_on = dict[str, None]()
+        for job in self.jobs.values():
+            if job.name not in done:
+                share = 1 - job.progress(self.directory / job.name)
+                takes, basis = _estimate(job, done)
+                rests_on[basis] = None
+                seconds += share * takes
+                before = (ends.get(name, 0.0) for name in job.needs)
+                ends[job.name] = share * takes + max(before, default=0.0)
+        if not rests_on:
+            return "All jobs are done."
+        minutes = math.ceil(max(seconds / workers, *ends.values()) / 60)
+        left = f"{minutes / 60:,.0f} hours" if minutes > 180 else f"{minutes} min"
+        return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
+
+
+def _estimate(job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+    """Return the seconds that a job takes, and what says so: jobs of its kind and family if any."""
+    kind = job.name.split("-")[:2]
+    like = [found for name, found in done.items() if found and name.split("-")[:2] == kind]
+    steps, seconds = (sum(float(one[key]) for one in like) for key in ("steps", "seconds"))
+    if steps:
+        return job.steps * seconds / steps, "what jobs of the same kind took"
+    return (
+        SECONDS_TO_BEGIN + job.steps / STEPS_PER_SECOND,
+        f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, as "
+        "on `point` and `wheeled`",
+    )
 
 
 class LocalPool(AbstractExecutor):
@@ -158,11 +187,13 @@ class LocalPool(AbstractExecutor):
         self._context = multiprocessing.get_context("spawn")
         # Workers wait until its end here is closed, by `close` or because this process ends.
         self._parent, self._alive = self._context.Pipe(duplex=False)
+        self._has_begun = self._context.Event()  # some worker
         self._last: dict[ProcessPoolExecutor, Future[str | None]] = {}
 
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
         idle = [pool for pool, last in self._last.items() if last.done()]
-        pool = idle[0] if idle else ProcessPoolExecutor(1, self._context, _begin, (self._parent,))
+        given = self._parent, self._has_begun
+        pool = idle[0] if idle else ProcessPoolExecutor(1, self._context, _begin, given)
         try:
             self._last[pool] = pool.submit(_compute, job, jobs)
         except BrokenProcessPool:
@@ -170,6 +201,15 @@ class LocalPool(AbstractExecutor):
             del self._last[pool]
             return self.submit(job, jobs)
         return self._last[pool]
+
+    def describe(self, lost: BaseException) -> str:
+        if self._has_begun.is_set():
+            return "its process died: something killed it, perhaps because memory ran out."
+        raise RunError(
+            "no process of the study could begin. Each runs your script from its first line, so "
+            'what the script does must stand beneath `if __name__ == "__main__":`. If it does, the '
+            "output above says what went wrong."
+        )
 
     def close(self) -> None:
         self._alive.close()
@@ -180,7 +220,16 @@ class LocalPool(AbstractExecutor):
         os.environ.update(self._before)
 
 
-def _begin(parent: Connection) -> None:
+def end_if_worker() -> None:
+    """End a process that `LocalPool` has started and that runs the user's script once more.
+
+    Without a main guard the script would begin its study again. `LocalPool.describe` says so.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)
+
+
+def _begin(parent: Connection, has_begun: Event) -> None:
     """Prepare a worker: it has SIGTERM when the parent has closed its end of a pipe, or is gone."""
 
     def end() -> None:
@@ -189,6 +238,7 @@ def _begin(parent: Connection) -> None:
 
     # Ctrl-C in a terminal reaches all processes; what it means is the parent's to say.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    has_begun.set()
     enable_compilation_cache()
     threading.Thread(target=end, daemon=True).start()
 

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -25,7 +25,15 @@ from maesn.runs.process import ending_by_signals
 from maesn.runs.run import Run
 from maesn.settings import check_number
 from maesn.storage import RunError
-from maesn.studies.execution import AbstractExecutor, Execution, ExecutorName, LocalPool, Ray, Say
+from maesn.studies.execution import (
+    AbstractExecutor,
+    Execution,
+    ExecutorName,
+    LocalPool,
+    Ray,
+    Say,
+    end_if_worker,
+)
 from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS
 from maesn.studies.members import trained_run
 from maesn.studies.plan import Entry, make_plan
@@ -39,11 +47,27 @@ class Results(NamedTuple):
     """What a study has computed."""
 
     directory: Path
-    """Of manifest, figures and tables; `results.csv` holds all results."""
+    """Directory of manifest, figures and tables; `results.csv` holds all results."""
     tables: list[TextTable]
-    """Where each method ends, and who beats whom."""
-    failed: dict[str, str]
-    """Job -> its error."""
+    """Tables of where each method ends, and who beats whom."""
+
+
+class FailedJobsError(RunError):
+    """Some jobs of a study failed. All that do not need them are done.
+
+    Attributes:
+        failed: name of each failed job -> its error.
+        results: what the study has computed all the same.
+    """
+
+    def __init__(self, failed: Mapping[str, str], results: Results) -> None:
+        name, error = next(iter(failed.items()))
+        also = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
+        super().__init__(
+            f"the job `{name}` failed{also}: {error.rstrip('.')}. All jobs that do not need what "
+            "failed are done; the same command tries again."
+        )
+        self.failed, self.results = failed, results
 
 
 class Study:
@@ -71,7 +95,7 @@ class Study:
         """Compute what is not done yet, and write figures and tables.
 
         What another study has computed in `out` is not repeated. A study that was interrupted in
-        any way goes on with the same call. It is a `RunError` if `out` cannot be used.
+        any way goes on with the same call.
 
         Args:
             out: directory of jobs and results.
@@ -79,7 +103,12 @@ class Study:
             workers: jobs at a time; None: as many as there are CPUs for.
             only: name of the one job to compute, if those that it needs are done.
             say: receives messages of progress.
+
+        Raises:
+            FailedJobsError: some jobs failed; all others are done.
+            RunError: `out` cannot be used, or no job can begin.
         """
+        end_if_worker()
         execution, directory = self.execution(out), Path(out) / self.spec.name
         for folder in (execution.directory, directory):
             with storage.explained("make", folder):
@@ -97,11 +126,14 @@ class Study:
             with contextlib.closing(executor):
                 say(execution.left(executor.slots))
                 execution.run(executor, say)
-            if only is not None:
-                return Results(directory, [], execution.failed)
-            self.write_results(out)
-            tables = report_study(directory, lambda path: say(str(path)))
-            return Results(directory, tables, execution.failed)
+            tables: list[TextTable] = []
+            if only is None:
+                self.write_results(out)
+                tables = report_study(directory, lambda path: say(str(path)))
+        results = Results(directory, tables)
+        if execution.failed:
+            raise FailedJobsError(execution.failed, results)
+        return results
 
     def workers(self, asked: int | None) -> int:
         """Return how many jobs run at a time; None: as many as there are CPUs for."""
@@ -227,6 +259,7 @@ def compare(
         say: receives messages of progress.
 
     Raises:
+        FailedJobsError: some jobs failed; all others are done.
         RunError: a setting, a run or a directory cannot be used.
     """
     if not (runs or scratch):
