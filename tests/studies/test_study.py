@@ -30,7 +30,8 @@ from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import report_study
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
-from maesn.studies.execution import AbstractExecutor, Execution, LocalPool, Ray
+from maesn.studies.execution import AbstractExecutor, Execution
+from maesn.studies.executors import LocalPool, Ray
 from maesn.studies.jobs import Job
 from maesn.studies.spec import (
     RECORDED,
@@ -231,7 +232,7 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
     study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
     assert not [name for name in study.jobs if "seed-7" in name]
-    assert [one["recorded"].keys() for one in study.comparisons] == [{"mine"}]
+    assert [one.recorded.keys() for one in study.comparisons] == [{"mine"}]
 
 
 def test_a_training_that_was_removed_is_done_again(tmp_path: Path) -> None:

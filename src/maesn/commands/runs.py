@@ -21,9 +21,10 @@ from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
-from maesn.studies.execution import Execution, ExecutorName
+from maesn.studies.comparison import compare as compare_runs
+from maesn.studies.execution import Execution
+from maesn.studies.executors import ExecutorName
 from maesn.studies.study import JOBS, FailedJobsError, Results, Study
-from maesn.studies.study import compare as compare_runs
 
 
 def say_what_is_next(run: Run) -> None:

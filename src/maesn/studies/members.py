@@ -27,8 +27,7 @@ from maesn.runs.sources import own_method
 from maesn.search import latent_of
 from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
-from maesn.studies.reading import Place
-from maesn.studies.spec import ScratchSpec, StudySpec
+from maesn.studies.spec import Place, ScratchSpec, StudySpec, is_for
 from maesn.worlds import check_policy, make_world
 from maesn.worlds.collector import Collector
 
@@ -171,7 +170,7 @@ def _untrained(
 def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]:
     """Return the seeds of a run on one family; none if it is not to be on that one."""
     spec = study.runs[name]
-    if family not in (spec.families or [family]):
+    if not is_for(family, spec):
         return []
     with (Place(study.file) / "runs" / name).refusing():
         members = [_existing(one, study, family) for one in spec.directories] or [
