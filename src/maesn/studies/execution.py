@@ -1,6 +1,6 @@
 """The jobs of a plan, each computed once: in a good order, and again where a process was lost.
 
-What is done is on disk; nothing else is remembered. So a study that was killed goes on.
+The disk holds all that is done, and nothing else does. So a study that was killed goes on.
 """
 
 import dataclasses
@@ -19,9 +19,10 @@ from maesn.studies.jobs import DONE, Job
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
-ATTEMPTS = 3  # at a job, which may have failed because its process was killed
+ATTEMPTS = 3  # a job may fail because its process was killed
 
-# About what a job takes before any has shown it: to start and compile, and then on one thread.
+# A guess for jobs of a kind that has not been computed yet: the start, with compilation, and then
+# the speed of one thread.
 SECONDS_TO_BEGIN = 10
 STEPS_PER_SECOND = 50_000
 
@@ -34,13 +35,13 @@ class AbstractExecutor(ABC):
 
     @abstractmethod
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
-        """Begin a job in the directory of all jobs. There is a slot for it.
+        """Begin a job, for which there is a slot, in the directory of all jobs.
 
         The future returns its error, or None. It raises if the process or the machine is lost.
         """
 
     def describe(self, lost: BaseException) -> str:
-        """Return a sentence on why a process or machine was lost; `RunError` if none can work."""
+        """Say why a process or machine was lost; raise a `RunError` if no process can work."""
         return f"it ended with {lost!r}."
 
     def close(self) -> None:
@@ -50,17 +51,17 @@ class AbstractExecutor(ABC):
 
 @dataclasses.dataclass
 class Execution:
-    """The jobs of a plan, in the directory in which they are computed."""
+    """The jobs of a plan, and the directory in which they are computed."""
 
     jobs: Mapping[str, Job]
     directory: Path
     joined: Set[str] = frozenset()
-    """Jobs whose results a table of the study has: their own directories may be gone."""
+    """Jobs whose results are in a table of the study. Their own directories may be gone."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Job -> its error."""
+    """Name of a failed job -> its error."""
 
     def run(self, executor: AbstractExecutor, say: Say) -> None:
-        """Compute all that can be computed; what fails is in `failed` then."""
+        """Compute all jobs except those that need a failed one, and note those that fail."""
         waiting = [job for job in self.jobs.values() if not self.is_done(job.name)]
         waiting.sort(key=lambda job: -job.steps)  # the longest decide when all is done
         total, done = len(self.jobs), len(self.jobs) - len(waiting)
@@ -76,7 +77,7 @@ class Execution:
                 running[executor.submit(job, self.directory)] = job
             if not running:
                 time.sleep(1.0)  # another study computes what is left
-            # What others compute may be done before a job of ours is.
+            # Another process may finish a job that ours wait for.
             timeout = 10.0 if waiting and len(running) < executor.slots else None
             for future in wait(running, timeout, FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
@@ -95,7 +96,7 @@ class Execution:
                     waiting = [one for one in waiting if not self._needs_failed(one)]
 
     def only(self, name: str) -> None:
-        """Leave one job, of which those that it needs must be done; else it is a `RunError`."""
+        """Drop all jobs but one; `RunError` if a job that it needs is not done."""
         if name not in self.jobs:
             raise RunError(f"the study has no job `{name}`: `--dry-run` lists them.")
         missing = [need for need in self.jobs[name].needs if not self.is_done(need)]
@@ -104,14 +105,14 @@ class Execution:
         self.jobs = {name: self.jobs[name]}
 
     def done(self, name: str) -> dict[str, Any] | None:
-        """Return what a job has written down at its end; None if it is not done."""
+        """Return the content of a job's `done.json`; None if it is not done."""
         path = self.directory / name / DONE
         if path.exists():
             return read_json(path)
         return {} if name in self.joined else None
 
     def is_done(self, name: str) -> bool:
-        """Whether the result of a job is there, or has become part of a table."""
+        """Whether a job's directory or a table holds its result."""
         return self.done(name) is not None
 
     def _can_begin(self, job: Job) -> bool:
@@ -122,7 +123,7 @@ class Execution:
         return any(name in self.failed or self._needs_failed(self.jobs[name]) for name in job.needs)
 
     def status(self, job: Job) -> tuple[str, str]:
-        """Return whether a job is done, running, failed or waiting, and a remark."""
+        """Return `done`, `running`, `failed` or `waiting`, and a remark."""
         folder = self.directory / job.name
         if (done := self.done(job.name)) is not None:
             return "done", f"{done['seconds']:.0f} s" if done else ""
@@ -133,7 +134,7 @@ class Execution:
         return "waiting", ""
 
     def left(self, workers: int) -> str:
-        """Return a sentence on the time until all is done, and on what the estimate rests."""
+        """Return a sentence with an estimate of the time left, and what it rests on."""
         done = {name: found for name in self.jobs if (found := self.done(name)) is not None}
         seconds, ends = 0.0, dict.fromkeys(done, 0.0)
         rests_on = dict[str, None]()

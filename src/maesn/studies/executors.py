@@ -27,11 +27,11 @@ class LocalPool(AbstractExecutor):
     def __init__(self, workers: int, threads: int) -> None:
         self.slots = workers
         self._before = dict(os.environ)
-        os.environ.update(thread_variables(threads))  # of the processes that begin from now on
+        os.environ.update(thread_variables(threads))  # for processes that begin from now on
         self._context = multiprocessing.get_context("spawn")
         # Workers wait until its end here is closed, by `close` or because this process ends.
         self._parent, self._alive = self._context.Pipe(duplex=False)
-        self._has_begun = self._context.Event()  # some worker
+        self._has_begun = self._context.Event()  # set by the first worker that gets so far
         self._last: dict[ProcessPoolExecutor, Future[str | None]] = {}
 
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
@@ -74,13 +74,13 @@ def end_if_worker() -> None:
 
 
 def _begin(parent: Connection, has_begun: Event) -> None:
-    """Prepare a worker: it has SIGTERM when the parent has closed its end of a pipe, or is gone."""
+    """Prepare a worker, which gets SIGTERM when the parent closes its end of a pipe or dies."""
 
     def end() -> None:
         parent.poll(None)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    # Ctrl-C in a terminal reaches all processes; what it means is the parent's to say.
+    # Ctrl-C in a terminal reaches all processes; the parent alone answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     has_begun.set()
     enable_compilation_cache()
@@ -88,7 +88,7 @@ def _begin(parent: Connection, has_begun: Event) -> None:
 
 
 def _compute(job: Job, jobs: Path) -> str | None:
-    """Compute a job in a worker, which ends by SIGTERM when it has saved what there is."""
+    """Compute a job in a worker. On SIGTERM it saves its state and ends."""
     try:
         with ending_by_signals():
             return computed(job, jobs)
@@ -97,9 +97,9 @@ def _compute(job: Job, jobs: Path) -> str | None:
 
 
 class Ray(AbstractExecutor):
-    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine.
+    """The Ray cluster of `RAY_ADDRESS`, else this machine. All its nodes must see `jobs`.
 
-    Each job takes as many CPUs as it has threads, and `gpus`, which may be a part of one.
+    Each job takes as many CPUs as it has threads, and `gpus`, which may be a fraction.
     """
 
     def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
@@ -116,7 +116,7 @@ class Ray(AbstractExecutor):
         self._remote = self._ray.remote(_on_cluster).options(
             num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
         )
-        self.slots = workers  # what the cluster has no CPUs for waits there
+        self.slots = workers  # jobs wait in Ray's queue while no CPUs are free
         with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
             if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
                 raise RunError(f"the cluster must see `{jobs.resolve()}`: give a shared --out.")
@@ -135,11 +135,11 @@ def _on_cluster(function: Any, *arguments: Any) -> Any:
 
 
 def thread_variables(threads: int) -> dict[str, str]:
-    """Return variables with which a process computes in so many threads, XLA's included."""
+    """Return environment variables that limit the threads of a process, XLA's included."""
     eigen = "" if threads > 1 else " --xla_cpu_multi_thread_eigen=false"
     return {
         "OMP_NUM_THREADS": str(threads),
         "OPENBLAS_NUM_THREADS": str(threads),
-        "NPROC": str(threads),  # of XLA's pool
+        "NPROC": str(threads),  # size of XLA's pool
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + eigen,
     }
