@@ -29,6 +29,7 @@ from maesn.policies.usual import USUAL
 from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import report_study
+from maesn.reporting.tables import TextTable
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
 from maesn.studies.execution import AbstractExecutor, Execution
 from maesn.studies.executors import LocalPool, Ray
@@ -42,7 +43,7 @@ from maesn.studies.spec import (
     ScratchSpec,
     StudySpec,
 )
-from maesn.studies.study import FailedJobsError, Study
+from maesn.studies.study import FailedJobsError, Results, Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
 
@@ -137,6 +138,11 @@ def test_a_study_is_trained_adapted_and_compared_once(
     Study(SMALL).run(tmp_path, executor=again)
     assert again.started == []
     assert files(done.directory) == before
+    # A training that was removed is done again, and nothing else.
+    (training,) = (tmp_path / "jobs").glob("train-*")
+    shutil.rmtree(training)
+    Study(SMALL).run(tmp_path, executor=again)
+    assert again.started == [training.name]
     assert cli.run(["study", "status", str(tmp_path)]) == 0
     assert "small: 7 of 7 jobs are done" in capsys.readouterr().out
     # Another study shares what it has in common, whatever it calls itself and its runs.
@@ -235,16 +241,6 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     assert [one.recorded.keys() for one in study.comparisons] == [{"mine"}]
 
 
-def test_a_training_that_was_removed_is_done_again(tmp_path: Path) -> None:
-    study = Study(SMALL)
-    study.run(tmp_path, executor=Here())
-    (training,) = (tmp_path / "jobs").glob("train-*")
-    shutil.rmtree(training)
-    executor = Watched()
-    study.run(tmp_path, executor=executor)
-    assert executor.started == [training.name]
-
-
 def test_files_of_tasks_of_one_name_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,19 +302,19 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     Study(spec).run(tmp_path, executor=Watched())
 
 
-def test_a_command_fails_if_a_job_does(
+def test_a_command_prints_what_there_is_and_fails_if_a_job_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = 'family = "point"\n[evaluations.few]\nnum_tasks = 1\nepisodes = 0\n'
-    text += "[scratch.trpo]\n[scratch.reinforce]\n"
-    (tmp_path / "mine.toml").write_text(text)
-    failing = Watched({"adapt": 3})
-    monkeypatch.setattr(LocalPool, "__new__", lambda *_: failing)
-    assert cli.run(["study", "run", str(tmp_path / "mine.toml"), "--out", str(tmp_path)]) != 0
+    def run(self: Study, out: Path, **options: Any) -> Results:
+        table = TextTable("Ends", ("method",), (("zero action",),))
+        failed = {"adapt-a": "an accident.", "adapt-b": "another"}
+        raise FailedJobsError(failed, Results(out, [table]))
+
+    monkeypatch.setattr(Study, "run", run)
+    assert cli.run(["study", "run", "quick", "--out", str(tmp_path)]) == cli.USAGE_ERROR
     said = capsys.readouterr()
-    assert said.err.startswith("maesn study: the job `adapt-point-trpo-")
-    assert "failed: an accident" in said.err
-    assert "REINFORCE" in said.out  # what could be computed
+    assert "zero action" in said.out
+    assert said.err.startswith("maesn study: the job `adapt-a` failed, and 1 more: an accident. ")
 
 
 def test_estimates_of_time_say_what_they_rest_on(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from maesn.studies.study import JOBS, FailedJobsError, Results, Study
 def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
     if is_lead():
-        print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.own_options}")
+        print(f"trained: {run.directory}\nnext:    maesn adapt {run.typed}")
 
 
 def _say_adapted(done: Adapted) -> None:

@@ -5,6 +5,7 @@
 
 import dataclasses
 import logging
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +64,11 @@ class Run:
     own_method: str | None = None  # likewise of a user's own method
 
     @property
-    def own_options(self) -> str:
-        """The options that every command needs for a run of the user's own method or family."""
+    def typed(self) -> str:
+        """The run as commands take it: its directory, and the user's own modules that it needs."""
         own = {"method": self.own_method, "family": self.own_family}
-        return "".join(f" --{option} {name}" for option, name in own.items() if name)
+        options = (f" --{option} {name}" for option, name in own.items() if name)
+        return shlex.quote(str(self.directory)) + "".join(options)
 
     @property
     def settings(self) -> RunSettings:
@@ -123,10 +125,8 @@ class Run:
         with storage.locked(run.directory):
             # A process that was killed here may have left its first checkpoint.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
-                raise RunError(
-                    f"`{directory}` holds a run; choose another directory, or go on with it: maesn "
-                    f"resume {directory}{run.own_options}"
-                )
+                what_to_do = "choose another directory, or go on with it: maesn resume"
+                raise RunError(f"`{directory}` holds a run; {what_to_do} {run.typed}")
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             run.save_state(state)

@@ -184,9 +184,8 @@ def train_live(
                 show(f"{last.iteration}/{total}: {describe(last)}, {left} left")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
-        more += run.own_options
         with contextlib.suppress(OSError):  # the terminal may be gone
-            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+            say(f"Stopped, and saved. To go on: maesn resume {run.typed}{more}")
         raise
     if last is None:
         say(f"{run.directory} has done {total} iterations: nothing is left.")
