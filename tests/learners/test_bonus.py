@@ -111,7 +111,7 @@ def test_a_meta_learner_with_a_bonus_is_one_setting(collect: Collector) -> None:
     accepted = []
     for step in range(4):
         state, info = learner.step(jax.random.key(step), state, collect)
-        accepted.append(bool(info.learner.trust_region.accepted))
+        accepted.append(bool(info.learner.outer.accepted))
         # As long as the model has learned nothing, there is no bonus.
         assert (float(info.curiosity.bonus) > 8 * 5.0) == (step > 0)
     assert int(learner.iteration(state)) == 4

@@ -73,7 +73,8 @@ def small(method: str) -> Any:
     learner = METHODS[method](meta_batch_size=8)
     found = getattr(learner, "learner", learner)
     if isinstance(found, GradientMetaLearner):
-        fewer = replace(found, trust_region=replace(found.trust_region, cg_steps=CG_STEPS))
+        region = replace(found.outer.trust_region, cg_steps=CG_STEPS)
+        fewer = replace(found, outer=replace(found.outer, trust_region=region))
         return fewer if found is learner else replace(learner, learner=fewer)
     return learner
 

@@ -102,7 +102,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
             "`runs.maesn`: there is no setting `iteration`. Did you mean `iterations`?",
         ),
         (
-            'family = "point"\n[runs.maesn]\ntrust_region.max_kl = "a"',
+            'family = "point"\n[runs.maesn]\nouter.trust_region.max_kl = "a"',
             "`runs.maesn`: `TrustRegion.max_kl` must be of type float",
         ),
         (

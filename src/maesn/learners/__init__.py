@@ -11,6 +11,12 @@ from maesn.learners.gradient.fast_learner import GradientFastState as GradientFa
 from maesn.learners.gradient.info import GradientInfo as GradientInfo
 from maesn.learners.gradient.meta_learner import GradientMetaLearner as GradientMetaLearner
 from maesn.learners.gradient.meta_learner import GradientState as GradientState
+from maesn.learners.gradient.objective import MetaObjective as MetaObjective
+from maesn.learners.gradient.objective import MetaParameters as MetaParameters
+from maesn.learners.gradient.outer import AbstractOuterStep as AbstractOuterStep
+from maesn.learners.gradient.outer import FirstOrderOuterStep as FirstOrderOuterStep
+from maesn.learners.gradient.outer import ProximalOuterStep as ProximalOuterStep
+from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOuterStep
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.policy_steps import ProximalStep as ProximalStep
 from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep

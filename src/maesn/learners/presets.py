@@ -11,6 +11,7 @@ from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
 from maesn.learners.scratch.policy_gradient import PolicyImprovement
@@ -53,7 +54,7 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
         settings,
         context=LatentContext(),
         adaptation=staged_adaptation(first_iteration=150),
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -70,7 +71,7 @@ def maml(**settings: Any) -> GradientMetaLearner:
         settings,
         context=NoContext(),
         adaptation=adaptation,
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -85,7 +86,7 @@ def maml_bias(**settings: Any) -> GradientMetaLearner:
         settings,
         context=BiasContext(),
         adaptation=adaptation,
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -100,8 +101,9 @@ def maml_bias_only(**settings: Any) -> GradientMetaLearner:
         settings,
         context=BiasContext(),
         adaptation=adaptation,
-        hessian_stride=BIAS_HESSIAN_STRIDE,
-        trust_region=TrustRegion(cg_steps=BIAS_CG_STEPS),
+        outer=TrustRegionOuterStep(
+            TrustRegion(cg_steps=BIAS_CG_STEPS), hessian_stride=BIAS_HESSIAN_STRIDE
+        ),
     )
 
 
@@ -120,7 +122,7 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
         schedule=StepSchedule(full_steps=3),
         inner_updates=0,
         outer_batches=2,
-        curvature_stride=40,
+        outer=TrustRegionOuterStep(curvature_stride=40),
     )
 
 
@@ -137,7 +139,7 @@ def oracle(**settings: Any) -> GradientMetaLearner:
         adaptation=Adaptation(),
         inner_updates=0,
         outer_batches=2,
-        curvature_stride=40,
+        outer=TrustRegionOuterStep(curvature_stride=40),
     )
 
 

@@ -53,7 +53,7 @@ def recommended_run(method: str, family: str) -> dict[str, Any]:
 
 
 def with_setting(settings: Settings, path: str, value: Any) -> Settings:
-    """Return settings with another value at a path such as `trust_region.damping`."""
+    """Return settings with another value at a path such as `outer.trust_region.damping`."""
     name, _, rest = path.partition(".")
     if rest:
         value = with_setting(getattr(settings, name), rest, value)
