@@ -241,6 +241,11 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     assert [one.recorded.keys() for one in study.comparisons] == [{"mine"}]
 
 
+def test_a_study_made_in_python_names_only_what_there_is() -> None:
+    with pytest.raises(RunError, match=r"`study`, `lines\.1\.run`: there is no name `nine`"):
+        Study(dataclasses.replace(SMALL, lines=(LineSpec(run="nine"),)))
+
+
 def test_files_of_tasks_of_one_name_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,6 +27,7 @@ from maesn.studies.members import (
     members_from_scratch,
     members_of_run,
 )
+from maesn.studies.reading import check_names
 from maesn.studies.spec import RECORDED, LineSpec, Place, StudySpec, is_for
 from maesn.worlds import engine_of
 
@@ -86,6 +87,7 @@ def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[PlannedComparison]
 
     It is a `RunError` with the place in the study's file if something cannot be.
     """
+    check_names(study)
     jobs: dict[str, Job] = {}
     planned = [_Planner(study, family, jobs).compare() for family in study.families]
     found = [one for comparisons in planned for one in comparisons]

@@ -26,7 +26,7 @@ def shipped_studies() -> dict[str, Path]:
 def read_study(source: str | Path) -> StudySpec:
     """Read a study: a path, else the name of one that comes with the library.
 
-    It is a `RunError` if there is none, or if something in it cannot be, with its key.
+    It is a `RunError` if there is none, or if a key or a value in it is wrong, with its place.
     """
     path = Path(source)
     path = path if path.is_file() else shipped_studies().get(str(source), path)
@@ -43,12 +43,6 @@ def read_study(source: str | Path) -> StudySpec:
         table["families"] = table.pop("family", [])
     place = Place(str(source))
     study: StudySpec = _object(StudySpec, table, place, name=path.stem, file=place.file)
-    with place.refusing():
-        if not study.families:
-            raise ValueError('a study needs families, as in `family = "wheeled"`.')
-        if not study.all_lines:
-            raise ValueError("nothing is compared: add `[runs.NAME]` or `[scratch.NAME]`.")
-    _check_names(study, place)
     return study
 
 
@@ -108,8 +102,9 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
     return _object(Evaluation, plain, place, **given, engine=None, num_threads=None, seed=0)
 
 
-def _check_names(study: StudySpec, place: Place) -> None:
-    """Refuse names that nothing has."""
+def check_names(study: StudySpec) -> None:
+    """Refuse by `RunError` names that nothing has."""
+    place = Place(study.file)
     with (place / "families").refusing():
         for family in study.families:
             resolve_family(family)

@@ -177,6 +177,10 @@ class StudySpec:
     def __post_init__(self) -> None:
         check_number("threads", self.threads, 1)
         check_number("evaluation_seed", self.evaluation_seed, 0, 2**32 - 1)
+        if not self.families:
+            raise ValueError('a study needs families, as in `family = "wheeled"`.')
+        if not self.all_lines:
+            raise ValueError("nothing is compared: add `[runs.NAME]` or `[scratch.NAME]`.")
 
     def names_of(self, line: LineSpec) -> dict[str, str]:
         """Return the name of a line with each of its evaluations: that of its source if alone."""
