@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from maesn import policies
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.presets import BONUS_SUFFIX, METHODS
+from maesn.learners.presets import PRESETS
 from maesn.settings import leaves
 
 Settings = TypeVar("Settings")
@@ -22,15 +22,15 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
     """Return a method with the settings that suit a family; its preset where none are known.
 
     Args:
-        method: as in `maesn.METHODS`.
+        method: as in `maesn.PRESETS`.
         family: name of a family.
 
     Raises:
         ValueError: there is no such method.
     """
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
-    learner = METHODS[method]()
+    if method not in PRESETS:
+        raise ValueError(f"`method` must be one of {', '.join(PRESETS)}, got {method!r}.")
+    learner = PRESETS[method]()
     for path, value in recommended_settings(method, family).items():
         learner = with_setting(learner, path, value)
     return learner
@@ -38,17 +38,16 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
 
 def recommended_settings(method: str, family: str) -> dict[str, Any]:
     """Return the settings of the learner that suit a family, by path; none where none are known."""
-    base = method.removesuffix(BONUS_SUFFIX)
-    prefix = "learner." if base != method else ""
-    found = leaves({name: one for name, one in _table(base, family).items() if name != "run"})
+    table = RECOMMENDED.get(family, {}).get(method, {})
+    found = leaves({name: value for name, value in table.items() if name != "run"})
     if "policy" in found:
         found["policy"] = getattr(policies, found["policy"])()
-    return {prefix + path: value for path, value in found.items()}
+    return found
 
 
 def recommended_run(method: str, family: str) -> dict[str, Any]:
     """Return the settings of a run that suit a method on a family, by name."""
-    found: dict[str, Any] = _table(method.removesuffix(BONUS_SUFFIX), family).get("run", {})
+    found: dict[str, Any] = RECOMMENDED.get(family, {}).get(method, {}).get("run", {})
     return found
 
 
@@ -58,7 +57,3 @@ def with_setting(settings: Settings, path: str, value: Any) -> Settings:
     if rest:
         value = with_setting(getattr(settings, name), rest, value)
     return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
-
-
-def _table(method: str, family: str) -> dict[str, Any]:
-    return RECOMMENDED.get(family, {}).get(method, {})
