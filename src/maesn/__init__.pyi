@@ -98,6 +98,7 @@ from maesn.studies.spec import LineSpec as LineSpec
 from maesn.studies.spec import RunSpec as RunSpec
 from maesn.studies.spec import ScratchSpec as ScratchSpec
 from maesn.studies.spec import StudySpec as StudySpec
+from maesn.studies.study import FailedJobsError as FailedJobsError
 from maesn.studies.study import Study as Study
 from maesn.worlds import EpisodeError as EpisodeError
 from maesn.worlds import make_world as make_world
