@@ -28,7 +28,8 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
-from maesn.reporting.report import report_study
+from maesn.reporting.report import write_report
+from maesn.reporting.sources import compare_study
 from maesn.reporting.tables import TextTable
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
 from maesn.studies.execution import AbstractExecutor, Execution
@@ -170,7 +171,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     # A report reads nothing but the study's own folder.
     before, jobs = files(drawn), tmp_path / "jobs"
     jobs.rename(tmp_path / "elsewhere")
-    report_study(done.directory, lambda path: None)
+    write_report(compare_study(done.directory), done.directory)
     assert files(drawn) == before
     # Another evaluation of the line may keep no latents: those of the one before do not stay.
     (tmp_path / "elsewhere").rename(jobs)

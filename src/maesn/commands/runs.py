@@ -15,8 +15,9 @@ from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
+from maesn.reporting.report import Reported
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
-from maesn.reporting.tables import TextTable, print_adaptation_summary, print_tables
+from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
@@ -34,13 +35,13 @@ def say_what_is_next(run: Run) -> None:
 
 
 def _say_adapted(done: Adapted) -> None:
-    print_adaptation_summary(done.table)
+    print_tables(adaptation_tables(done.table))
     print(f"table:   {done.table}")
     if done.latents is not None:
         print(f"latents: {done.latents}")
 
 
-def _say_reported(done: api.Reported) -> None:
+def _say_reported(done: Reported) -> None:
     print_tables(done.tables)
     _say_written(done.files)
 
@@ -81,7 +82,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     api.prior(run)
     search = api.adapt(run, rule=SearchRule())
     for done in (gradient, search):
-        print_adaptation_summary(done.table)
+        print_tables(adaptation_tables(done.table))
     print("3. figures")
     _say_reported(api.report([run]))
 

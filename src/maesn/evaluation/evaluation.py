@@ -96,11 +96,16 @@ class Evaluation:
     @property
     def budget(self) -> Budget:
         """The numbers of episodes, with those that the rule usually has where none are given."""
-        usual = AbstractRule.budget if self.rule is None else self.rule.budget
-        if self.wrappers and not usual.episodes:  # which may learn where the rule does not
-            usual = AbstractRule.budget
         given = (self.episodes, self.episodes_per_update, self.deploy_episodes)
-        return Budget(*(u if g is None else g for u, g in zip(usual, given, strict=True)))
+        pairs = zip(self.usual_budget, given, strict=True)
+        return Budget(*(usual if one is None else one for usual, one in pairs))
+
+    @property
+    def usual_budget(self) -> Budget:
+        """The numbers of episodes that the rule usually has."""
+        usual = AbstractRule.budget if self.rule is None else self.rule.budget
+        # A wrapper may learn where the rule does not.
+        return AbstractRule.budget if self.wrappers and not usual.episodes else usual
 
     def count(self, tasks: Sized) -> int:
         """Return how many tasks of a set are adapted to: the first ones."""

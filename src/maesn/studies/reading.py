@@ -26,7 +26,7 @@ def shipped_studies() -> dict[str, Path]:
 def read_study(source: str | Path) -> StudySpec:
     """Read a study: a path, else the name of one that comes with the library.
 
-    It is a `RunError` if there is none, or if a key or a value in it is wrong, with its place.
+    A `RunError` says that there is none, or which key is wrong.
     """
     path = Path(source)
     path = path if path.is_file() else shipped_studies().get(str(source), path)
@@ -47,7 +47,7 @@ def read_study(source: str | Path) -> StudySpec:
 
 
 def _read(hint: Any, value: Any, place: Place) -> Any:
-    """Return what a value of a file is as a field of this type."""
+    """Convert a value of a file to the type of its field."""
     kind, arguments = get_origin(hint), get_args(hint)
     if kind is tuple and not isinstance(value, list):
         value = [value]  # one for a list of one
@@ -67,7 +67,7 @@ def _read(hint: Any, value: Any, place: Place) -> Any:
 
 
 def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> Any:
-    """Return a dataclass with what a table gives, and what is given here, which is no key there."""
+    """Build a dataclass from a table; the fields in `given` are no keys of the table."""
     hints = get_type_hints(kind)
     place.check(table, [name for name in hints if name not in given], "key")
     values = {name: _read(hints[name], value, place / name) for name, value in table.items()}
@@ -76,7 +76,7 @@ def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> 
 
 
 def _run(table: Mapping[str, Any], place: Place) -> Any:
-    """Read a run: its other keys are settings of the run or of its learner."""
+    """Read a run; keys that are not its own are settings of the learner or the run."""
     own = get_type_hints(RunSpec).keys() - {"changes"}
     plain = {name: value for name, value in table.items() if name in own}
     changes = {name: value for name, value in table.items() if name not in own}
@@ -84,7 +84,7 @@ def _run(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
-    """Read an evaluation, and those on single families, which have its settings as well."""
+    """Read an evaluation, and the changes to it on single families."""
     usual = {name: value for name, value in table.items() if name != "on"}
     own = _read(Mapping[str, Mapping[str, Any]], table.get("on", {}), place / "on")
     on = {name: _evaluation(usual | own[name], place / "on" / name) for name in own}
@@ -92,7 +92,7 @@ def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
 
 
 def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
-    """Read an evaluation, whose rule and wrappers are texts. Its seed and so on are the study's."""
+    """Read an evaluation: rule and wrappers are texts; the study gives seed, engine and threads."""
     chosen = {}
     for option in (one for one in KNOWN if one in table):
         with (place / option).refusing():
@@ -103,7 +103,7 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def check_names(study: StudySpec) -> None:
-    """Refuse by `RunError` names that nothing has."""
+    """Refuse names of families, runs, evaluations and lines that do not exist."""
     place = Place(study.file)
     with (place / "families").refusing():
         for family in study.families:

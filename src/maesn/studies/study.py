@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from maesn import storage
-from maesn.reporting.report import report_study
-from maesn.reporting.sources import joined_files
+from maesn.reporting.report import write_report
+from maesn.reporting.sources import compare_study, joined_files
 from maesn.reporting.tables import TextTable
 from maesn.runs.process import ending_by_signals
 from maesn.settings import check_number
@@ -110,7 +110,9 @@ class Study:
             tables: list[TextTable] = []
             if only is None:
                 self.write_results(out)
-                tables = report_study(directory, lambda path: say(str(path)))
+                files, tables = write_report(compare_study(directory), directory)
+                for path in files:
+                    say(str(path))
         results = Results(directory, tables)
         if execution.failed:
             raise FailedJobsError(execution.failed, results)
