@@ -183,7 +183,6 @@ def test_seeds_are_stacked_if_they_have_the_same_tasks() -> None:
         f"{HEADER}\n0,0,0,explore,-396.0\n",
         f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
         f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
-        f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
     ],
 )
 def test_a_broken_table_is_refused_in_one_sentence(tmp_path: Path, content: str) -> None:

@@ -1,4 +1,4 @@
-"""What there is: `maesn list` and `maesn doctor`."""
+"""The commands `maesn list` and `maesn doctor`."""
 
 import json
 import os

@@ -123,7 +123,8 @@ class AdaptationTable:
     final_success_rate: Curves
     time_in_region: Curves
     solved_at_reset: Curves
-    # `success_rate` of the episodes that were learned from, after every update.
+    # `success_rate` of the episodes that were learned from, after every update; of those that judge
+    # where nothing is learned.
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
     # Episodes of a trial that meta-training has prepared for; None if no record says so.
     trial_episodes: int | None = None
@@ -189,8 +190,12 @@ def read_adaptation(path: Path) -> AdaptationTable:
     rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
     about = read_json(record, _REMEDY) if record.exists() else {}
     try:
-        purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
-        explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
+        purposes = {row["purpose"] for row in rows}
+        purpose = DEPLOY if DEPLOY in purposes else EXPLORE
+        first = EXPLORE if EXPLORE in purposes else purpose  # where nothing is learned
+        if about and first != EXPLORE:
+            about |= {"episodes_per_update": about["deploy_episodes"]}
+        explored, judged = (_grids(rows, one) for one in (first, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error
     name = TableName.of(path)

@@ -113,7 +113,8 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
     family = series[0].runs[0].family
     comparisons = []
     for title, lines in found.items():
-        horizon = lines[0].table.about.get("world", {}).get("horizon", 0)
+        world = lines[0].table.about.get("world", {})
+        horizon = world.get("horizon", 0)
         comparisons.append(Comparison(tuple(lines), title, family, horizon=horizon))
     figures = [{"name": kind, "kind": kind} for kind in RUN_FIGURES]
     return Compared(comparisons, figures, {}, series)
