@@ -15,7 +15,7 @@ from maesn.networks import MLP, Linear
 from maesn.policies import CategoricalMLP, GaussianMLP, GaussianMLPPolicy
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
-from maesn.worlds.simulators import open_simulator
+from maesn.worlds.stepping import open_simulator
 
 LATENT_SIZE = 2
 

@@ -14,8 +14,8 @@ from guides import Guide
 from pictures import can_draw
 
 from maesn.envs import NAMED_SETS, TaskSet
-from maesn.worlds import NativeWorld, make_world
-from maesn.worlds.simulators import native_simulator
+from maesn.worlds import HostWorld, make_world
+from maesn.worlds.stepping import native_simulator
 
 GUIDE = Guide("own_environment_mujoco.md", "puck")
 VERBS = {"train", "adapt", "report", "render", "export"}
@@ -41,7 +41,7 @@ def puck(folder: Path) -> ModuleType:
 def test_it_is_moved_by_the_batched_engine(puck: ModuleType, name: str) -> None:
     family = getattr(puck, name)
     world = make_world(family.make_env(), family.task_set("training"))
-    assert isinstance(world, NativeWorld)
+    assert isinstance(world, HostWorld)
     assert len({family.task_set(which).digest() for which in NAMED_SETS[:3]}) == 3
 
 

@@ -1,6 +1,5 @@
 """Foreign environments: what is played is what a plain loop plays, and failures are named."""
 
-import pickle
 from typing import Any
 
 import jax
@@ -22,6 +21,7 @@ from maesn.context import Nothing
 from maesn.envs import TaskSet
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
+from maesn.foreign import pack_task
 from maesn.policies import CategoricalMLP, Recurrent
 from maesn.worlds import make_world
 
@@ -124,9 +124,9 @@ def test_discrete_actions_reach_the_environment_as_its_own() -> None:
 
 
 def test_no_more_processes_are_started_than_there_are_episodes() -> None:
-    two, one = (make_world(walkers.make_env(), tasks(), num_threads=n)._open() for n in (2, 1))
+    two, one = (walkers.make_env().open_pool(n) for n in (2, 1))
     for episodes, processes in ((1, 1), (3, 2), (1, 2)):
-        started = [pickle.dumps(np.asarray(tasks()[0]))] * episodes, list(range(episodes))
+        started = [pack_task(np.asarray(tasks()[0]))] * episodes, list(range(episodes))
         control = np.full((episodes, 2), 0.25, np.float32)
         assert_same(two.begin(*started), one.begin(*started))
         assert_same(two.step(control), one.step(control))
@@ -137,8 +137,8 @@ def test_no_more_processes_are_started_than_there_are_episodes() -> None:
 
 def test_a_world_that_is_forgotten_ends_its_processes() -> None:
     world = make_world(walkers.make_env(), tasks(), num_threads=2)
-    world._open().begin([pickle.dumps(tasks()[0])] * 2, [0, 1])
-    processes = world._open().process_ids
+    world.stepper.begin(jax.numpy.arange(2, dtype=np.uint32), tasks()[:1])
+    processes = world.stepper.process_ids
     assert len(processes) == 2
     assert all(map(is_running, processes))
     del world

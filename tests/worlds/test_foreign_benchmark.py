@@ -14,8 +14,8 @@ from strangers import HORIZON, draw_walks
 
 from maesn.envs import TaskSet
 from maesn.experience.episodes import Episodes
+from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
-from maesn.worlds.foreign import GymnasiumWorld
 
 NUM_TASKS = 5
 
@@ -30,7 +30,7 @@ def collected(foreign: ModuleType) -> tuple[Any, Episodes, dict[str, np.ndarray]
     """A world, episodes, the readings that they end with, and what it takes to play them again."""
     drawn = draw_walks(np.random.default_rng(0), NUM_TASKS)
     drawn[:3, 2:] = [[2, 1], [3, 2], [5, 0]]
-    world = foreign.RecordingWorld(GymnasiumWorld(walkers.make_env(), TaskSet(drawn), 2))
+    world = foreign.RecordingWorld(make_world(walkers.make_env(), TaskSet(drawn), 2))
     collector = Collector(world, EPISODES)
     cast, index = agents(world.env, NUM_TASKS), jnp.arange(NUM_TASKS)
     episodes, readings = collector.play(keys(NUM_TASKS), cast, index)

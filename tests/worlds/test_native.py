@@ -17,7 +17,7 @@ from maesn.axes import Key
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.worlds import NativeWorld, make_world
+from maesn.worlds import HostWorld, make_world
 from maesn.worlds.collector import Collector
 
 TASK_INDEX = [17, 3]
@@ -174,4 +174,4 @@ def test_tasks_may_change_the_dynamics_of_a_users_own_model(tmp_path: Path) -> N
 
 
 def test_mujoco_environments_are_played_natively() -> None:
-    assert isinstance(collector(WHEELED).world, NativeWorld)
+    assert isinstance(collector(WHEELED).world, HostWorld)

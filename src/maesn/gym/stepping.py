@@ -17,8 +17,7 @@ from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import TaskChoice, checked_task, make_steppable
-from maesn.physics import PhysicsError
-from maesn.worlds import EpisodeError, Scene, arena, open_simulator
+from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
 from maesn.worlds.outcome import observe
 
 # Size of the pictures, in pixels.
@@ -81,7 +80,7 @@ class Stepper:
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
-        self._simulator = open_simulator(self.env, num_episodes, num_threads)
+        self._stepper = open_stepper(self.env, num_threads)
         self.task_index = np.zeros(num_episodes, np.int64)
         self._present: Any = None  # the tasks of these indices
         self._readings: HostReadings = {}
@@ -137,12 +136,11 @@ class Stepper:
             seeds[row] = streams[row].integers(2**32, dtype=np.uint32)
         self._present = jax.tree.map(jnp.asarray, self.tasks[self.task_index])
         start = _start(self.env, seeds, self._present)
-        qpos, qvel, fields = jax.tree.map(lambda x: np.asarray(x)[rows], tuple(start))
-        simulations = None if len(rows) == self.num_episodes else rows
+        begun = jax.tree.map(lambda x: np.asarray(x)[rows], (start, self._present))
         try:
-            readings = self._simulator.reset(qpos, qvel, fields, simulations)
-        except PhysicsError as error:
-            raise self._error(error) from error
+            readings = self._stepper.begin(*begun, None if len(rows) == self.num_episodes else rows)
+        except SimulationFailure as failure:
+            raise self._error(failure) from failure
         self._readings, self._steps[rows] = _single(readings), 0
         return Glimpse(*_seen(_look(self.env, self._readings, self._present)))
 
@@ -162,9 +160,9 @@ class Stepper:
         before, action = self._readings, action.astype(np.float32)
         control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
-            self._readings = _single(self._simulator.step(control, ended))
-        except PhysicsError as error:
-            raise self._error(error) from error
+            self._readings = _single(self._stepper.step(control, ended))
+        except SimulationFailure as failure:
+            raise self._error(failure) from failure
         judged = _judge(self.env, before, action, self._readings, self._present)
         glimpse, reward, terminated, cut = judged
         total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
@@ -195,17 +193,17 @@ class Stepper:
 
     def close(self) -> None:
         """Release the engine's threads and memory; may be called twice."""
-        self._simulator.close()
+        self._stepper.close()
 
     def _refuse(self, what: str, sound: Bool[np.ndarray, " episode"]) -> None:
         if not sound.all():
-            rows = np.flatnonzero(~sound).tolist()
-            raise self._error(PhysicsError(rows, f"the {what} is not finite"))
+            row = int(np.argmin(sound))
+            raise self._error(SimulationFailure(row, f"the {what} is not finite"))
 
-    def _error(self, error: PhysicsError) -> EpisodeError:
-        row = error.simulations[0]
+    def _error(self, failure: SimulationFailure) -> EpisodeError:
+        row = failure.simulation
         task, step = int(self.task_index[row]), int(self._steps[row])
-        return EpisodeError(self.env.name, task, row, step, error.reason)
+        return EpisodeError(self.env.name, task, row, step, failure.reason)
 
 
 SETTINGS = tuple(

@@ -96,10 +96,14 @@ class EpisodeError(RuntimeError):
         return EpisodeError(*self._origin, updates)
 
 
+class EnvContractError(ValueError):
+    """A function of an environment does not fit what it declares; the message names both."""
+
+
 class SimulationFailure(RuntimeError):
     """Some simulations of a batch failed at one step; the collector names their episodes."""
 
-    def __init__(self, simulation: int, step: int, reason: str) -> None:
+    def __init__(self, simulation: int, reason: str, step: int = 0) -> None:
         super().__init__(f"simulation {simulation}, step {step}: {reason}")
         self.simulation = simulation
         self.step = step
