@@ -174,7 +174,7 @@ def test_success_is_what_the_distance_says() -> None:
         ({"tasks": "tset"}, RunError, "`tasks` must be one of training"),
         ({"family": "weeled"}, RunError, "Did you mean `wheeled`"),
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
-        ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
+        ({"render_mode": "human"}, ValueError, "`human` is not a render mode"),
         ({"family": "bandit"}, ValueError, "must have continuous actions"),
         ({"rewards": "sparse"}, ValueError, "^`rewards` is not a setting: choose from `task`"),
         ({"num_threads": 2}, ValueError, "`num_threads` is not a setting"),
@@ -227,7 +227,7 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
     env = TaskEnv(family, task=4)
     env.reset(seed=0)
     for action in (0.5, np.zeros(3), np.zeros((1, 2))):
-        with pytest.raises(ValueError, match=r"`action` must have the shape \(2,\), got"):
+        with pytest.raises(ValueError, match="`action` must have the shape"):
             env.step(action)
     with pytest.raises(EpisodeError, match=rf"{family}, task 4, episode 0, step 0: .*finite"):
         env.step(np.array([0.0, np.nan]))

@@ -7,6 +7,7 @@ import, and may run in another interpreter.
 from maesn.foreign.interface import Interface as Interface
 from maesn.foreign.interface import InterfaceError as InterfaceError
 from maesn.foreign.pool import Readings as Readings
-from maesn.foreign.pool import WorkerError as WorkerError
 from maesn.foreign.pool import WorkerPool as WorkerPool
+from maesn.foreign.pool import hosted_in as hosted_in
 from maesn.foreign.pool import pack_task as pack_task
+from maesn.foreign.process import WorkerError as WorkerError

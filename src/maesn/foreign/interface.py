@@ -72,7 +72,7 @@ def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
         steps = min(map(math.ceil, clocks), default=steps)
     for index, (low, high) in enumerate(limits.T.tolist()):
         _check_bounds(index, low, high)
-    period, doubt = _control_period(facts["dt"], *facts["rates"], repeats)
+    period, doubt = _control_period(facts["dt"], facts["rates"], repeats)
     lower, upper = map(tuple, limits.tolist())
     return Interface(facts["spaces"], kind == "Discrete", lower, upper, steps, period, doubt)
 
@@ -131,32 +131,33 @@ def _tightened(
 
 
 def _control_period(
-    dt: float | None, inner_rate: float | None, rate: float | None, repeats: int
+    dt: float | None, rates: list[float | None], repeats: int
 ) -> tuple[float | None, str]:
     """Return the seconds between two steps of the outermost environment, or None and why.
 
     Args:
         dt: seconds of a step of the innermost one, as Gymnasium's MuJoCo environments have it.
-        inner_rate: its pictures per second, one for each step, rounded.
-        rate: the same of the outermost one.
+        rates: pictures per second, rounded, of the innermost one and the outermost one, which show
+            one for each step.
         repeats: steps of the innermost one in each of the outermost one; 0 if that varies.
     """
     if not repeats:
         return None, "its wrappers repeat actions now more and now less often"
+    inner_rate, rate = rates
     one = dt or (1 / inner_rate if inner_rate else None)
-    if one and inner_rate and not _agree(one, inner_rate):
-        return (
-            None,
-            f"its `dt` is {one:g} s, but its `metadata` shows {inner_rate:g} steps a second",
-        )
-    if one and rate not in (None, inner_rate) and not _agree(one * repeats, rate):
+    if one is None:
+        if rate:
+            return 1 / rate, ""
+        return None, "it has neither `dt` nor `render_fps` in its `metadata`"
+    if inner_rate and not _agree(one, inner_rate):
+        shown = f"its `metadata` shows {inner_rate:g} steps a second"
+        return None, f"its `dt` is {one:g} s, but {shown}"
+    if rate and rate != inner_rate and not _agree(one * repeats, rate):
         return None, (
             f"{repeats} steps of {one:g} s make one, but its `metadata` shows {rate:g} of these "
             "a second"
         )
-    if one or rate:
-        return (one * repeats if one else 1 / rate), ""
-    return None, "it has neither `dt` nor `render_fps` in its `metadata`"
+    return one * repeats, ""
 
 
 def _agree(period: float, rate: float) -> bool:

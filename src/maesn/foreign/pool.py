@@ -8,63 +8,31 @@ environments, so that hundreds of episodes are played by as many processes as th
 import contextlib
 import importlib
 import io
-import json
-import mmap
 import os
 import pickle
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
-from multiprocessing.connection import Connection, Pipe, wait
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from maesn.foreign import worker as program
 from maesn.foreign.guard import Guard
 from maesn.foreign.interface import Interface, derive
-from maesn.foreign.worker import MARK, PROTOCOL, described, packed, unpacked
+from maesn.foreign.process import GRACE, Watch, Worker, WorkerError
+from maesn.foreign.worker import described, packed, unpacked
+from maesn.storage import RunError
 
 # What is read of every environment, one row each. All but the observation are single numbers.
 Readings: TypeAlias = dict[str, Float[np.ndarray, "simulation ..."]]
 _NUMBERS = ("reward", "terminated", "truncated", "solved")
 
-PYTHON = "MAESN_PYTHON"
-"""Variable with the interpreter of the environments, as `--python` sets it; this one without it."""
+# Variable with the interpreter of the environments. Processes that this one starts inherit it.
+_PYTHON = "MAESN_PYTHON"
 
-# Seconds that a new process may take until it calls its first environment: importing a user's
-# module can take long on a busy machine.
-START_LIMIT = 300.0
-# Seconds in which a worker may close its environments before it is killed.
-_GRACE = 2.0
 _CHECKS_PER_LIMIT = 10
-# Lines that an error shows of what an environment has written last.
-_LAST_LINES = 20
-
-
-class WorkerError(RuntimeError):
-    """An environment failed, hangs, or took its process down.
-
-    Attributes:
-        simulation: index of the environment among the arguments of `begin`.
-        reason: what went wrong.
-
-    A note holds the traceback of the environment's code, or what its process has written last.
-    """
-
-    def __init__(self, simulation: int, reason: str, last_words: str = "") -> None:
-        super().__init__(f"simulation {simulation}: {reason}")
-        if last_words:
-            self.add_note(f"In the process of the environment:\n{last_words.rstrip()}")
-        self.simulation = simulation
-        self.reason = reason
 
 
 class WorkerPool:
@@ -96,9 +64,9 @@ class WorkerPool:
     ) -> None:
         self._num_workers = num_workers
         self._time_limit = time_limit
-        self._python = os.environ.get(PYTHON) or None
+        self._python = os.environ.get(_PYTHON)
         self._recipe = _recipe(make_env, (reward, spaces), self._python)
-        self._workers: list[_Worker] = []
+        self._workers: list[Worker] = []
         self._guard: Guard | None = None
 
     @property
@@ -161,7 +129,7 @@ class WorkerPool:
         workers, self._workers = self._workers, []
         for worker in workers:
             worker.connection.close()
-        deadline = time.monotonic() + _GRACE
+        deadline = time.monotonic() + GRACE
         for worker in workers:
             worker.stop(deadline)
         if self._guard is not None:
@@ -193,7 +161,7 @@ class WorkerPool:
         for first, worker in enumerate(workers):
             worker.send(request, [column[first::stride] for column in columns])
         pending = {worker.connection: (first, worker) for first, worker in enumerate(workers)}
-        watch = _Watch(self._time_limit)
+        watch = Watch(self._time_limit)
         while pending:
             ready = wait(list(pending), self._time_limit / _CHECKS_PER_LIMIT)
             for connection in ready:
@@ -203,129 +171,42 @@ class WorkerPool:
             for first, worker in pending.values():
                 watch.look(worker, first, stride)
 
-    def _workers_for(self, num_simulations: int) -> "list[_Worker]":
+    def _workers_for(self, num_simulations: int) -> "list[Worker]":
         """Return the workers for this number of simulations; start those that are missing."""
         number = min(self._num_workers, num_simulations)
         self._guard = self._guard or Guard()
         while len(self._workers) < number:
-            self._workers.append(_Worker(self._recipe, self._python))
+            self._workers.append(Worker(self._recipe, self._python))
             self._guard.watch(self._workers[-1].process.pid)
         return self._workers[:number]
 
 
-class _Worker:
-    """One process and the connection to it."""
+@contextlib.contextmanager
+def hosted_in(python: str | os.PathLike[str] = "") -> Iterator[None]:
+    """Let workers that start in this block run in another interpreter, Python 3.10 or later.
 
-    def __init__(self, recipe: bytes, python: str | None) -> None:
-        with contextlib.ExitStack() as stack:
-            self.connection, theirs = Pipe()
-            stack.callback(theirs.close)
-            shared = stack.enter_context(tempfile.TemporaryFile())
-            shared.truncate(MARK.size)
-            self._mark = mmap.mmap(shared.fileno(), MARK.size)
-            descriptors = (theirs.fileno(), shared.fileno())
-            # With this interpreter's module path, a worker can import all that the parent can.
-            path = json.dumps(None if python else sys.path)
-            arguments = [str(Path(program.__file__)), str(PROTOCOL), *map(str, descriptors), path]
-            self.process = subprocess.Popen(
-                [python or sys.executable, *arguments],
-                pass_fds=descriptors,
-                # A user's module may import JAX, which must leave the accelerator to the parent.
-                env=os.environ | {"JAX_PLATFORMS": "cpu"},
-                stdin=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                # A session of its own: Ctrl-C is the parent's to handle.
-                start_new_session=True,
-            )
-        self._written: deque[bytes] = deque(maxlen=_LAST_LINES)
-        self._relay = threading.Thread(target=self._pass_on, daemon=True)
-        self._relay.start()
-        with contextlib.suppress(OSError):  # a missing answer will tell that it is gone
-            self.connection.send_bytes(recipe)
+    It needs NumPy and what the environments import. Nothing of this library is installed there, and
+    no run records where it is.
 
-    def send(self, request: str, columns: list[Any]) -> None:
-        """Send a request; a missing answer will tell that the worker is gone."""
-        arrays = [packed(x) if isinstance(x, np.ndarray) else x for x in columns]
-        with contextlib.suppress(OSError):
-            self.connection.send((request, arrays))
+    Args:
+        python: path of the interpreter.
 
-    def answer(self, first: int, stride: int) -> Any:
-        """Wait for an answer; raise `WorkerError` if there is none, or a failure."""
-        try:
-            answer, failure = self.connection.recv()
-        except (EOFError, OSError) as error:
-            calls, environment = self.mark()
-            code = self.process.wait()
-            who = "the environment has ended its process"
-            if not calls:
-                who = "the process of the environment ended before it could make one"
-            raise WorkerError(
-                first + stride * environment, f"{who} (exit code {code})", self.last_lines()
-            ) from error
-        if failure is not None:
-            environment, reason, trace = failure
-            raise WorkerError(first + stride * environment, reason, trace)
-        return answer
-
-    def last_lines(self) -> str:
-        """Return what the process has written last to its standard error."""
-        self._relay.join(_GRACE / 4)
-        return b"".join(self._written).decode(errors="replace")
-
-    def _pass_on(self) -> None:
-        assert self.process.stderr is not None
-        with self.process.stderr as lines:
-            for line in iter(lambda: lines.readline(1000), b""):
-                self._written.append(line)
-                with contextlib.suppress(ValueError, OSError):  # there is nobody to read it
-                    sys.stderr.write(line.decode(errors="replace"))
-
-    def mark(self) -> tuple[int, int]:
-        """Return the number of calls so far, and the environment that was called last."""
-        calls, environment = MARK.unpack_from(self._mark, 0)
-        return calls, environment
-
-    def stop(self, deadline: float) -> None:
-        """Wait until the deadline for the process to end, then kill it and its children."""
-        try:
-            self.process.wait(max(deadline - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:
-            pass
-        finally:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-            self._mark.close()
-
-
-class _Watch:
-    """Detects workers whose environment hangs."""
-
-    def __init__(self, time_limit: float) -> None:
-        self._time_limit = time_limit
-        self._start_limit = max(time_limit, START_LIMIT)
-        self._seen: dict[int, tuple[int, float]] = {}
-
-    def look(self, worker: _Worker, first: int, stride: int) -> None:
-        """Raise `WorkerError` if the worker's mark has not changed within the limit."""
-        calls, environment = worker.mark()
-        now = time.monotonic()
-        seen, since = self._seen.get(first, (-1, now))
-        if calls != seen:
-            self._seen[first] = (calls, now)
-        elif calls and now - since > self._time_limit:
-            raise WorkerError(
-                first + stride * environment,
-                f"the environment has not returned within `time_limit`, {self._time_limit:g} s",
-                worker.last_lines(),
-            )
-        elif not calls and now - since > self._start_limit:
-            raise WorkerError(
-                first,
-                "the process of the environment has imported what `make_env` needs for more than "
-                f"{self._start_limit:g} s, and has not called it yet",
-                worker.last_lines(),
-            )
+    Raises:
+        RunError: there is no such program.
+    """
+    if not os.access(python, os.X_OK) or Path(python).is_dir():
+        raise RunError(
+            "`--python` must be the path of an interpreter, such as .venv/bin/python, got "
+            f"`{os.fspath(python)}`."
+        )
+    before = os.environ.get(_PYTHON)
+    os.environ[_PYTHON] = str(Path(python).absolute())  # unresolved: a venv's is a link
+    try:
+        yield
+    finally:
+        del os.environ[_PYTHON]
+        if before is not None:
+            os.environ[_PYTHON] = before
 
 
 def pack_task(task: Any) -> bytes:

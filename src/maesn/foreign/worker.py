@@ -9,7 +9,6 @@ It ends when its connection is closed; if an environment hangs then, `maesn.fore
 
 import contextlib
 import copy
-import importlib
 import json
 import mmap
 import os
@@ -21,10 +20,15 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+if sys.version_info < (3, 10):  # noqa: UP036  # of the environments' interpreter
+    sys.exit(f"environments need Python 3.10 or later, this is {sys.version.split()[0]}")
 
 # Changes whenever a request or an answer does.
 PROTOCOL = 1
@@ -157,10 +161,12 @@ class HostedEnvironment:
         the same episode for the same seed.
         """
         env = self._with_task(task)
+        checker = sys.modules.get("gymnasium") and import_module("gymnasium.utils.env_checker")
+        if not checker:  # the environment only looks like one of Gymnasium's
+            return None
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                checker = importlib.import_module("gymnasium.utils.env_checker")
                 checker.check_env(env, skip_render_check=True, skip_close_check=True)
         except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
             return described(error)
@@ -438,9 +444,9 @@ class _Share:
             make_env, *others = pickle.loads(recipe)
             if isinstance(make_env, str):
                 module, _, name = make_env.partition(":")
-                make_env = getattr(importlib.import_module(module), name)
+                make_env = getattr(import_module(module), name)
         except Exception as error:  # a user's module can raise anything
-            reason = f"`make_env` cannot be loaded: {described(error)}"
+            reason = f"`make_env` cannot be loaded by {sys.executable}: {described(error)}"
             raise _Failure(0, reason, _user_traceback(error)) from error
         self._recipe = (make_env, *others)
 
@@ -511,7 +517,8 @@ def main(protocol: str, connection: str, mark: str, path: str) -> None:
     # an empty handler, and not SIG_IGN, which the environments' own processes would inherit.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: None)
-    sys.path[:] = json.loads(path) or sys.path[1:]  # without the place of this file
+    # The place of this file is no place of modules.
+    sys.path[:] = json.loads(path) or [*sys.path[1:], str(Path.cwd())]
     with mmap.mmap(int(mark), MARK.size) as shared, contextlib.suppress(EOFError, OSError):
         _serve(Connection(int(connection)), shared)
 

@@ -1,10 +1,9 @@
 """Checked options of the Gymnasium environments."""
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from gymnasium import Space
 from jaxtyping import Int
 
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
@@ -14,6 +13,7 @@ TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
 """Index of a task in its set, for all episodes or for each; None for one that is drawn."""
 
 RENDER_MODES = ("rgb_array",)
+NO_EPISODE = "no episode is running: call `reset` before `step`."
 
 
 def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> None:
@@ -58,18 +58,6 @@ def make_steppable(
     return env
 
 
-def checked_action(action: Any, space: Space[Any]) -> np.ndarray:
-    """Return an action, or those of several episodes, in single precision.
-
-    Raises:
-        ValueError: it has another shape than its space.
-    """
-    action = np.asarray(action, np.float32)
-    if action.shape != space.shape:
-        raise ValueError(f"`action` must have the shape {space.shape}, got {action.shape}.")
-    return action
-
-
 def checked_task(
     task: TaskChoice, num_tasks: int, num_episodes: int
 ) -> Int[np.ndarray, " episode"] | None:
@@ -88,16 +76,3 @@ def checked_task(
             f"{num_episodes} episodes, got {task!r}."
         )
     return np.broadcast_to(chosen, (num_episodes,))
-
-
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return the render mode, checked to exist.
-
-    Raises:
-        ValueError: it does not.
-    """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ValueError(
-            f"`render_mode` must be {', '.join(RENDER_MODES)} or None, got {render_mode!r}."
-        )
-    return render_mode
