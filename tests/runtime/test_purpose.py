@@ -13,7 +13,7 @@ from runtime.robot import constant, contents, observations, play, policy_file, t
 from maesn.envs import Point, Wheeled, wheeled
 from maesn.gym import TaskEnv
 from maesn.runtime import Explorer, Safeguards
-from maesn.worlds import open_simulator
+from maesn.worlds import Start, open_stepper
 
 OBSERVATION = np.asarray([0.1, -0.2])
 STEPS = 60
@@ -189,11 +189,11 @@ def test_in_maesn_gym_normalized_controls_give_the_library_s_return(tmp_path: Pa
 
 def library_return(inner: Wheeled, goal: Any, first: np.ndarray, actions: np.ndarray) -> float:
     """The return of the policy's own actions, from the library's simulator and reward."""
-    simulator = open_simulator(inner, 1)
-    states = [simulator.reset(first[None, :6], first[None, 6:])]
+    stepper, running = open_stepper(inner, 1), np.zeros(1, bool)
+    states = [stepper.begin(Start(first[None, :6], first[None, 6:], {}), None)]
     controls = map(inner.control, jnp.asarray(actions, jnp.float32))
-    states += [simulator.step(np.asarray(control)[None]) for control in controls]
-    simulator.close()
+    states += [stepper.step(np.asarray(control)[None], running) for control in controls]
+    stepper.close()
     readings = [{name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()} for s in states]
     reward = jax.jit(inner.reward)
     return sum(

@@ -21,7 +21,7 @@ from jaxtyping import Float, UInt8
 
 from maesn.foreign.guard import Guard
 from maesn.foreign.interface import Interface, derive
-from maesn.foreign.process import GRACE, Watch, Worker, WorkerError
+from maesn.foreign.process import GRACE, Worker, WorkerError
 from maesn.foreign.worker import described, packed, unpacked
 from maesn.storage import RunError
 
@@ -161,7 +161,6 @@ class WorkerPool:
         for first, worker in enumerate(workers):
             worker.send(request, [column[first::stride] for column in columns])
         pending = {worker.connection: (first, worker) for first, worker in enumerate(workers)}
-        watch = Watch(self._time_limit)
         while pending:
             ready = wait(list(pending), self._time_limit / _CHECKS_PER_LIMIT)
             for connection in ready:
@@ -169,7 +168,7 @@ class WorkerPool:
                 first, worker = pending.pop(connection)
                 yield slice(first, None, stride), worker.answer(first, stride)
             for first, worker in pending.values():
-                watch.look(worker, first, stride)
+                worker.look(first, stride, self._time_limit)
 
     def _workers_for(self, num_simulations: int) -> "list[Worker]":
         """Return the workers for this number of simulations; start those that are missing."""

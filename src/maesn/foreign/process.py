@@ -71,6 +71,7 @@ class Worker:
                 # A session of its own: Ctrl-C is the parent's to handle.
                 start_new_session=True,
             )
+        self._seen, self._since = -1, time.monotonic()
         self._written: deque[bytes] = deque(maxlen=_LAST_LINES)
         self._relay = threading.Thread(target=self._pass_on, daemon=True)
         self._relay.start()
@@ -79,6 +80,7 @@ class Worker:
 
     def send(self, request: str, columns: list[Any]) -> None:
         """Send a request; a missing answer will tell that the worker is gone."""
+        self._seen, self._since = -1, time.monotonic()
         arrays = [packed(x) if isinstance(x, np.ndarray) else x for x in columns]
         with contextlib.suppress(OSError):
             self.connection.send((request, arrays))
@@ -88,12 +90,12 @@ class Worker:
         try:
             answer, failure = self.connection.recv()
         except (EOFError, OSError) as error:
-            calls, environment = self.mark()
+            calls, environment = self._calls()
             code = self.process.wait()
             who = "the environment has ended its process"
             if not calls:
                 who = "the process of the environment ended before it could make one"
-            lines = self.last_lines()
+            lines = self._last_lines()
             said = f": {lines.splitlines()[-1]}" if lines and not calls else ""
             reason = f"{who} (exit code {code}){said}"
             words = lines if calls else ""
@@ -103,7 +105,7 @@ class Worker:
             raise WorkerError(first + stride * environment, reason, trace)
         return answer
 
-    def last_lines(self) -> str:
+    def _last_lines(self) -> str:
         """Return what the process has written last to its standard error."""
         self._relay.join(GRACE / 4)
         return b"".join(self._written).decode(errors="replace")
@@ -116,7 +118,23 @@ class Worker:
                 with contextlib.suppress(ValueError, OSError):  # there is nobody to read it
                     sys.stderr.write(line.decode(errors="replace"))
 
-    def mark(self) -> tuple[int, int]:
+    def look(self, first: int, stride: int, time_limit: float) -> None:
+        """Raise `WorkerError` if an environment has not returned within the limit in seconds."""
+        calls, environment = self._calls()
+        if calls != self._seen:
+            self._seen, self._since = calls, time.monotonic()
+        limit = time_limit if calls else max(time_limit, START_LIMIT)
+        if time.monotonic() - self._since <= limit:
+            return
+        reason = f"the environment has not returned within `time_limit`, {limit:g} s"
+        if not calls:
+            reason = (
+                "the process of the environment has imported what `make_env` needs for more than "
+                f"{limit:g} s, and has not called it yet"
+            )
+        raise WorkerError(first + stride * environment, reason, self._last_lines())
+
+    def _calls(self) -> tuple[int, int]:
         """Return the number of calls so far, and the environment that was called last."""
         calls, environment = MARK.unpack_from(self._mark, 0)
         return calls, environment
@@ -132,33 +150,3 @@ class Worker:
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self._mark.close()
-
-
-class Watch:
-    """Detects workers whose environment hangs."""
-
-    def __init__(self, time_limit: float) -> None:
-        self._time_limit = time_limit
-        self._start_limit = max(time_limit, START_LIMIT)
-        self._seen: dict[int, tuple[int, float]] = {}
-
-    def look(self, worker: Worker, first: int, stride: int) -> None:
-        """Raise `WorkerError` if the worker's mark has not changed within the limit."""
-        calls, environment = worker.mark()
-        now = time.monotonic()
-        seen, since = self._seen.get(first, (-1, now))
-        if calls != seen:
-            self._seen[first] = (calls, now)
-        elif calls and now - since > self._time_limit:
-            raise WorkerError(
-                first + stride * environment,
-                f"the environment has not returned within `time_limit`, {self._time_limit:g} s",
-                worker.last_lines(),
-            )
-        elif not calls and now - since > self._start_limit:
-            raise WorkerError(
-                first,
-                "the process of the environment has imported what `make_env` needs for more than "
-                f"{self._start_limit:g} s, and has not called it yet",
-                worker.last_lines(),
-            )

@@ -5,7 +5,6 @@ from maesn.physics.graphics import RenderingError as RenderingError
 from maesn.physics.graphics import offscreen_library as offscreen_library
 
 # isort: split
-from maesn.physics.base import AbstractSimulator as AbstractSimulator
 from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings

@@ -1,10 +1,9 @@
 """Worlds: batched episodes of one family."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Literal, TypeAlias
 
-from maesn.envs.base import AnyEnv
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
 from maesn.envs.base import Start as Start
 from maesn.envs.foreign import AbstractGymnasiumEnv
 from maesn.envs.tasks import TaskSet
@@ -28,8 +27,7 @@ from maesn.worlds.scene import Scene as Scene
 from maesn.worlds.scene import arena as arena
 from maesn.worlds.scene import places as places
 from maesn.worlds.stepping import AbstractStepper as AbstractStepper
-from maesn.worlds.stepping import SimulatorStepper
-from maesn.worlds.stepping import open_simulator as open_simulator
+from maesn.worlds.stepping import DeviceStepper, NativeStepper
 
 
 def _host_world(env: AnyEnv, tasks: TaskSet, num_threads: int) -> AbstractWorld:
@@ -92,4 +90,7 @@ def open_stepper(env: AnyEnv, num_threads: int = 0) -> AbstractStepper:
     """
     if isinstance(env, AbstractGymnasiumEnv):
         return HostedStepper(env, num_threads)
-    return SimulatorStepper(partial(open_simulator, env, num_threads=num_threads))
+    if isinstance(env, AbstractMujocoEnv):
+        return NativeStepper(env, num_threads)
+    assert isinstance(env, AbstractPureEnv)
+    return DeviceStepper(env)

@@ -10,14 +10,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt8, UInt32
+from jaxtyping import Array, UInt8, UInt32
 
 from maesn.axes import HostReadings
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
-from maesn.worlds.stepping import AbstractStepper, Rows
+from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Rows
 
 logger = logging.getLogger(__name__)
 
@@ -60,11 +60,7 @@ class HostedStepper(AbstractStepper):
             seeds = np.asarray(start).tolist()
             return pool.begin([task for task in packed for _ in range(each)], seeds)
 
-    def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        ended: Bool[np.ndarray, " simulation"],
-    ) -> HostReadings:
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
         with self._naming() as pool:
             return pool.step(control)
 

@@ -5,23 +5,25 @@ outside. What differs between MuJoCo, JAX and environments of others is hidden h
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from maesn.axes import HostReadings
-from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
-from maesn.physics import AbstractSimulator, NativeSimulator, PhysicsError
-from maesn.physics.base import ModelFields
-from maesn.physics.base import Readings as SimulatorReadings
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, Start
+from maesn.physics import NativeSimulator, PhysicsError
 from maesn.worlds.base import SimulationFailure
 
-Rows = Int[np.ndarray, " row"]
+Rows: TypeAlias = Int[np.ndarray, " row"]
+Controls: TypeAlias = Float[np.ndarray, "simulation control"]
+Ended: TypeAlias = Bool[np.ndarray, " simulation"]
+
+_CLOSED = "there is no episode to be stepped: begin one, or make a new one"
 
 
 class AbstractStepper(ABC):
@@ -48,11 +50,7 @@ class AbstractStepper(ABC):
         """
 
     @abstractmethod
-    def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        ended: Bool[np.ndarray, " simulation"],
-    ) -> HostReadings:
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
         """Advance all simulations by one control step.
 
         Args:
@@ -79,30 +77,30 @@ class AbstractStepper(ABC):
         """Stop threads and processes; beginning again would start them anew."""
 
 
-class SimulatorStepper(AbstractStepper):
-    """Moves an environment of the library's own kinds.
+class NativeStepper(AbstractStepper):
+    """Moves an `AbstractMujocoEnv` on threads of the MuJoCo engine.
 
     Simulators are kept open, one for each number of simulations that has begun.
+
+    Args:
+        env: the environment, with its own model and settings.
+        num_threads: threads of the engine; 0 means one for each CPU.
     """
 
-    def __init__(self, open_one: Callable[[int], AbstractSimulator]) -> None:
-        self._open_one = open_one
-        self._simulators: dict[int, AbstractSimulator] = {}
-        self._current: AbstractSimulator | None = None
+    def __init__(self, env: AbstractMujocoEnv[Any], num_threads: int = 0) -> None:
+        self._env = env
+        self._num_threads = num_threads
+        self._simulators: dict[int, NativeSimulator] = {}
+        self._current: NativeSimulator | None = None
 
-    def begin(self, start: Any, tasks: Any, rows: Rows | None = None) -> HostReadings:
+    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
         if rows is None:
-            self._current = self._simulators.get(len(qpos)) or self._open_one(len(qpos))
-            self._simulators[len(qpos)] = self._current
+            self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
         with _naming():
             return self._open().reset(qpos, qvel, fields, rows)
 
-    def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        ended: Bool[np.ndarray, " simulation"],
-    ) -> HostReadings:
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
         with _naming():
             return self._open().step(control, abandoned=ended)
 
@@ -111,90 +109,64 @@ class SimulatorStepper(AbstractStepper):
             simulator.close()
         self._simulators, self._current = {}, None
 
-    def _open(self) -> AbstractSimulator:
+    def _new(self, num_simulations: int) -> NativeSimulator:
+        env = self._env
+        self._simulators[num_simulations] = NativeSimulator(
+            env.model,
+            num_simulations,
+            readings=env.readings,
+            frame_skip=env.frame_skip,
+            num_threads=self._num_threads,
+            nonfinite=env.nonfinite,
+        )
+        return self._simulators[num_simulations]
+
+    def _open(self) -> NativeSimulator:
         if self._current is None:
-            raise RuntimeError("there is no episode to be stepped: begin one, or make a new one")
+            raise RuntimeError(_CLOSED)
         return self._current
 
 
 @contextmanager
-def _naming() -> Any:
+def _naming() -> Iterator[None]:
     try:
         yield
     except PhysicsError as error:
         raise SimulationFailure(error.simulations[0], error.reason) from error
 
 
-def native_simulator(
-    env: AbstractMujocoEnv[Any], num_simulations: int, num_threads: int = 0
-) -> NativeSimulator:
-    """Return the MuJoCo engine with the environment's own model and settings."""
-    return NativeSimulator(
-        env.model,
-        num_simulations,
-        readings=env.readings,
-        frame_skip=env.frame_skip,
-        num_threads=num_threads,
-        nonfinite=env.nonfinite,
-    )
-
-
-class DeviceSimulator(AbstractSimulator):
+class DeviceStepper(AbstractStepper):
     """Moves an `AbstractPureEnv` step by step, in single precision as `DeviceWorld` does."""
 
-    def __init__(
-        self, env: AbstractPureEnv[Any], num_simulations: int, num_threads: int = 0
-    ) -> None:
+    def __init__(self, env: AbstractPureEnv[Any]) -> None:
         self._env = env
-        self._num_simulations = num_simulations
         self._state: dict[str, np.ndarray] = {}
 
-    @property
-    def num_simulations(self) -> int:
-        return self._num_simulations
-
-    def reset(
-        self,
-        qpos: Float[np.ndarray, "row qpos"],
-        qvel: Float[np.ndarray, "row qvel"],
-        model_fields: ModelFields | None = None,
-        simulations: Int[np.ndarray, " row"] | None = None,
-    ) -> SimulatorReadings:
-        """There is no model, so `model_fields` must be empty."""
-        if model_fields:
+    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
+        if start.model_fields:
             raise ValueError(
                 f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
-                f"got {', '.join(model_fields)}: move the dynamics into `advance`"
+                f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
             )
-        for name, rows in (("qpos", qpos), ("qvel", qvel)):
-            if simulations is None:
-                self._state[name] = np.array(rows, np.float32)
+        for name, values in (("qpos", start.qpos), ("qvel", start.qvel)):
+            if rows is None:
+                self._state[name] = np.array(values, np.float32)
             else:
-                self._state[name][simulations] = rows
-        return self._read()
+                self._state[name][rows] = values
+        return {name: value.copy() for name, value in self._state.items()}
 
-    def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        abandoned: Bool[np.ndarray, " simulation"] | None = None,
-    ) -> SimulatorReadings:
-        """JAX raises no errors of its own."""
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
         if not self._state:
-            raise RuntimeError("the simulator has no state: make a new one, or `reset` it")
-        bad = ~np.isfinite(control).all(axis=1)
-        if abandoned is not None:
-            bad &= ~abandoned
+            raise RuntimeError(_CLOSED)
+        bad = ~np.isfinite(control).all(axis=1) & ~ended
         if bad.any():
-            raise PhysicsError(np.flatnonzero(bad).tolist(), "the control is not finite")
+            raise SimulationFailure(int(np.argmax(bad)), "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
-        return self._read()
+        return {name: value.copy() for name, value in self._state.items()}
 
     def close(self) -> None:
         self._state = {}
-
-    def _read(self) -> SimulatorReadings:
-        return {name: value.astype(np.float64) for name, value in self._state.items()}
 
 
 @partial(jax.jit, static_argnums=0)
@@ -202,24 +174,3 @@ def _advance(
     env: AbstractPureEnv[Any], readings: dict[str, Array], control: Array
 ) -> dict[str, Array]:
     return jax.vmap(env.advance)(readings, control)
-
-
-def open_simulator(env: AnyEnv, num_simulations: int, num_threads: int = 0) -> AbstractSimulator:
-    """Return what moves states of an environment of the library's own kinds.
-
-    Args:
-        env: decides the engine: MuJoCo on the host, or JAX.
-        num_simulations: how many simulations move together.
-        num_threads: threads of the MuJoCo engine; 0 means one for each CPU.
-
-    Raises:
-        ValueError: the environment has no such states.
-    """
-    if isinstance(env, AbstractMujocoEnv):
-        return native_simulator(env, num_simulations, num_threads)
-    if isinstance(env, AbstractPureEnv):
-        return DeviceSimulator(env, num_simulations)
-    raise ValueError(
-        f"`env` must be an environment of MuJoCo or JAX, but `{env.name}` is moved by "
-        f"{env.engine}: step the environment that it was made from."
-    )
