@@ -1,6 +1,6 @@
 """What playing foreign environments costs beyond the environments themselves.
 
-    pip install -e '.[gym]' 'gymnasium[mujoco]'
+    pip install -e '.[gym]'
     PYTHONPATH=examples python benchmarks/foreign.py
 
 A collection is everything: policies, recording, rewards, and episodes as arrays. It is compared
