@@ -15,7 +15,7 @@ VERBS = ("train", "adapt", "report", "export")
 def test_its_commands_do_what_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert set(VERBS) == GUIDE.verbs
+    assert {*VERBS, "prior"} == GUIDE.verbs
     GUIDE.write(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

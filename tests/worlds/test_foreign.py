@@ -15,7 +15,7 @@ from strange_families import (
     settable,
     walkers,
 )
-from strangers import HORIZON, Chooser, Walker, draw_walks, make_walker
+from strangers import HORIZON, Chooser, Walker, draw_walks
 
 from maesn.context import Nothing
 from maesn.envs import TaskSet
@@ -143,16 +143,3 @@ def test_a_world_that_is_forgotten_ends_its_processes() -> None:
     assert all(map(is_running, processes))
     del world
     assert not any(map(is_running, processes))
-
-
-def test_a_family_that_is_made_of_a_function_without_a_name() -> None:
-    goal = np.float32([1, 1, 9, 0])
-    family = family_of(
-        lambda task, reward: make_walker(task if reward == "dense" else goal, reward)
-    )
-    start = TaskSet(np.float32([[0, 0, 9, 0]]))
-    dense = play(family.make_env(), start, [0], episodes=EPISODES, seed=SEED)
-    sparse = play(family.make_env(reward_kind="sparse"), start, [0], episodes=EPISODES, seed=SEED)
-    place = np.asarray(dense.observation)[0, :, 1:, -2:]
-    np.testing.assert_allclose(dense.reward[0], -np.linalg.norm(place, axis=-1), atol=1e-6)
-    np.testing.assert_allclose(sparse.reward[0], -np.linalg.norm(place - 1, axis=-1), atol=1e-6)

@@ -51,12 +51,12 @@ def test_what_is_wrong_with_an_observation_is_said(
 
 @pytest.mark.parametrize("space", [CHOICE, CHOICES, SWITCHES, PIXELS, PAIR, NAMED])
 def test_observations_are_flattened_as_gymnasium_does(space: spaces.Space[Any]) -> None:
-    read, _, size = flattener(space, "the observation")
+    read, _, names = flattener(space, "the observation")
     space.seed(0)
     for _ in range(20):
         value = space.sample()
         flat = read(value)
-        assert flat.shape == (size,)
+        assert flat.shape == (len(names),)
         np.testing.assert_array_equal(flat, spaces.flatten(space, value))
 
 
@@ -71,8 +71,15 @@ def test_observations_are_flattened_as_gymnasium_does(space: spaces.Space[Any]) 
     ],
 )
 def test_what_gymnasium_finds_too_strict_is_right_as_well(space: Any, value: Any) -> None:
-    read, _, size = flattener(space, "the observation")
-    assert read(value).shape == (size,)
+    read, _, names = flattener(space, "the observation")
+    assert read(value).shape == (len(names),)
+
+
+def test_components_have_names_in_their_order() -> None:
+    space = spaces.Dict({"place": spaces.Box(-1, 1, (2,)), "gear": CHOICE})
+    *names, last = flattener(space, "the observation")[2]
+    assert names == [*(f"observation['gear'][{i}]" for i in range(3)), "observation['place'][0]"]
+    assert last == "observation['place'][1]"
 
 
 class Constant(gymnasium.Env[Any, Any]):

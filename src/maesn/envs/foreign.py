@@ -120,6 +120,10 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         """Return the environment's reward as it is: far from the goal it may depend on the task."""
         return self.reward(readings, action, next_readings, task).total
 
+    def observation_names(self) -> tuple[str, ...]:
+        """Return names of the components of an observation: the parts of the space, in order."""
+        return self.interface.observation_names
+
     def situation(self, task: Any) -> Any:
         """Return what of a task an episode depends on, as the family says."""
         return task if self.recipe.situation is None else self.recipe.situation(task)

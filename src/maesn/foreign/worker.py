@@ -9,6 +9,7 @@ It ends when its connection is closed; if an environment hangs then, `maesn.fore
 
 import contextlib
 import copy
+import inspect
 import json
 import mmap
 import os
@@ -41,6 +42,9 @@ _SUCCESS = ("is_success", "success")
 _LONGEST = 1000
 # Calls that are shown at each end of a traceback.
 _CALLS = 6
+
+
+Flattener = tuple[Callable[[Any], np.ndarray], str, list[str]]
 
 
 class HostedError(Exception):
@@ -167,7 +171,9 @@ class HostedEnvironment:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                checker.check_env(env, skip_render_check=True, skip_close_check=True)
+                known = inspect.signature(checker.check_env).parameters  # differs by version
+                left_out = known.keys() & {"skip_render_check", "skip_close_check"}
+                checker.check_env(env, **dict.fromkeys(left_out, True))
         except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
             return described(error)
         return None
@@ -238,7 +244,7 @@ class HostedEnvironment:
         ends = _truth("terminated", terminated), _truth("truncated", truncated)
         self._ended = any(ends)
         with np.errstate(over="ignore"):  # the pool refuses what is infinite in single precision
-            self._last = np.array([*vector, gain, *ends, _solved(info)], np.float32)
+            self._last = np.concatenate([vector, (gain, *ends, _solved(info))]).astype(np.float32)
         return self._last
 
 
@@ -293,7 +299,7 @@ def _action(space: Any, control: np.ndarray) -> Any:
     return np.minimum(np.maximum(action, space.low), space.high)
 
 
-def flattener(space: Any, where: str) -> tuple[Callable[[Any], np.ndarray], str, int]:
+def flattener(space: Any, where: str) -> Flattener:
     """Return a function that checks and flattens observations, in the order of Gymnasium's own.
 
     Gymnasium's `contains` asks for exact types and bounds, which environments often miss by little;
@@ -304,8 +310,8 @@ def flattener(space: Any, where: str) -> tuple[Callable[[Any], np.ndarray], str,
         where: the name of the observation in messages.
 
     Returns:
-        The function; a text that is equal for spaces whose elements flatten alike; and the number
-        of components.
+        The function; a text that is equal for spaces whose elements flatten alike; and a name for
+        each component.
     """
     kind = _kind(space)
     if kind in ("Dict", "Tuple"):
@@ -316,7 +322,7 @@ def flattener(space: Any, where: str) -> tuple[Callable[[Any], np.ndarray], str,
     if kind in ("Box", "MultiBinary"):
         high = integer.max if kind == "Box" else 1
         read = partial(_numbers, space, low, high, where)
-        return read, f"{kind}{list(space.shape)}", int(np.prod(space.shape))
+        return read, f"{kind}{list(space.shape)}", _names(where, int(np.prod(space.shape)))
     if kind in counts:
         count = np.asarray(counts[kind], np.int64)
         low = np.asarray(low, np.int64)
@@ -326,14 +332,14 @@ def flattener(space: Any, where: str) -> tuple[Callable[[Any], np.ndarray], str,
             pairs = zip(count.ravel(), chosen, strict=True)
             return np.concatenate([np.arange(size) == choice for size, choice in pairs])
 
-        return one_hot, str(space), int(count.sum())
+        return one_hot, str(space), _names(where, int(count.sum()))
     raise HostedError(
         "the observation space must flatten to a vector of fixed length, as `Box`, "
         f"`Discrete`, and `Dict` and `Tuple` of them do, got {space}."
     )
 
 
-def _of_parts(space: Any, named: bool, where: str) -> tuple[Callable[[Any], np.ndarray], str, int]:
+def _of_parts(space: Any, named: bool, where: str) -> Flattener:
     items = space.spaces.items() if named else enumerate(space.spaces)
     parts = {name: flattener(part, f"{where}[{name!r}]") for name, part in items}
     what = f"{'dictionary' if named else 'tuple'} of {', '.join(map(str, parts))}"
@@ -344,8 +350,13 @@ def _of_parts(space: Any, named: bool, where: str) -> tuple[Callable[[Any], np.n
             raise HostedError(f"{where} must be a {what}, got {value!r}")
         return np.concatenate([part[0](value[name]) for name, part in parts.items()])
 
+    names = [name for part in parts.values() for name in part[2]]
     inside = ", ".join(f"{name}: {part[1]}" for name, part in parts.items())
-    return read, f"{_kind(space)}({inside})", sum(part[2] for part in parts.values())
+    return read, f"{_kind(space)}({inside})", names
+
+
+def _names(where: str, size: int) -> list[str]:
+    return [f"{where.removeprefix('the ')}[{index}]" for index in range(size)]
 
 
 def _numbers(space: Any, low: Any, high: Any, where: str, value: Any) -> np.ndarray:

@@ -208,7 +208,7 @@ class Stepper:
     def _refuse(self, what: str, sound: Bool[np.ndarray, " episode"]) -> None:
         if not sound.all():
             row = int(np.argmin(sound))
-            raise self._error(SimulationFailure(row, f"the {what} is not finite"))
+            raise self._error(SimulationFailure(row, 0, f"the {what} is not finite"))
 
     def _error(self, failure: SimulationFailure) -> EpisodeError:
         row = failure.simulation

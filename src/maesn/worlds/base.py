@@ -103,7 +103,7 @@ class EnvContractError(ValueError):
 class SimulationFailure(RuntimeError):
     """Some simulations of a batch failed at one step; the collector names their episodes."""
 
-    def __init__(self, simulation: int, reason: str, step: int = 0) -> None:
+    def __init__(self, simulation: int, step: int, reason: str) -> None:
         super().__init__(f"simulation {simulation}, step {step}: {reason}")
         self.simulation = simulation
         self.step = step

@@ -87,7 +87,7 @@ class HostedStepper(AbstractStepper):
         try:
             yield self._pool
         except WorkerError as error:
-            raise SimulationFailure(error.simulation, error.reason) from error
+            raise SimulationFailure(error.simulation, 0, error.reason) from error
 
 
 def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:

@@ -60,7 +60,7 @@ class HostWorld(AbstractWorld):
         except SimulationFailure as failure:
             self.close()
             step = 0 if record is None else record.length
-            raise SimulationFailure(failure.simulation, failure.reason, step) from failure
+            raise SimulationFailure(failure.simulation, step, failure.reason) from failure
         except BaseException:
             self.close()
             raise

@@ -65,7 +65,7 @@ class MjxWorld(AbstractWorld):
         try:
             dynamics = self._engine.dynamics(fields)
         except PhysicsError as error:
-            raise SimulationFailure(error.simulations[0], error.reason) from error
+            raise SimulationFailure(error.simulations[0], 0, error.reason) from error
         return self._initial(start.qpos, start.qvel, dynamics)
 
 
@@ -103,7 +103,7 @@ def _refuse(failed: np.ndarray, step: np.ndarray, simulation: np.ndarray) -> Non
     if failed:
         raise SimulationFailure(
             int(simulation),
+            int(step),
             f"control and state must stay finite and below {LARGEST:.0e} in size, and do not: "
             "shorten the model's time step, or bound what drives it",
-            int(step),
         )

@@ -132,7 +132,7 @@ def _naming() -> Iterator[None]:
     try:
         yield
     except PhysicsError as error:
-        raise SimulationFailure(error.simulations[0], error.reason) from error
+        raise SimulationFailure(error.simulations[0], 0, error.reason) from error
 
 
 class DeviceStepper(AbstractStepper):
@@ -160,7 +160,7 @@ class DeviceStepper(AbstractStepper):
             raise RuntimeError(_CLOSED)
         bad = ~np.isfinite(control).all(axis=1) & ~ended
         if bad.any():
-            raise SimulationFailure(int(np.argmax(bad)), "the control is not finite")
+            raise SimulationFailure(int(np.argmax(bad)), 0, "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
         return {name: value.copy() for name, value in self._state.items()}
