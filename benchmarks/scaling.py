@@ -119,7 +119,7 @@ def measure(settings: MetaIteration) -> Times:
         collecting.append(collect.seconds)
     world.close()
     flat = ravel_pytree(state.parameters)[0]
-    cg_steps = learner.trust_region.cg_steps
+    cg_steps = learner.outer.trust_region.cg_steps
     return Times(whole[1:], collecting[1:], _time_of_sum(flat), flat.size, cg_steps)
 
 

@@ -15,7 +15,7 @@ def test_train_shows_settings_without_a_method(
     with contextlib.suppress(SystemExit):
         cli.run(["train", "--help"])
     shown = capsys.readouterr().out
-    for option in ("--iterations", "--episodes-per-task", "--trust-region.max-kl"):
+    for option in ("--iterations", "--episodes-per-task", "--outer.trust-region.max-kl"):
         assert option in shown
 
 

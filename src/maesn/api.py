@@ -86,7 +86,7 @@ def resume(
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
-            trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record of it.
+            outer.trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record.
         keep: Latest checkpoints that stay, beside the first; 0: all of them.
         sharing: several devices or processes that go on with it together.
 

@@ -9,7 +9,7 @@ LARGEST_COUNT = 2**31 - 1  # of JAX's integers
 
 
 def leaves(settings: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Return the values in nested settings by their path, as in `trust_region.damping`."""
+    """Return the values in nested settings by their path, as in `outer.trust_region.damping`."""
     found: dict[str, Any] = {}
     for name, value in settings.items():
         inner = isinstance(value, Mapping)

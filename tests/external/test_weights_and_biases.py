@@ -26,4 +26,4 @@ def test_the_recipe_sends_every_number(tmp_path: Path) -> None:
     assert len(rows) == 3
     for row in rows:
         assert str(row["return_after"]).encode() in written
-        assert str(row["trust_region/gradient_norm"]).encode() in written
+        assert str(row["outer/gradient_norm"]).encode() in written

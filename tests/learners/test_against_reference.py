@@ -151,7 +151,7 @@ def test_outer_step(case: str) -> None:
     updated = eqx.filter_jit(objective.updated)(old)
     after, info = learner._improve(state, objective, updated, jax.random.key(0))
     expected = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
-    step = info.trust_region
+    step = info.outer
     assert expected.accepted
     assert step.accepted
     assert step.backtracks == expected.backtracks

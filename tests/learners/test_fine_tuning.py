@@ -24,6 +24,7 @@ from maesn.learners import (
     maml,
     rl2,
 )
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AnnealedGaussianMLP, GaussianMLP, Recurrent
@@ -122,7 +123,11 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
     recurrent = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 40)))
     with pytest.raises(ValueError, match="`learner` must not be recurrent, got RecurrentFastLea"):
         FineTuning(recurrent, IMPROVEMENTS["trpo"], after=3)
-    settings = {"policy": Recurrent(hidden_size=4), "curvature_stride": 1, "meta_batch_size": 2}
+    settings = {
+        "policy": Recurrent(hidden_size=4),
+        "outer": TrustRegionOuterStep(curvature_stride=1),
+        "meta_batch_size": 2,
+    }
     remembers = maesn(**settings)
     gradient = remembers.fast_learner(remembers.init(jax.random.key(0), Problem(2, 2, TASKS)))
     for learner in (gradient, BonusFastLearner(gradient, CuriosityBonus(), 2, 2)):

@@ -45,9 +45,9 @@ def test_garbage_after_the_end_of_episodes_changes_no_bit(garbage: float) -> Non
     """Loss, gradient, KL and step, and so everything that is learned from."""
     clean, clean_info = step(PreparedCollect(problem()), parameters())
     dirty, dirty_info = step(PreparedCollect(problem(), garbage), parameters())
-    assert clean_info.trust_region.accepted
+    assert clean_info.outer.accepted
     assert bits(dirty) == bits(clean)
-    assert bits(dirty_info.trust_region) == bits(clean_info.trust_region)
+    assert bits(dirty_info.outer) == bits(clean_info.outer)
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(GradientInfo)])
@@ -88,7 +88,7 @@ def test_a_task_that_is_not_finite_is_counted_and_the_step_rejected(
     setattr(collect, where, value)
     before = parameters()
     after, info = step(collect, before)
-    assert not info.trust_region.accepted
+    assert not info.outer.accepted
     assert info.nonfinite_tasks == 1
     assert bits(after.parameters) == bits(before)
     assert after.iteration == 1
@@ -96,7 +96,7 @@ def test_a_task_that_is_not_finite_is_counted_and_the_step_rejected(
 
 def test_a_healthy_step_counts_no_task() -> None:
     _, info = step(Spoiled(problem()), parameters())
-    assert info.trust_region.accepted
+    assert info.outer.accepted
     assert info.nonfinite_tasks == 0
 
 
@@ -106,10 +106,10 @@ def test_a_step_outside_the_trust_region_is_rejected() -> None:
     noise = 0.1 * np.random.default_rng(1).normal(size=flat.shape)
     elsewhere = to_library(unflatten(flat + noise, problem().parameters))
     after, info = step(PreparedCollect(problem()), elsewhere)
-    assert not info.trust_region.accepted
+    assert not info.outer.accepted
     assert info.nonfinite_tasks == 0
-    assert info.trust_region.loss_after == info.trust_region.loss_before
-    assert info.trust_region.kl == 0.0
+    assert info.outer.loss_after == info.outer.loss_before
+    assert info.outer.kl == 0.0
     assert [float(share) for share in jax.tree.leaves(info.shares)] == [0.0, 0.0, 0.0]
     assert bits(after.parameters) == bits(elsewhere)
 

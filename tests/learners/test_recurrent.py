@@ -30,6 +30,7 @@ from maesn.learners import (
     method_name,
     rl2,
 )
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
@@ -221,8 +222,8 @@ def test_too_few_tasks_are_refused() -> None:
 
 def test_thinned_curvature_is_refused_for_recurrent_policies() -> None:
     slots = maesn()
-    with pytest.raises(ValueError, match="`curvature_stride` is 20, but a recurrent policy"):
+    with pytest.raises(ValueError, match="curvature_stride` is 20, but a recurrent policy"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent())
-    strides = {"curvature_stride": 1, "hessian_stride": 4}
-    with pytest.raises(ValueError, match="`hessian_stride` is 4, but a recurrent policy"):
+    strides = {"outer": TrustRegionOuterStep(curvature_stride=1, hessian_stride=4)}
+    with pytest.raises(ValueError, match="hessian_stride` is 4, but a recurrent policy"):
         GradientMetaLearner(slots.context, slots.adaptation, Recurrent(), **strides)

@@ -14,6 +14,7 @@ from maesn.envs import HiddenSide, TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS, Problem
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
@@ -30,11 +31,11 @@ def make_collect() -> Collector:
 # At first the noise of the actions hides what z does to them.
 NOISY = {
     "policy": GaussianMLP((), initial_std=3.0),
-    "trust_region": TrustRegion(max_kl=0.03, damping=1e-2),
+    "outer": TrustRegionOuterStep(TrustRegion(max_kl=0.03, damping=1e-2), curvature_stride=1),
 }
 SLOTS: dict[str, dict[str, Any]] = {
     "maesn": NOISY | {"context": LatentContext(initial_spread=0.0)},
-    "maml": {"policy": GaussianMLP(()), "hessian_stride": 1},
+    "maml": {"policy": GaussianMLP(()), "outer": TrustRegionOuterStep(curvature_stride=1)},
     # Trained without an inner update, its latents need more than one update in a new task.
     "latent_space": NOISY | {"context": LatentContext(initial_spread=0.0, kl_weight=0.01)},
 }
@@ -44,7 +45,6 @@ def assert_updates_raise_the_return_after_meta_training_alone(method: str, updat
     collect = make_collect()
     learner = PRESETS[method](
         meta_batch_size=TASKS,
-        curvature_stride=1,
         **SLOTS[method],
     )
     trained = untrained = learner.init(jax.random.key(0), Problem(1, 1, TASKS))

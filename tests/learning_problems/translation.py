@@ -16,6 +16,7 @@ from maesn.inner.adaptation import Adaptation, InnerStep, StepSizes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
 from maesn.learners import GradientMetaLearner
 from maesn.learners.gradient.objective import Experience, MetaObjective, MetaParameters
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.networks.mlp import MLP, Linear
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP
@@ -38,8 +39,7 @@ def learner_for(problem: Problem, **settings: object) -> GradientMetaLearner:
             "advantage": AdvantageEstimator(**asdict(problem.advantage)),
             "meta_batch_size": META_BATCH,
             "inner_updates": len(problem.tasks[0].pre),
-            "trust_region": TrustRegion(**asdict(TrustRegionSettings())),
-            "curvature_stride": 1,
+            "outer": TrustRegionOuterStep(TrustRegion(**asdict(TrustRegionSettings())), 1),
             **settings,
         }
     )

@@ -112,8 +112,8 @@ def test_the_ratio_of_the_outer_step_starts_at_one() -> None:
     # Only if the loss sees observations as the episodes' policies did, their KL is 0 at first.
     state, collect = trained(1)
     info = LEARNER.step(jax.random.key(5), state, collect)[1]
-    assert 0 < float(info.trust_region.kl) < 0.02
-    assert bool(info.trust_region.accepted)
+    assert 0 < float(info.outer.kl) < 0.02
+    assert bool(info.outer.accepted)
 
 
 def test_in_a_new_task_the_statistics_are_frozen() -> None:

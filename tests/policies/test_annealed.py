@@ -9,6 +9,7 @@ import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 
 from maesn.learners import GradientState, Problem, RecurrentMetaLearner, maesn
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP
 
 TASKS = 4
@@ -38,7 +39,9 @@ def test_there_is_none_before() -> None:
 
 
 def one_step(policy: AnnealedGaussianMLP | GaussianMLP, iteration: int) -> GradientState:
-    learner = maesn(policy=policy, meta_batch_size=TASKS, curvature_stride=2)
+    learner = maesn(
+        policy=policy, meta_batch_size=TASKS, outer=TrustRegionOuterStep(curvature_stride=2)
+    )
     state = learner.init(jax.random.key(1), Problem(OBSERVATION, ACTION, TASKS))
     state = GradientState(state.parameters, jnp.asarray(iteration))
     return learner.step(jax.random.key(2), state, AnalyticCollect(TASKS))[0]

@@ -65,12 +65,12 @@ def test_the_world_changes_with_its_settings(tmp_path: Path) -> None:
         ({"policy.hidden_sizes": [4]}, "policy.hidden_sizes"),
         ({"context": {"type": "NoContext"}}, "context"),
         ({"context.type": "NoContext"}, "context.type"),
-        ({"damping": 0.1}, "trust_region.damping"),  # the whole name of what may be meant
+        ({"damping": 0.1}, "outer.trust_region.damping"),  # the whole name of what may be meant
         ({"seed": "5"}, "seed"),
         ({"seed": -1}, "seed"),
         ({"sparse_radius": None}, "sparse_radius"),
         ({"engine": "mjx"}, "engine"),
-        ({"trust_region.damping": -1.0}, "damping"),
+        ({"outer.trust_region.damping": -1.0}, "damping"),
         ({"meta_batch_size": 500}, "meta_batch_size"),
     ],
 )
@@ -84,14 +84,14 @@ def test_what_cannot_change_is_refused(
 
 
 def test_changes_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["num_threads=2", "trust-region.damping=0.1", "reward=sparse"]
-    wanted = {"num_threads": 2, "trust_region.damping": 0.1, "reward": "sparse"}
+    words = ["num_threads=2", "outer.trust-region.damping=0.1", "reward=sparse"]
+    wanted = {"num_threads": 2, "outer.trust_region.damping": 0.1, "reward": "sparse"}
     assert values_of_words(words) == wanted
     run = create_tiny(tmp_path / "run", iterations=0)
     assert cli.run(["resume", str(run.directory), "--change", *words]) == 0
     opened = reopened(run)
     assert opened.settings.num_threads == 2
-    assert opened.learner.trust_region.damping == 0.1
+    assert opened.learner.outer.trust_region.damping == 0.1
     assert opened.config.changes[0].changed == wanted
     for word in ("reward", "=3", "reward=a reward=b"):
         with pytest.raises(ValueError, match="NAME=VALUE"):

@@ -44,7 +44,7 @@ def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
     )
     (line,) = metrics(finish(run))
     assert all(math.isfinite(value) for value in line.values())
-    assert line["trust_region/accepted"] == 1
+    assert line["outer/accepted"] == 1
     assert line["return_before"] < -50  # 200 steps at about 2 m from the goal
 
     tasks = tmp_path / "tasks.npz"

@@ -9,6 +9,7 @@ import pytest
 from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners import PRESETS, AbstractMetaLearner, maesn
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.runs.config import RunSettings
@@ -24,7 +25,9 @@ OTHERS = {
     "sizes": maesn(policy=GaussianMLP(hidden_sizes=(), initial_std=0.5)),
     "bias": maesn(context=BiasContext(size=0)),
     "pathwise": maesn(context=LatentContext(gradient="reparameterized", kl_weight=1e-30)),
-    "thirds": maesn(trust_region=TrustRegion(max_kl=1 / 3), schedule=StepSchedule(5, 0.1)),
+    "thirds": maesn(
+        outer=TrustRegionOuterStep(TrustRegion(max_kl=1 / 3)), schedule=StepSchedule(5, 0.1)
+    ),
 }
 LEARNERS = {name: preset() for name, preset in PRESETS.items()} | OTHERS
 

@@ -80,7 +80,7 @@ def test_the_real_learner_reports_what_it_does(tmp_path: Path) -> None:
     )
     seen = events(run)
     assert set(seen) >= {"steps_per_second", "shares/policy", "step_sizes/context/log_std"}
-    for name in ("return_after", "trust_region/kl"):
+    for name in ("return_after", "outer/kl"):
         wanted = [(p.environment_steps, pytest.approx(p.info[name])) for p in (first, second)]
         assert seen[name] == wanted
     assert seen["steps_per_second"][1][1] == pytest.approx(second.steps_per_second)

@@ -18,7 +18,7 @@ from maesn.storage import RunError, read_json_lines
 
 SETTINGS = [
     *("--family", "point", "--meta-batch-size", "8", "--episodes-per-task", "5"),
-    *("--num-threads", "1", "--checkpoint-every", "2", "--trust-region.cg-steps", "5"),
+    *("--num-threads", "1", "--checkpoint-every", "2", "--outer.trust-region.cg-steps", "5"),
 ]
 
 

@@ -51,10 +51,26 @@ def outer_loss(
         episodes: one task's episodes, played by the adapted agent.
         advantages: advantages of those episodes.
     """
-    actions = _actions(episodes)
-    old_log_prob = episodes.behaviour.log_prob(actions)
-    log_ratio = jnp.where(episodes.valid, new.log_prob(actions) - old_log_prob, 0.0)
-    return -masked_mean(jnp.exp(log_ratio) * advantages.step, episodes.valid)
+    return -masked_mean(_ratio(new, episodes) * advantages.step, episodes.valid)
+
+
+def clipped_loss(
+    new: AbstractDistribution, episodes: Episodes, advantages: Advantages, clip: float
+) -> Float[Array, ""]:
+    """The same with clipped probability ratios r (PPO, Schulman et al. 2017, equation 7).
+
+        L = -mean_{e,t}[ min(r A_t, clip(r, 1 - clip, 1 + clip) A_t) ]
+
+    Args:
+        new: as in `outer_loss`.
+        episodes: as in `outer_loss`.
+        advantages: as in `outer_loss`.
+        clip: how far a ratio may be from 1 and still count.
+    """
+    ratio = _ratio(new, episodes)
+    bounded = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
+    gain = jnp.minimum(ratio * advantages.step, bounded * advantages.step)
+    return -masked_mean(gain, episodes.valid)
 
 
 def post_distributions(agent: Agent, episodes: Episodes) -> AbstractDistribution:
@@ -80,6 +96,13 @@ def action_distributions(
     trial = episodes.trial_start
     state = None if trial is None else trial.recurrent_state
     return agent.policy.unroll(inputs, episodes.valid, drawn, state)[0]
+
+
+def _ratio(new: AbstractDistribution, episodes: Episodes) -> Float[Array, "episode time"]:
+    """Return the probability of each action over the one it was drawn with; 1 where invalid."""
+    actions = _actions(episodes)
+    old_log_prob = episodes.behaviour.log_prob(actions)
+    return jnp.exp(jnp.where(episodes.valid, new.log_prob(actions) - old_log_prob, 0.0))
 
 
 def _actions(episodes: Episodes) -> Float[Array, "episode time action"]:

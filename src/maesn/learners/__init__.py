@@ -11,11 +11,15 @@ from maesn.learners.gradient.fast_learner import GradientFastState as GradientFa
 from maesn.learners.gradient.info import GradientInfo as GradientInfo
 from maesn.learners.gradient.meta_learner import GradientMetaLearner as GradientMetaLearner
 from maesn.learners.gradient.meta_learner import GradientState as GradientState
+from maesn.learners.gradient.objective import MetaObjective as MetaObjective
+from maesn.learners.gradient.objective import MetaParameters as MetaParameters
+from maesn.learners.gradient.outer import AbstractOuterStep as AbstractOuterStep
+from maesn.learners.gradient.outer import FirstOrderOuterStep as FirstOrderOuterStep
+from maesn.learners.gradient.outer import ProximalOuterStep as ProximalOuterStep
+from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOuterStep
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.policy_steps import ProximalStep as ProximalStep
 from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
-from maesn.learners.presets import BONUS_SUFFIX as BONUS_SUFFIX
-from maesn.learners.presets import METHODS as METHODS
 from maesn.learners.presets import PRESETS as PRESETS
 from maesn.learners.presets import fine_tuned as fine_tuned
 from maesn.learners.presets import latent_space as latent_space
@@ -54,4 +58,3 @@ from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
-from maesn.learners.wrappers.meta_bonus import BonusMetaLearner as BonusMetaLearner

@@ -11,13 +11,13 @@ from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
 from maesn.learners.scratch.policy_gradient import PolicyImprovement
 from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import FineTuning
-from maesn.learners.wrappers.meta_bonus import BonusMetaLearner
 from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
@@ -53,7 +53,7 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
         settings,
         context=LatentContext(),
         adaptation=staged_adaptation(first_iteration=150),
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -70,7 +70,7 @@ def maml(**settings: Any) -> GradientMetaLearner:
         settings,
         context=NoContext(),
         adaptation=adaptation,
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -85,7 +85,7 @@ def maml_bias(**settings: Any) -> GradientMetaLearner:
         settings,
         context=BiasContext(),
         adaptation=adaptation,
-        hessian_stride=HESSIAN_STRIDE,
+        outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
 
 
@@ -100,8 +100,9 @@ def maml_bias_only(**settings: Any) -> GradientMetaLearner:
         settings,
         context=BiasContext(),
         adaptation=adaptation,
-        hessian_stride=BIAS_HESSIAN_STRIDE,
-        trust_region=TrustRegion(cg_steps=BIAS_CG_STEPS),
+        outer=TrustRegionOuterStep(
+            TrustRegion(cg_steps=BIAS_CG_STEPS), hessian_stride=BIAS_HESSIAN_STRIDE
+        ),
     )
 
 
@@ -120,7 +121,7 @@ def latent_space(**settings: Any) -> GradientMetaLearner:
         schedule=StepSchedule(full_steps=3),
         inner_updates=0,
         outer_batches=2,
-        curvature_stride=40,
+        outer=TrustRegionOuterStep(curvature_stride=40),
     )
 
 
@@ -137,7 +138,7 @@ def oracle(**settings: Any) -> GradientMetaLearner:
         adaptation=Adaptation(),
         inner_updates=0,
         outer_batches=2,
-        curvature_stride=40,
+        outer=TrustRegionOuterStep(curvature_stride=40),
     )
 
 
@@ -193,18 +194,7 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
 }
 
 
-def _with_bonus(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
-    return lambda **settings: BonusMetaLearner(preset(**settings))
-
-
-BONUS_SUFFIX = "+curiosity"
-"""Suffix of the name of a method with a curiosity bonus."""
-
-METHODS = PRESETS | {name + BONUS_SUFFIX: _with_bonus(preset) for name, preset in PRESETS.items()}
-"""Every preset, without and with a curiosity bonus."""
-
-
 def method_name(learner: AbstractMetaLearner[Any, Any]) -> str:
     """Return the name of the preset whose slots a learner fills, or that of its class."""
-    names = [name for name, preset in METHODS.items() if preset().slots() == learner.slots()]
+    names = [name for name, preset in PRESETS.items() if preset().slots() == learner.slots()]
     return names[0] if names else type(learner).__name__

@@ -47,7 +47,7 @@ class NotNamedError(RunError):
 
 
 # Version of the layout of run directories. It grows when an older reader would misunderstand.
-SCHEMA = 2
+SCHEMA = 3
 
 CONFIG = "config.json"
 

@@ -30,7 +30,7 @@ class Progress(NamedTuple):
     seconds: float  # wall time of the iteration
     steps_per_second: float  # control steps per second
     devices: int  # that shared the tasks
-    info: dict[str, float]  # what the learner reports: `return_after`, `trust_region/kl`, ...
+    info: dict[str, float]  # what the learner reports: `return_after`, `outer/kl`, ...
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""

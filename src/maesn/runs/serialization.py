@@ -108,7 +108,7 @@ def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
 
 
 def values_of_words(words: Iterable[str]) -> dict[str, Any]:
-    """Return what words as `trust_region.damping=0.1` say: path -> value."""
+    """Return what words as `outer.trust_region.damping=0.1` say: path -> value."""
     values: dict[str, Any] = {}
     for word in words:
         path, equals, text = word.partition("=")

@@ -224,7 +224,7 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     """Change settings of a run from its latest checkpoint on, write that down, and return the run.
 
     Names are those in `CHANGEABLE`, and those of the learner's settings, such as
-    `trust_region.damping`. Where a name or a value cannot be used nothing is written.
+    `outer.trust_region.damping`. Where a name or a value cannot be used nothing is written.
     """
     own = {name: value for name, value in changes.items() if name in CHANGEABLE}
     with refusals("the change cannot be made: "):
@@ -260,5 +260,6 @@ def _cannot_change(name: str) -> RunError:
     return RunError(
         f"`{name}` cannot change in a run that has begun. What can: {', '.join(CHANGEABLE)}, and "
         "those settings of the learner that leave its arrays as they are, such as "
-        "`trust_region.damping`. For anything else start a new run (`maesn train --init-from`)."
+        "`outer.trust_region.damping`. "
+        "For anything else start a new run (`maesn train --init-from`)."
     )

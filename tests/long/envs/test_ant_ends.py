@@ -10,6 +10,7 @@ from playing import assert_same
 
 from maesn.experience.episodes import Episodes
 from maesn.learners import Problem
+from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.presets import maesn
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
@@ -48,7 +49,9 @@ class Replacing:
 def test_maesn_learns_from_the_ants_that_live() -> None:
     env = Bursting(horizon=HORIZON)
     # Every step counts for the curvature: of an episode that dies at once there is only the first.
-    learner = maesn(meta_batch_size=2, policy=GaussianMLP((8,)), curvature_stride=1)
+    learner = maesn(
+        meta_batch_size=2, policy=GaussianMLP((8,)), outer=TrustRegionOuterStep(curvature_stride=1)
+    )
     state = learner.init(
         jax.random.key(0), Problem(env.observation_size, env.action_size, len(TASKS))
     )
@@ -60,4 +63,4 @@ def test_maesn_learns_from_the_ants_that_live() -> None:
         replaced = Replacing(collect, garbage)
         assert_same(learner.step(jax.random.key(1), state, replaced), (after, info))
         assert replaced.dead > 0
-    assert info.trust_region.accepted
+    assert info.outer.accepted

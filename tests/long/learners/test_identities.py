@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("x64")
 def settings_of(problem: Problem) -> dict[str, Any]:
     """What all methods have in common here."""
     learner = learner_for(problem)
-    names = ("policy", "trust_region", "meta_batch_size", "curvature_stride")
+    names = ("policy", "outer", "meta_batch_size")
     return {name: getattr(learner, name) for name in names}
 
 
@@ -59,8 +59,8 @@ def assert_close(actual: Any, expected: Any, atol: float = 1e-8) -> None:
 
 def assert_same_step(actual: GradientInfo, expected: GradientInfo) -> None:
     """Loss, gradient, KL and number of candidates agree, and something was learned."""
-    assert expected.trust_region.accepted
-    assert_close(actual.trust_region, expected.trust_region)
+    assert expected.outer.accepted
+    assert_close(actual.outer, expected.outer)
     assert_close(actual.penalty, expected.penalty)
 
 
@@ -93,7 +93,7 @@ def test_maesn_theta_before_its_stage_is_maesn() -> None:
     staged, other = maesn_theta(), maesn()
     assert staged.adaptation.at(149) == other.adaptation
     assert staged.adaptation.at(150) != other.adaptation
-    same = {"adaptation": other.adaptation, "hessian_stride": other.hessian_stride}
+    same = {"adaptation": other.adaptation, "outer": other.outer}
     assert replace(staged, **same) == other
 
 

@@ -11,7 +11,6 @@ from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSizes
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
 from maesn.numerics import mesh
-from maesn.numerics.trust_region import TrustRegionInfo
 
 
 class GroupShares(eqx.Module):
@@ -39,7 +38,8 @@ class GradientInfo(eqx.Module):
     """Mean penalty of the pre-update contexts (weighted KL to the prior)."""
     action_std: Float[Array, ""]
     """Mean standard deviation of the actions after adaptation."""
-    trust_region: TrustRegionInfo
+    outer: Any
+    """What the outer step tells."""
     shares: GroupShares
     step_sizes: StepSizes
     """Mean of the learned step sizes of every array of parameters."""
@@ -50,7 +50,7 @@ class GradientInfo(eqx.Module):
 
 
 def describe_step(
-    objective: MetaObjective, old: MetaParameters, new: MetaParameters, step: TrustRegionInfo
+    objective: MetaObjective, old: MetaParameters, new: MetaParameters, step: Any
 ) -> GradientInfo:
     """Return the scalars that describe one outer step from `old` to `new`."""
     first = objective.pre[0][0] if objective.pre else objective.post
@@ -61,7 +61,7 @@ def describe_step(
         success_after=mesh.mean((objective.post.solved & objective.post.valid).any(-1).mean()),
         penalty=mesh.mean(objective.penalties(old).mean()),
         action_std=_mean_std(objective.post),
-        trust_region=step,
+        outer=step,
         shares=_group_shares(old, new),
         step_sizes=jax.tree.map(lambda x: x.mean() if x.size else jnp.zeros(()), new.step_sizes),
         nonfinite_tasks=count,

@@ -11,16 +11,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Int
 
 from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
 from maesn.experience.agent import Agent, Agents
-from maesn.experience.episodes import Collect, Episodes, Thinning, concatenate
+from maesn.experience.episodes import Collect, Episodes, concatenate
 from maesn.inner.adaptation import Adaptation, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.base import AbstractMetaLearner, Capabilities, Problem
-from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
 from maesn.learners.gradient.inner_update import adapt, estimate
@@ -30,14 +29,12 @@ from maesn.learners.gradient.objective import (
     MetaParameters,
     start_agents,
 )
+from maesn.learners.gradient.outer import AbstractOuterStep, TrustRegionOuterStep
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
-from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import check_number
-
-_STRIDES = ("curvature_stride", "hessian_stride")
 
 
 class GradientState(eqx.Module):
@@ -47,10 +44,12 @@ class GradientState(eqx.Module):
     iteration: Int[Array, ""]
     statistics: ObservationStatistics | None = None
     """Statistics of all observations so far; None unless observations are normalised."""
+    opt_state: Any = None
+    """State of the outer step's optimiser; None if it has none."""
 
 
 class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
-    """REINFORCE inside, TRPO outside (algorithm 1 of the paper)."""
+    """REINFORCE inside, an outer step of choice outside: TRPO in algorithm 1 of the paper."""
 
     context: AbstractContextSettings[Any]
     """Settings of the context that the policy is conditioned on."""
@@ -60,7 +59,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """The policy's network."""
     advantage: AdvantageEstimator = AdvantageEstimator()
     """The estimator of advantages."""
-    trust_region: TrustRegion = TrustRegion()
+    outer: AbstractOuterStep = TrustRegionOuterStep()
     """The outer step."""
     schedule: StepSchedule = StepSchedule()
     """Step sizes in a new task, update by update."""
@@ -71,30 +70,16 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     """Inner updates per meta-iteration, each on episodes of its own."""
     outer_batches: int = 1
     """Batches of episodes that the outer step learns from."""
-    curvature_stride: int = 20
-    """The curvature of the trust region is averaged over one of so many time steps (neighbouring
-    steps resemble each other); 1 for all. Chosen for episodes of 50 to 200 steps. The reference
-    uses all."""
-    hessian_stride: int | None = None
-    """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
-    step runs through the policy (`maesn.learners.gradient.curvature`); None: as `curvature_stride`.
-    Its terms are of both signs and nearly cancel, so it needs more steps."""
     normalize_observations: bool = False
     """Whether the policy sees observations divided by their standard deviation, less their mean.
     The paper does not."""
 
     def __check_init__(self) -> None:
-        for name in ("meta_batch_size", "outer_batches", *_STRIDES):
+        for name in ("meta_batch_size", "outer_batches"):
             check_number(name, getattr(self, name), 1)
         check_number("inner_updates", self.inner_updates, 0)
         self._check_adaptation()
-        for name in _STRIDES:
-            stride = getattr(self, name)
-            if stride is not None and stride > 1 and self.policy.is_recurrent:
-                raise ValueError(
-                    f"`{name}` is {stride}, but a recurrent policy needs all steps of an "
-                    "episode: set it to 1."
-                )
+        self.outer.check_policy(self.policy)
 
     def _check_adaptation(self) -> None:
         """Refuse inner steps that could not move anything."""
@@ -128,7 +113,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         statistics = None
         if self.normalize_observations:
             statistics = no_observations(problem.observation_size)
-        return GradientState(parameters, jnp.zeros((), int), statistics)
+        opt_state = self.outer.init(parameters)
+        return GradientState(parameters, jnp.zeros((), int), statistics, opt_state)
 
     def iteration(self, state: GradientState) -> Int[Array, ""]:
         return state.iteration
@@ -239,7 +225,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             state: the state before the step.
             objective: the objective on the episodes of this meta-iteration.
             updated: the agents after each inner update, `objective.updated(parameters)`.
-            key: draws the steps that the curvature takes.
+            key: of the outer step.
         """
         shared, rows = objective.parts()
         common, own = (
@@ -254,26 +240,10 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         objective = MetaObjective.of_parts(common, rows[0])
         updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
-        outer, inner = self._thinnings(key, objective.post.valid)
-        improved, step = self.trust_region.step(
-            parameters,
-            objective.evaluate,
-            objective.loss_and_gradient,
-            lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
-            step_weights(objective.post.every(*outer)),
-        )
+        improved, opt_state, step = self.outer(key, parameters, state.opt_state, objective, updated)
         done = state.iteration + 1
         policy = self.policy.after_iteration(improved.policy, done)
-        after = GradientState(replace(improved, policy=policy), done, objective.statistics_after())
+        after = GradientState(
+            replace(improved, policy=policy), done, objective.statistics_after(), opt_state
+        )
         return (after, describe_step(objective, parameters, improved, step)), None
-
-    def _thinnings(
-        self, key: Key, valid: Bool[Array, "task episode time"]
-    ) -> tuple[Thinning, Thinning]:
-        """Draw the time steps of the curvature: of the outer loss, and of the inner updates."""
-        if self.hessian_stride is None:
-            both = Thinning.draw(key, self.curvature_stride, valid)
-            return both, both
-        outer_key, inner_key = jax.random.split(key)
-        outer = Thinning.draw(outer_key, self.curvature_stride, valid)
-        return outer, Thinning.draw(inner_key, self.hessian_stride, valid)

@@ -94,6 +94,10 @@ class MetaObjective(eqx.Module):
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
         return self.adapted(parameters).map(post_distributions, episodes, how="vmap")
 
+    def distributions_before(self, parameters: MetaParameters) -> AbstractDistribution:
+        """Return likewise those of the agents before the inner updates, on what they played."""
+        return self.start(parameters).map(post_distributions, self.pre[0][0], how="vmap")
+
     def statistics_after(self) -> ObservationStatistics | None:
         """Return the statistics after the episodes of this meta-iteration.
 
@@ -113,14 +117,26 @@ class MetaObjective(eqx.Module):
     def loss_and_gradient(
         self, parameters: MetaParameters
     ) -> tuple[Float[Array, ""], MetaParameters]:
-        """Return the loss and its gradient.
+        """Return the loss and its gradient."""
+        return self.gradient_of(lambda task, varied: task.evaluate_at_once(varied).loss, parameters)
 
-        Each task is differentiated separately. Reverse mode through `evaluate` would return the
-        same, but store the activations of all tasks.
+    def gradient_of(
+        self,
+        loss: Callable[["MetaObjective", MetaParameters], Float[Array, ""]],
+        parameters: MetaParameters,
+    ) -> tuple[Float[Array, ""], MetaParameters]:
+        """Return the mean over the tasks of any loss, and its gradient.
+
+        Each task is differentiated separately. Reverse mode through all tasks at once would return
+        the same, but store the activations of all of them.
+
+        Args:
+            loss: of the objective of a single task, and of the parameters.
+            parameters: where the gradient is taken.
         """
 
         def differentiate(task: MetaObjective) -> tuple[Float[Array, ""], MetaParameters]:
-            return jax.value_and_grad(lambda varied: task.evaluate_at_once(varied).loss)(parameters)
+            return jax.value_and_grad(lambda varied: loss(task, varied))(parameters)
 
         return _mean_over_tasks(self._each(differentiate))
 
