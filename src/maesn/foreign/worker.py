@@ -83,17 +83,12 @@ class HostedEnvironment:
         """
         env = self._with_task(task)
         inner = _unwrapped(env)
-        dt, *rates = (
-            getattr(inner, "dt", None),
-            *(x.metadata.get("render_fps") for x in (inner, env)),
-        )
         return {
             "spaces": self._spaces,
             "inner_action": None if inner is env else _action_layout(inner.action_space),
-            "wrappers": [type(layer).__name__ for layer in _layers(env)][:-1],
-            "max_episode_steps": getattr(env.spec, "max_episode_steps", None),
-            "dt": _number(dt),
-            "rates": [_number(rate) for rate in rates],
+            "max_episode_steps": getattr(getattr(env, "spec", None), "max_episode_steps", None),
+            "dt": _number(getattr(inner, "dt", None)),
+            "rates": [_number(one.metadata.get("render_fps")) for one in (inner, env)],
         }
 
     def probe(self, task: bytes, controls: Any) -> tuple[list[Any], list[float]]:

@@ -9,14 +9,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from maesn.gym.settings import NO_EPISODE, RENDER_MODES, refuse_unknown
 from maesn.gym.stepping import SETTINGS, Information, Stepper
 
-Observations = Float[np.ndarray, "episode observation"]
-PerEpisode = Float[np.ndarray, " episode"]
-Flags = Bool[np.ndarray, " episode"]
 Seeds: TypeAlias = int | np.integer[Any] | Sequence[int | None] | None
 
 _MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
@@ -71,7 +68,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         *,
         seed: Seeds = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start episodes.
 
         Args:
@@ -99,7 +96,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         self._running = True
         return observation, _masked(information)
 
-    def step(self, actions: Any) -> tuple[Observations, PerEpisode, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, ...]:
         """Advance all episodes by one control step.
 
         Args:
@@ -155,7 +152,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
             )
         return seeds
 
-    def _refuse_step(self, over: Flags) -> None:
+    def _refuse_step(self, over: np.ndarray) -> None:
         if not self._running:
             raise ResetNeeded(NO_EPISODE)
         if over.any() and self._mode is AutoresetMode.DISABLED:
