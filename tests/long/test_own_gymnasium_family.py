@@ -28,5 +28,5 @@ def test_its_commands_do_what_they_say(
     # The family has to be named again, and the command says so.
     advice = "next:    maesn adapt runs/gravity --family hidden_gravity:family"
     assert advice in capsys.readouterr().out
-    normalized = "runs/maesn-hidden_gravity:family-0"
+    normalized = "runs/maesn-family-0"
     assert Run.open(normalized, "hidden_gravity:family").learner.normalize_observations
