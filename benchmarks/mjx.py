@@ -31,7 +31,7 @@ import tyro
 from maesn.envs import AnyEnv, TaskSet, find_family
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.physics.mjx import MjxLimits
 from maesn.worlds import MjxWorld
 from maesn.worlds.collector import Collector
@@ -82,7 +82,7 @@ class Timed:
         self._learner = PRESETS["maesn"](meta_batch_size=settings.meta_batch_size)
         self._settings = settings
         self._state = self._learner.init(
-            jax.random.key(0), env.observation_size, env.action_size, len(tasks)
+            jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
         )
 
     def play(self) -> Episodes:

@@ -13,7 +13,6 @@ import maesn
 from maesn import api, cli
 from maesn.evaluation import exploration
 from maesn.evaluation.running import adaptation_file
-from maesn.learners import latent_space
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.reporting.reading import LATENTS
@@ -103,12 +102,6 @@ def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
     assert api.export(trained, path, overwrite=True).read_bytes() == policy
     with pytest.raises(RunError, match="cannot be exported"):
         api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
-
-
-def test_a_failed_start_leaves_no_directory(trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(RunError):
-        api.train(latent_space(**TINY), SETTINGS, tmp_path / "new", init_from=trained / "nowhere")
-    assert not (tmp_path / "new").exists()
 
 
 def test_help_answers_within_half_a_second() -> None:

@@ -15,7 +15,6 @@ from maesn.runtime.return_model import (
     Reading,
     ReturnModel,
     ReturnPrior,
-    matern,
 )
 
 
@@ -135,13 +134,6 @@ def test_mean_and_std_are_those_of_the_mixture() -> None:
     error = drawn.std() / np.sqrt(number)
     assert abs(drawn.mean() - posterior.mean[0]) < 4.5 * error
     assert posterior.std[0] == pytest.approx(drawn.std(), rel=0.02)
-
-
-def test_the_stationary_kernel_is_scikit_learns() -> None:
-    stream = np.random.default_rng(0)
-    first, second = stream.standard_normal((7, 3)), stream.standard_normal((5, 3))
-    expected = Matern(length_scale=0.7, nu=2.5)(first, second)
-    np.testing.assert_allclose(matern(first, second, 0.7), expected, rtol=1e-12)
 
 
 def test_the_offset_is_learned_as_a_common_shift() -> None:
