@@ -91,7 +91,7 @@ def test_limits_and_times_are_those_under_which_a_policy_is_trained(how: str) ->
 UNKNOWN = {
     "it has neither `dt` nor `render_fps`": lambda: Arm(None, None),
     "its `dt` is 0.01 s, but its `metadata` shows 20 steps a second": lambda: Arm(0.01, 20),
-    "its wrappers repeat actions now more and now less often": lambda: Skip(Arm(0.05, 20), 1, 2),
+    "its wrappers may repeat actions, more or less often": lambda: Skip(Arm(0.05, 20), 1, 2),
 }
 
 

@@ -70,7 +70,7 @@ def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
     if facts["inner_action"] is not None:
         ends = np.clip(limits, -_FAR, _FAR)
         found, clocks = arrivals(np.stack([ends.mean(axis=0), *ends]))
-        if kind == "Box" and facts["inner_action"][0] == "Box":
+        if found and kind == "Box" and facts["inner_action"][0] == "Box":
             limits = _tightened(limits, np.array(facts["inner_action"][1:]), found, arrivals)
         counts = {len(calls) for calls in found}
         repeats = counts.pop() if len(counts) == 1 else 0
@@ -147,7 +147,7 @@ def _control_period(
         repeats: steps of the innermost one in each of the outermost one; 0 if that varies.
     """
     if not repeats:
-        return None, "its wrappers repeat actions now more and now less often"
+        return None, "its wrappers may repeat actions, more or less often"
     inner_rate, rate = rates
     one = dt or (1 / inner_rate if inner_rate else None)
     if one is None:

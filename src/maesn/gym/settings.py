@@ -6,9 +6,6 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Int
 
-from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
-from maesn.settings import check_choice
-
 TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
 """Index of a task in its set, for all episodes or for each; None for one that is drawn."""
 
@@ -31,31 +28,6 @@ def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> N
         if name not in known:
             names = ", ".join(f"`{one}`" for one in known)
             raise ValueError(f"`{name}` is not {kind}: choose from {names}.")
-
-
-def make_steppable(
-    family: TaskFamily, reward: RewardKind, variant: Variant, sparse_radius: float | None
-) -> AnyEnv:
-    """Return the environment of a family, which must be one that Gymnasium can step.
-
-    Args:
-        family: the family of tasks.
-        reward: dense or sparse.
-        variant: whose reward formulas.
-        sparse_radius: radius of the goal region in metres; None for the family's own.
-
-    Raises:
-        ValueError: its actions are discrete, or a setting is wrong.
-    """
-    check_choice("reward", reward, RewardKind)  # environments know it by another name
-    radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
-    env = family.make_env(variant=variant, reward_kind=reward, **radius)
-    if env.action_kind != "continuous":
-        raise ValueError(
-            f"`family` must have continuous actions to be stepped here, but those of "
-            f"`{family.name}` are {env.action_kind}: play it with `maesn.Collector`."
-        )
-    return env
 
 
 def checked_task(

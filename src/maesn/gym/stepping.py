@@ -16,7 +16,8 @@ from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
-from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_task, make_steppable
+from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_task
+from maesn.settings import check_choice
 from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
 from maesn.worlds.outcome import observe
 
@@ -61,7 +62,15 @@ class Stepper:
         num_threads: int = 0,
     ) -> None:
         family = resolve_family(family) if isinstance(family, str) else family
-        self.env: AnyEnv = make_steppable(family, reward, variant, sparse_radius)
+        check_choice("reward", reward, RewardKind)  # environments know it by another name
+        radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
+        self.env: AnyEnv = family.make_env(variant=variant, reward_kind=reward, **radius)
+        if self.env.action_kind != "continuous" or self.env.engine == "gymnasium":
+            raise ValueError(
+                "`family` must have continuous actions and be moved by the library, but "
+                f"`{family.name}` has {self.env.action_kind} actions and is moved by "
+                f"{self.env.engine}: play it with `maesn.Collector`."
+            )
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
