@@ -202,14 +202,6 @@ class Broken(Settable):
         seen, kind = super().see(), int(self.task[2])
         if self.due and kind == 10:
             seen["place"] = np.float32([0, np.nan])
-        if self.due and kind == 20:
-            seen["place"] = np.zeros(3, np.float32)
-        if self.due and kind == 27:
-            seen["clock"] = (-1, seen["clock"][1])
-        if self.due and kind == 28:
-            seen["more"] = 0
-        if self.due and kind == 29:
-            seen["clock"] = seen["clock"][:1]
         return seen
 
     def step(self, action: np.ndarray) -> Any:
