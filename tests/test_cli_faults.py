@@ -32,7 +32,10 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ("trian", "`train`"),
+        ("trian", "Did you mean `train`?"),
+        ("evaluate {}", "Did you mean `adapt`?"),
+        ("plot {}", "Did you mean `report`?"),
+        ("run mine.toml", "Did you mean `study`?"),
         ("train measn", "`maesn`"),
         ("train maesn --family weeled", "`wheeled`"),
         ("train maesn --family ..:x", "`..:x`"),

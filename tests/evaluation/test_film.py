@@ -304,6 +304,8 @@ def test_what_has_no_place_in_a_plane_is_refused_in_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     learner = tiny_maesn(policy=maesn.CategoricalMLP((8,)))
-    blind = Run.create(tmp_path / "run", learner, tiny_settings(family="bandit"))
-    assert cli.run(["render", str(blind.directory)]) == cli.USAGE_ERROR
+    family = "bernoulli_bandit:bandit"
+    blind = Run.create(tmp_path / "run", learner, tiny_settings(family=family))
+    words = ["render", str(blind.directory), "--family", family]
+    assert cli.run(words) == cli.USAGE_ERROR
     assert "`bandit` cannot be drawn" in capsys.readouterr().err

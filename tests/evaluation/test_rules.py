@@ -18,6 +18,7 @@ from maesn.learners import (
     FineTuning,
     GradientFastLearner,
 )
+from maesn.reporting.reading import read_adaptation
 from maesn.rules import (
     FixedAgents,
     GradientRule,
@@ -129,6 +130,15 @@ def test_the_rule_gradient_is_what_the_method_does_by_itself(trained: Path, few:
 def test_without_adaptation_the_agents_stay(trained: Path, few: str) -> None:
     done = api.adapt(trained, tasks=few, rule=NoAdaptation(), **FEW)
     assert np.all(done.outcome.contexts.mean == 0)
+    # Unless a budget is given, no episodes are played but those that judge the deployed agent.
+    usual = api.adapt(trained, tasks=few, rule=NoAdaptation(), num_tasks=2)
+    assert np.isnan(usual.outcome.explored.mean_return).all()
+    assert usual.curves.mean_return.shape == (2, 1)
+    assert [row.split(",")[:4] for row in rows(usual.table)[1:]] == [
+        [str(task), "0", "0", "deploy"] for task in range(2)
+    ]
+    read = read_adaptation(usual.table)
+    np.testing.assert_allclose(read.mean_return, usual.curves.mean_return)
     run = Run.open(trained)
     trained_as = Trained(run.learner, run.latest_state())
     learner = Evaluation(rule=NoAdaptation()).fast_learner(trained_as, "maesn", run.env())

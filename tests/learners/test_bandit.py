@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bernoulli_bandit import Bandit, bandit
 from scripts import ROOT, load_script
 
-from maesn.envs import Bandit, TaskSet, bandit
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import RecurrentFastLearner

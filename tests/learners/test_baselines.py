@@ -3,9 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
+from bernoulli_bandit import bandit
+from learning_problems.probes import hidden_target
 from playing import keys
 
-from maesn.envs import AnyEnv, bandit, hidden_target, point
+from maesn.envs import AnyEnv, point
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import FixedPolicy, baselines
 from maesn.worlds import make_world

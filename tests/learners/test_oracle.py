@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES, hidden_target
 from playing import assert_same, keys
 from small_runs import create, finish
 
 from maesn import api
 from maesn.context import OracleContext
-from maesn.envs import FAMILIES, PROBES, BlockPushTask, hidden_target
+from maesn.envs import FAMILIES, BlockPushTask
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
@@ -80,7 +81,7 @@ def test_updates_of_the_oracle_change_nothing() -> None:
 
 @pytest.mark.long
 def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
-    # Without the task, -0.595 is the best there is (`maesn.envs.target_probes`); with it, 0.
+    # Without the task, -0.595 is the best there is (`learning_problems.probes`); with it, 0.
     env, tasks = hidden_target.make_env(), hidden_target.task_set("training", 20)
     learner = oracle(policy=GaussianMLP((16,)), meta_batch_size=10)
     state = learner.init(jax.random.key(0), Problem(env.observation_size, env.action_size, 20, 2))

@@ -10,8 +10,8 @@ import maesn
 from maesn import cli
 from maesn.commands.train import read_options
 from maesn.envs import FAMILIES
-from maesn.learners import PRESETS, RECOMMENDED, RECOMMENDED_RUNS, method_name
-from maesn.learners.recommended import with_setting
+from maesn.learners import PRESETS, method_name, recommended_settings
+from maesn.learners.recommended import RECOMMENDED, with_setting
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json
 from maesn.settings import leaves
@@ -21,7 +21,7 @@ SUITED = [(method, family) for family in RECOMMENDED for method in RECOMMENDED[f
 
 @pytest.mark.parametrize(("method", "family"), SUITED)
 def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> None:
-    table = {path: found.value for path, found in RECOMMENDED[family][method].items()}
+    table = recommended_settings(method, family)
     learner, usual = maesn.recommended(method, family), PRESETS[method]()
     for path, value in table.items():
         assert attrgetter(path)(learner) == value != attrgetter(path)(usual)
@@ -32,14 +32,12 @@ def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> No
     assert method_name(learner) == method
 
 
-def test_the_tables_name_families_methods_and_settings() -> None:
+def test_the_file_names_families_methods_and_settings() -> None:
     fields = {field.name for field in dataclasses.fields(RunSettings)}
-    for table in (RECOMMENDED, RECOMMENDED_RUNS):
-        assert set(table) <= set(FAMILIES)
-        for of_family in table.values():
-            assert set(of_family) <= set(PRESETS)
-            assert all("results/" in one.source for of in of_family.values() for one in of.values())
-    assert all(set(of) <= fields for run in RECOMMENDED_RUNS.values() for of in run.values())
+    assert set(RECOMMENDED) <= set(FAMILIES)
+    for of_family in RECOMMENDED.values():
+        assert set(of_family) <= set(PRESETS)
+        assert all(set(one.get("run", {})) <= fields for one in of_family.values())
 
 
 def test_elsewhere_the_preset_is_what_there_is() -> None:

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.memory import assert_a_probe_of_memory_is_solved
+from learning_problems.probes import HiddenEnd
 
 from maesn.axes import TaskKeys
-from maesn.envs import HiddenEnd, TaskSet
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes

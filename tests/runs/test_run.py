@@ -22,6 +22,7 @@ from maesn.runs.run import Run
 from maesn.storage import LOCK, RunError
 
 POINT = FAMILIES["point"]
+BANDIT = "bernoulli_bandit:bandit"
 
 
 def test_a_run_opens_as_it_was_created(tmp_path: Path) -> None:
@@ -102,21 +103,21 @@ def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
 def test_actions_of_another_kind_are_refused_before_there_is_a_directory(tmp_path: Path) -> None:
     directory = tmp_path / "run"
     with pytest.raises(RunError, match=r"`bandit` needs a policy of discrete actions.*Categorical"):
-        create_tiny(directory, family="bandit")
+        create_tiny(directory, family=BANDIT)
     assert not directory.exists()
     discrete = tiny_maesn(policy=CategoricalMLP((4,)))
     with pytest.raises(RunError, match=r"`point` needs a policy of continuous .*GaussianMLP"):
         Run.create(directory, discrete, tiny_settings())
-    assert Run.create(directory, discrete, tiny_settings(family="bandit")).learner == discrete
+    assert Run.create(directory, discrete, tiny_settings(family=BANDIT)).learner == discrete
 
 
 def test_the_command_gives_policies_that_choose_where_that_is_needed(tmp_path: Path) -> None:
-    few = ["--family", "bandit", "--iterations", "0", "--policy.hidden-sizes", "6"]
+    few = ["--family", BANDIT, "--iterations", "0", "--policy.hidden-sizes", "6"]
     assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "maesn")]) == 0
-    assert Run.open(tmp_path / "maesn").learner.policy == CategoricalMLP((6,))
-    rl2 = ["train", "rl2", "--family", "bandit", "--iterations", "0", "--policy.hidden-size", "4"]
+    assert Run.open(tmp_path / "maesn", BANDIT).learner.policy == CategoricalMLP((6,))
+    rl2 = ["train", "rl2", "--family", BANDIT, "--iterations", "0", "--policy.hidden-size", "4"]
     assert cli.run([*rl2, "--run", str(tmp_path / "rl2")]) == 0
-    assert Run.open(tmp_path / "rl2").learner.policy.action_kind == "discrete"
+    assert Run.open(tmp_path / "rl2", BANDIT).learner.policy.action_kind == "discrete"
 
 
 def test_trials_that_are_too_few_for_the_minibatches_are_refused(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def test_each_adapts_to_tasks_that_it_has_not_seen(name: str) -> None:
     np.savez("twenty.npz", **dict(zip(family.task_names, leaves, strict=True)))
     options = ["--tasks", "twenty.npz", "--episodes", "60", "--episodes-per-update", "20"]
     assert cli.run(["adapt", name, *options]) == 0
-    (table,) = Path(f"maesn-{name}/adaptation").glob("file-twenty-*-sparse.csv")
+    (table,) = Path(f"maesn-{name}/adaptation").glob("file-twenty-*-sparse-with-*.csv")
     rows = np.genfromtxt(table, delimiter=",", names=True)
     before, after = (rows["mean_return"][rows["update"] == update] for update in (0, 3))
     gain = after - before

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from learning_problems.probes import PROBES
 from small_runs import create, goals, tiny_maesn
 
-from maesn.envs import FAMILIES, PROBES
+from maesn.envs import FAMILIES
 from maesn.envs.sources import find_tasks, load_tasks
 from maesn.runs.run import Run
 from maesn.storage import RunError
