@@ -8,16 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import MODEL, Cart, CartTask
+from gymnasium.wrappers import TimeLimit
 from jaxtyping import Array
 from runtime.robot import fast_learner, policy_file
+from strangers import Arm, Skip
 
 from maesn.axes import Readings
 from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Point, Wheeled, ant, blockpush
+from maesn.envs.foreign import gymnasium_family
 from maesn.physics import NativeSimulator
 from maesn.runs.export import Stated, exported_policy
 from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Explorer
 from maesn.runtime.table import facts
+
+
+def make_arm(task: np.ndarray, reward: str) -> Any:
+    return Skip(TimeLimit(Arm(0.05, 20), 10), 4)
+
 
 LIMITED = '<motor name="push" joint="rail" ctrlrange="-0.2 0.3" ctrllimited="true"/>'
 FREE = '<motor name="push" joint="rail"/>'
@@ -215,3 +223,15 @@ def test_the_table_names_every_sensor_and_actuator_of_a_small_robot() -> None:
     many = dict(facts(export(Ant(), None)))
     assert many["observation 29-112"] == "cfrc_ext[0, 0] ... cfrc_ext[13, 5], clip -1 to 1"
     assert not [line for line in many if re.fullmatch(r"observation \d+", line)]
+
+
+def test_a_gymnasium_environment_that_repeats_actions_gives_its_period_and_limits() -> None:
+    family = gymnasium_family("arm", make_arm, lambda stream, size: np.zeros((size, 1), np.float32))
+    exported = export(family.make_env(), np.zeros(1, np.float32))
+    assert exported.actuators.lower.tolist() == pytest.approx([-0.2, -0.4])
+    assert exported.actuators.upper.tolist() == pytest.approx([0.2, 0.8])
+    assert exported.description["control_period"] == pytest.approx(0.2)
+    assert exported.description["horizon"] == 3  # four times ten steps of the arm's own clock
+    table = dict(facts(exported))
+    assert table["control 1"] == "0.2 + 0.6 * action, limits -0.4 to 0.8"
+    assert table["episode"] == "3 steps, 0.6 s"
