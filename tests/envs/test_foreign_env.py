@@ -23,7 +23,7 @@ from strangers import Chooser, Diarist, Plain, draw_walks, make_hopeless, make_w
 
 from maesn.envs.foreign import gymnasium_family, task_row
 from maesn.foreign import InterfaceError
-from maesn.runs.probing import probe_actuators
+from maesn.runs.export import probe_actuators
 
 
 def family_of(env: Any, **settings: Any) -> Any:
