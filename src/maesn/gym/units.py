@@ -8,6 +8,7 @@ from jaxtyping import Float
 from maesn.envs import AnyEnv
 from maesn.runs.probing import probe_actuators
 
+_ROUNDING = 1e-5  # of what is read off `control` in single precision
 Actions = Float[np.ndarray, "episode action"]
 
 
@@ -24,7 +25,8 @@ def box_to_action(env: AnyEnv) -> Callable[[Actions], Actions]:
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = ((lower + upper) / 2 - actuators.offset) / actuators.scale
         factor = (upper - lower) / 2 / actuators.scale
-    if not np.isfinite([shift, factor]).all():
+    is_identity = np.allclose(shift, 0.0, atol=_ROUNDING) and np.allclose(factor, 1.0, _ROUNDING)
+    if is_identity or not np.isfinite([shift, factor]).all():
         return lambda action: action
     shift, factor = shift.astype(np.float32), factor.astype(np.float32)
     return lambda action: shift + factor * action
