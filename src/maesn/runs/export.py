@@ -145,6 +145,8 @@ def _actuators(env: AnyEnv, changed: set[str], stated: Stated) -> Actuators:
 
 
 def _control_period(env: AnyEnv, changed: set[str], stated: float | None) -> float:
+    if stated is not None and not 0 < stated < np.inf:
+        raise ValueError(f"`control_period` must be positive, got {stated:g}.")
     if changed & _PERIOD:
         if stated is None:
             raise ValueError(

@@ -1,19 +1,23 @@
 """What an environment does to observations and actions, read off its own functions."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
 from maesn.physics import load_model, reading_owners, resting_readings
 from maesn.runtime import Actuators, Sensors
+
+Shapes: TypeAlias = tuple[tuple[str, tuple[int, ...]], ...]
+"""Name and shape of each of some readings."""
 
 # An input far outside of every range: what it leads to is a limit. What grows with the input to
 # half that size has none.
@@ -30,10 +34,9 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     They are read off the function itself, and compared with it on random actions: `ValueError` if
     it has another form. The limits are the tightest of those in `control` and of the world.
     """
-    mapped = jax.jit(jax.vmap(env.control))
 
     def control(action: float | np.ndarray) -> np.ndarray:
-        return _float64(mapped(jnp.full((1, env.action_size), action, jnp.float32)))[0]
+        return _float64(_controls(env, np.full((1, env.action_size), action, np.float32)))[0]
 
     lower, upper = _limits(control)
     offset = control(0.0)
@@ -49,7 +52,7 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         names=env.actuators().names,
     )
     actions = _probes(env.action_size)
-    wanted = _float64(mapped(jnp.asarray(actions, jnp.float32)))
+    wanted = _float64(_controls(env, actions.astype(np.float32)))
     fits = np.isclose(own.control(actions), wanted, _TOLERANCE, _TOLERANCE).all(axis=1)
     if not fits.all():
         index = int(np.argmin(fits))
@@ -84,26 +87,26 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
     """Return the sensors of an environment, with names of what is copied from the readings."""
     readings = _at_rest(env, task)
     labels = [label for name, value in readings.items() for label in _labels(env, name, value)]
-    rest, as_readings = ravel_pytree(jax.tree.map(jnp.asarray, list(readings.values())))
+    shapes = tuple((name, value.shape) for name, value in readings.items())
+    rest = np.concatenate([np.ravel(value) for value in readings.values()])
 
-    @jax.jit
-    def observe(flat: Array) -> Array:
-        return env.observe(dict(zip(readings, as_readings(flat), strict=True)))
+    def observe(flat: np.ndarray) -> np.ndarray:
+        return _float64(_observations(env, shapes, flat.astype(np.float32)))
 
     near = rest + _NEAR * np.random.default_rng(1).standard_normal(rest.size)
-    slope, offset = _float64(jax.jacfwd(observe)(near)), _float64(observe(near))
+    slope = _float64(_slopes(env, shapes, near.astype(np.float32)))
+    offset = observe(near[None])[0]
     source = np.abs(slope).argmax(axis=1)
     scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
-    offset -= scale * _float64(near)[source]
+    offset -= scale * near[source]
     offset[np.abs(offset) < _TOLERANCE] = 0.0
     shown = len(offset)
-    lower, upper = _limits(lambda x: _float64(observe(jnp.full(rest.size, x))))
+    lower, upper = _limits(lambda x: observe(np.full((1, rest.size), x))[0])
     copied = Actuators(offset, scale, lower, upper)  # the same form
     fits = (slope != 0).sum(axis=1) == 1
     probes = _probes(rest.size)
-    wanted = _float64(jax.vmap(observe)(jnp.asarray(probes, jnp.float32)))
     copies = copied.control(probes[:, source])
-    fits &= np.isclose(copies, wanted, _TOLERANCE, _TOLERANCE).all(axis=0)
+    fits &= np.isclose(copies, observe(probes), _TOLERANCE, _TOLERANCE).all(axis=0)
     for index in np.flatnonzero(fits):
         names[index] = _written(labels[source[index]], scale[index], offset[index])
     names[shown:] = [f"instruction[{index}]" for index in range(len(names) - shown)]
@@ -113,6 +116,30 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
         np.append(np.where(fits, lower, -np.inf), -free),
         np.append(np.where(fits, upper, np.inf), free),
     )
+
+
+# Compiled once for equal environments.
+@partial(jax.jit, static_argnums=0)
+def _controls(env: AnyEnv, actions: Array) -> Array:
+    return jax.vmap(env.control)(actions)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _observations(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    return jax.vmap(partial(_observed, env, shapes))(flat)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _slopes(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    return jax.jacfwd(partial(_observed, env, shapes))(flat)
+
+
+def _observed(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    """Return the observation of readings that stand one behind the other in an array."""
+    sizes = [math.prod(shape) for _, shape in shapes]
+    parts = jnp.split(flat, np.cumsum(sizes)[:-1])
+    pairs = zip(shapes, parts, strict=True)
+    return env.observe({name: part.reshape(shape) for (name, shape), part in pairs})
 
 
 def _at_rest(env: AbstractSimulatedEnv[Any], task: Any) -> dict[str, np.ndarray]:
