@@ -6,15 +6,16 @@
 A trial is some episodes in one task. The *oracle* knows the task. The *searcher* knows only the
 family's distribution and what it has seen in the trial.
 
-`grid_navi`: the best searcher, exactly, in a trial of four episodes as in VariBAD. Before it finds the
-goal, all that it has seen is which cells are not the goal, so its belief is the set of the others, each
-with the same probability. Value iteration over beliefs and positions gives its return. Once it has
-found the goal it stays, and later goes straight there.
+`grid_navi`: the best searcher, exactly, in a trial of four episodes as in VariBAD. Before it finds
+the goal, all that it has seen is which cells are not the goal, so its belief is the set of the
+others, each with the same probability. Value iteration over beliefs and positions gives its return.
+Once it has found the goal it stays, and later goes straight there.
 
 `sparse_point`: a bracket. From below, the best of some scripted sweeps: to a ring near the half
-circle, along it until the reward shows where the goal is, then there. From above, a relaxed problem:
-a goal that comes into view at step t is rewarded from then on as the oracle would be, only so much of
-the half circle comes into view in a step, and the goal is known from the second episode on.
+circle, along it until the reward shows where the goal is, then there. From above, a relaxed
+problem: a goal that comes into view at step t is rewarded from then on as the oracle would be, only
+so much of the half circle comes into view in a step, and the goal is known from the second episode
+on.
 """
 
 import argparse
@@ -244,10 +245,11 @@ def point_limits(point: Point) -> Limits:
 def most_in_first_episode(point: Point, oracle: Float[np.ndarray, "step goal"]) -> float:
     """Return what no searcher exceeds in its first episode, on average.
 
-    Goals come into view within asin(R) of the angle of the point, while it is at least 1 - R from the
-    origin. There a step of 0.1 on both axes changes its angle by 2 asin(0.0707 / (1 - R)) at most. If
-    it leaves and comes back elsewhere, that takes a step in which nothing comes into view. So one
-    step shows 2 asin(R), and n steps at most n - 1 times the larger of that change and asin(R) more.
+    Goals come into view within asin(R) of the angle of the point, while it is at least 1 - R from
+    the origin. There a step of 0.1 on both axes changes its angle by 2 asin(0.0707 / (1 - R)) at
+    most. If it leaves and comes back elsewhere, that takes a step in which nothing comes into view.
+    So one step shows 2 asin(R), and n steps at most n - 1 times the larger of that change and
+    asin(R) more.
     """
     longest, ring = np.sqrt(2) * STEP_LENGTH, GOAL_RADIUS - point.radius
     width = np.arcsin(point.radius)
@@ -276,8 +278,8 @@ def _best_sweep(point: Point) -> Returns:
 def sweep(point: Point, ring: float, first: float, second: float) -> Returns:
     """Return the mean returns of sweeping along a ring until the goal is known.
 
-    The first episode sweeps upwards from the angle `first`, all others downwards from pi - `second`,
-    as long as the goal is not known.
+    The first episode sweeps upwards from the angle `first`, all others downwards from pi -
+    `second`, as long as the goal is not known.
     """
     seen = np.zeros(NUM_ANGLES, bool)
     known = np.zeros(NUM_ANGLES, bool)
@@ -310,8 +312,8 @@ def _sweep_once(
 ) -> tuple[Float[np.ndarray, " goal"], Bool[np.ndarray, " goal"]]:
     """Return the return of an episode and whether the goal came into view, for each goal.
 
-    The reward tells the distance, so two angles are left. If the other one is on the half circle and
-    was not seen before, the sweep goes on for one step, which tells them apart.
+    The reward tells the distance, so two angles are left. If the other one is on the half circle
+    and was not seen before, the sweep goes on for one step, which tells them apart.
     """
     total, met = np.zeros(NUM_ANGLES), np.zeros(NUM_ANGLES, bool)
     here, leave = np.zeros((NUM_ANGLES, 2)), np.full(NUM_ANGLES, point.steps + 1)

@@ -28,9 +28,9 @@ def check_choice(name: str, value: str, choices: Any) -> None:
 
     The choices may be a tuple as well.
     """
-    known = choices if isinstance(choices, tuple) else get_args(choices)
-    if value not in known:
-        known = " or ".join(map(repr, known))
+    choices = choices if isinstance(choices, tuple) else get_args(choices)
+    if value not in choices:
+        known = " or ".join(map(repr, choices))
         raise ValueError(f"`{name}` must be {known}, got {value!r}.")
 
 

@@ -20,7 +20,12 @@ DIGESTS = {
     "wheeled": ("e16cc188bb14fa38", "2aca6d26ad7350a1", "70ca09ac6fbf6f4a", "431567cbaf096259"),
     "ant": ("5a00652a6cbdf857", "8a7f1a1858bb9a0b", "382f92979d32b94b", "a761d25c914d74a3"),
     "blockpush": ("bb4c755eeb5004bb", "9e05bbfed1a37ae9", "9b61958360ed389a", "b422aeb160123c89"),
-    "sparse_point": ("a869c7739be8e8e3", "38a43f676b1a7c98", "f15ab50bbfc8bf4f", "34df464ee14f5afd"),
+    "sparse_point": (
+        "a869c7739be8e8e3",
+        "38a43f676b1a7c98",
+        "f15ab50bbfc8bf4f",
+        "34df464ee14f5afd",
+    ),
     "bandit": ("97273fe932b95947", "0f8d6e0d8c0c3648", "5b5558cbd4929caa", "137d588515fc5670"),
     "chain": ("c6665112796f4675", "b2e80fa0939368d4", "aad02583d45623f1", "e68350dc3745fd54"),
 }

@@ -10,8 +10,7 @@ from maesn.envs.wheeled import wheeled
 from maesn.settings import suggestion
 
 FAMILIES: dict[str, TaskFamily] = {
-    family.name: family
-    for family in (point, wheeled, ant, blockpush, sparse_point, grid_navi)
+    family.name: family for family in (point, wheeled, ant, blockpush, sparse_point, grid_navi)
 }
 """The families to learn: a point mass, three robots, and tasks of other papers."""
 

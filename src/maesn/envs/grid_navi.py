@@ -1,8 +1,8 @@
 """GridNavi of VariBAD: a grid of cells, one of which is the goal.
 
 Source: `GridNavi` of lmzintgraf/varibad (`environments/navigation/gridworld.py`, registered as
-`GridNavi-v0` with 5 x 5 cells and 15 steps). There are 21 tasks, and every set is all of them: as in
-the paper, new tasks are the old ones.
+`GridNavi-v0` with 5 x 5 cells and 15 steps). There are 21 tasks, and every set is all of them: as
+in the paper, new tasks are the old ones.
 
 Observation (2 components; the goal is not among them):
 
@@ -13,8 +13,8 @@ Observation (2 components; the goal is not among them):
 Action (one of 5): stay, up, right, down, left. A move against a wall leaves the agent where it is.
 
 Every episode starts in cell (0, 0) and has 15 steps; the goal does not end it. The goal is any cell
-but the start and the three cells next to it, corners included. The reward, dense and sparse, is 1 if
-the agent is in the goal's cell after the step, else -0.1.
+but the start and the three cells next to it, one of them diagonally. The reward, dense and sparse,
+is 1 if the agent is in the goal's cell after the step, else -0.1.
 
 VariBAD plays four episodes as one long one: a trial of 60 steps. The control period is a name: a
 step counts as a second.

@@ -110,9 +110,13 @@ def _fitted(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
 
 def warn_of_known_tests(family: TaskFamily, tasks: TaskSet) -> None:
     """Say so if the test tasks are those of training, as where `draw_tasks` ignores its stream."""
-    if family.task_set("test").digest() == tasks.digest():
-        warnings.warn(
-            f"the test tasks of `{family.name}` are those that are trained on: `draw_tasks` draws "
-            "the same whatever its stream, so a result on them says nothing of new tasks.",
-            stacklevel=3,
-        )
+    if family.task_set("test").digest() != tasks.digest():
+        return
+    why = "`draw_tasks` draws the same whatever its stream"
+    if family.num_tasks is not None:
+        why = f"there are {family.num_tasks} tasks, and every set is all of them"
+    warnings.warn(
+        f"the test tasks of `{family.name}` are those that are trained on: {why}, so a result on "
+        "them says nothing of new tasks.",
+        stacklevel=3,
+    )

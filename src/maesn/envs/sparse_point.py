@@ -32,8 +32,8 @@ half of the unit circle. With d the distance from the goal after the step, the r
     sparse:  1 - d where d <= R, else 0
 
 Differences from the sources: the sets have 100 tasks each, with uniform angles, as VariBAD draws
-them; the others have an even grid of angles that is shuffled, so that each of PEARL's test goals lies
-within 0.03 of a training goal (`grid_goals` returns them). The control period is a name: a step
+them; the others have an even grid of angles that is shuffled, so that most of PEARL's test goals
+lie 0.03 from a training goal (`grid_goals` returns them). The control period is a name: a step
 counts as a second.
 """
 
@@ -130,7 +130,7 @@ def grid_goals(size: int) -> np.ndarray:
     """
     angle = np.linspace(0.0, np.pi, size)
     goals = GOAL_RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    np.random.RandomState(1337).shuffle(goals)  # noqa: NPY002, the stream of their code
+    np.random.RandomState(1337).shuffle(goals)  # the stream of their code
     return goals.astype(np.float32)
 
 

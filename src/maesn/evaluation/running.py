@@ -69,10 +69,13 @@ def evaluate(
 
     `tasks` are indices of some of them; None for all that `evaluation` says.
     """
-    budget = evaluation.budget
+    budget, known = evaluation.budget, {}
     with new_tasks(run, evaluation) as (world, learner):
         outcome = adapt(learner, Collector(world, budget.per_update), evaluation, tasks=tasks)
+    if evaluation.tasks != "training" and world.tasks.digest() == run.config.task_digest:
+        known = {"trained_on": True}
     return outcome, {
+        **known,
         **run.identity(),
         "rule": evaluation.rule_text,
         "label": evaluation.label,

@@ -154,6 +154,12 @@ class Comparison:
         return found
 
 
+def note_on_training(lines: Sequence[Line]) -> str:
+    """Say so if the tasks are not new: a family may have few, so that each of its sets is all."""
+    known = any(line.table.about.get("trained_on") for line in lines)
+    return "these tasks are the ones that were trained on" if known else ""
+
+
 def note_on_judging(lines: Sequence[Line]) -> str:
     """Say which episodes the lines are judged on; with their labels if they differ in it."""
     named: dict[str, list[str]] = {}

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from maesn.reporting import statistics
-from maesn.reporting.comparison import Comparison, Line, note_on_judging
+from maesn.reporting.comparison import Comparison, Line, note_on_judging, note_on_training
 from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
 from maesn.reporting.statistics import INTERVAL, Interval, bootstrap, curve
 from maesn.reporting.style import MethodStyle
@@ -128,6 +128,7 @@ def _by_update(line: Line, title: str) -> TextTable:
             line.beyond,
             f"± half the {INTERVAL}",
             note_on_judging([line]),
+            note_on_training([line]),
             f"no episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
             "adaptation had nothing to learn from"
             if is_blind
@@ -179,6 +180,7 @@ def _ends(comparison: Comparison, addition: str) -> TextTable:
         sentences(
             f"mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points",
             note_on_judging(comparison.lines),
+            note_on_training(comparison.lines),
             f"in brackets: {INTERVAL}",
             "trained on: environment steps of meta-training" if "trained on" in headings else "",
             note_on_solved(comparison.is_solved_at_reset),
@@ -229,7 +231,7 @@ def _by_episodes(comparison: Comparison, measure: str) -> TextTable:
         f"Episodes in the new task, and {unit.heading}",
         ("method", *map(str, shown)),
         tuple((label, *(texts.get(n, "") for n in shown)) for label, texts in rows),
-        sentences(*notes, note_on_judging(comparison.lines)),
+        sentences(*notes, note_on_judging(comparison.lines), note_on_training(comparison.lines)),
     )
 
 

@@ -196,7 +196,8 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
 
 def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
     run = Run.open(directory, family)
-    if run.env().variant != study.variant:
+    wanted = make_env(resolve_family(family), study.world(family))
+    if run.env().variant != wanted.variant:
         raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
     where = str(run.directory.resolve())
     return trained_run(run, directory=where, training_steps=run.latest().environment_steps)

@@ -1,0 +1,97 @@
+"""What is possible in the families whose best behaviour can be computed."""
+
+import itertools
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scripts import load_script
+
+
+@pytest.fixture(scope="module")
+def limits() -> ModuleType:
+    return load_script("benchmarks/limits.py")
+
+
+def by_enumeration(size: int, steps: int, episodes: int) -> float:
+    """Best mean return of a trial over all goals: every sequence of moves until the goal is met."""
+    goals = [(x, y) for x in range(size) for y in range(size) if max(x, y) > 1]
+    straight = {goal: sum(goal) for goal in goals}
+
+    def episode(met: int) -> float:
+        """Return of an episode whose goal is met in a step, counted from 1."""
+        return -0.1 * (met - 1) + (steps + 1 - met)
+
+    def walk(moves: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
+        cells, here = [], (0, 0)
+        for number, (right, up) in enumerate(moves):
+            x, y = (0, 0) if number % steps == 0 else here
+            here = min(max(x + right, 0), size - 1), min(max(y + up, 0), size - 1)
+            cells.append(here)
+        return cells
+
+    best = -np.inf
+    choices = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
+    for moves in itertools.product(choices, repeat=steps * episodes):
+        cells, total = walk(moves), 0.0
+        for goal in goals:
+            if goal not in cells:
+                total += -0.1 * steps * episodes
+                continue
+            before, step = divmod(cells.index(goal), steps)
+            later = episodes - before - 1
+            total += -0.1 * steps * before + episode(step + 1) + later * episode(straight[goal])
+        best = max(best, total / len(goals))
+    return float(best)
+
+
+@pytest.mark.parametrize(("steps", "episodes"), [(4, 1), (7, 1), (4, 2)])
+def test_the_best_searcher_on_a_small_grid_is_that_of_enumeration(
+    limits: ModuleType, steps: int, episodes: int
+) -> None:
+    found = limits.navi_limits(limits.make_grid(3, steps, episodes))
+    np.testing.assert_allclose(found.below.sum(), by_enumeration(3, steps, episodes))
+
+
+def test_the_limits_of_the_paper_s_grid(limits: ModuleType) -> None:
+    grid = limits.make_grid()
+    found = limits.navi_limits(grid)
+    # Of 21 goals at distance D: -0.1 (D - 1) + 16 - D each.
+    distance = np.array([x + y for x in range(5) for y in range(5) if max(x, y) > 1])
+    oracle = (16 - distance - 0.1 * (distance - 1)).mean()
+    np.testing.assert_allclose(found.oracle, oracle)
+    assert round(oracle, 2) == 11.07
+    # Fourteen goals in steps 2 to 15 is the most that an episode can see: the others lose 1.5. And
+    # the seven that are left lie on one straight way.
+    first = (sum(16 - s - 0.1 * (s - 1) for s in range(2, 16)) - 7 * 1.5) / 21
+    np.testing.assert_allclose(found.below, [first, oracle, oracle, oracle])
+
+
+def test_the_oracle_of_the_sparse_point(limits: ModuleType) -> None:
+    point = limits.Point(0.2, 20, 1)
+    rewards = limits.oracle_rewards(point)
+    assert rewards.shape == (20, limits.NUM_ANGLES)
+    # A goal straight ahead, near (0, 1), is 0.2 away after 8 steps and reached after 10.
+    ahead = rewards[:, limits.NUM_ANGLES // 2]
+    np.testing.assert_allclose(ahead[:7], 0.0)
+    np.testing.assert_allclose(ahead[8:], [0.9, *[1.0] * 11], atol=0.01)
+    np.testing.assert_allclose(rewards.sum(0).mean(), 13.38, atol=0.02)
+    for variant, expected in (("varibad", 93.38), ("metacure", 26.06)):
+        settings = limits.PROTOCOLS[variant]
+        other = limits.Point(settings["sparse_radius"], settings["horizon"], 1)
+        np.testing.assert_allclose(limits.oracle_rewards(other).sum(0).mean(), expected, atol=0.02)
+
+
+@pytest.mark.parametrize("protocol", [(0.2, 20, 3), (0.3, 32, 2)])
+def test_a_sweep_lies_below_what_no_searcher_exceeds(
+    limits: ModuleType, protocol: tuple[float, int, int]
+) -> None:
+    point = limits.Point(*protocol)
+    oracle = limits.oracle_rewards(point)
+    above = limits.most_in_first_episode(point, oracle)
+    swept = limits.sweep(point, 0.92, 0.2, 0.2)
+    assert 1.0 < swept[0] < above < oracle.sum(0).mean()
+    assert swept[-1] <= oracle.sum(0).mean() + 1e-9
+    path = limits.ring_path(point, 0.92, 0.2)
+    steps = np.diff(path, axis=0, prepend=np.zeros((1, 2)))
+    assert np.abs(steps).max() <= 0.1 + 1e-9
