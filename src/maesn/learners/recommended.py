@@ -40,8 +40,12 @@ def recommended_settings(method: str, family: str) -> dict[str, Any]:
     """Return the settings of the learner that suit a family, by path; none where none are known."""
     table = RECOMMENDED.get(family, {}).get(method, {})
     found = leaves({name: value for name, value in table.items() if name != "run"})
-    if "policy" in found:
-        found["policy"] = getattr(policies, found["policy"])()
+    if "policy" in table:
+        own = table["policy"]
+        kind, settings = (own, {}) if isinstance(own, str) else (own["type"], dict(own))
+        settings.pop("type", None)
+        found = {path: value for path, value in found.items() if not path.startswith("policy.")}
+        found["policy"] = getattr(policies, kind)(**settings)
     return found
 
 
