@@ -65,8 +65,8 @@ class RunSettings:
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""
     variant: Variant = "reference"
-    """Rewards of the code behind the published curves, or as printed in the paper; on `sparse_point`
-    those of pearl, varibad or metacure."""
+    """Rewards of the code behind the published curves, or as printed in the paper; `sparse_point`
+    has pearl, varibad and metacure."""
     reward: RewardKind = "dense"
     """Reward in training. The paper trains on dense reward and adapts to sparse."""
     sparse_radius: float | None = None
