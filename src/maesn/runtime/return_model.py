@@ -23,6 +23,10 @@ OUTLIER = 4.0
 # Lower bound on the noise of the archive's returns, as a share of their variance: two equal latents
 # must not make the kernel matrix singular.
 _LEAST_NOISE = 1e-6
+# Shares of the variance of the archive's returns that may be rough; the best of them is taken.
+ROUGHNESS = np.geomspace(1e-4, 0.6, 20)
+# Episodes have no noise if its variance is less than this share of that of returns.
+KNOWN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -92,14 +96,18 @@ class ReturnModel:
         self._average = float(prior.excess.mean())
         centred = prior.excess - self._average
         spread = float((centred**2).mean())
-        noise = np.maximum(prior.noise / prior.episodes, _LEAST_NOISE * spread)
-        signal = max(spread - float(noise.mean()), _LEAST_NOISE * spread)
-        gram = signal * self._kernel(self.archive, self.archive) + np.diag(noise)
+        noise = prior.noise / prior.episodes
+        kernel = self._kernel(self.archive, self.archive)
+        rough = roughness(kernel, centred)
+        jump = max(rough - float(noise.mean()), 0.0)
+        signal = spread - rough
+        gram = signal * kernel + np.diag(noise + max(jump, _LEAST_NOISE * spread))
         self._weights = (
             signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
         )
         variance = float(self.task_means(self.archive).var(axis=0, ddof=1).mean())
         self._residual = residual * variance
+        self._jump = jump
 
     @property
     def num_tasks(self) -> int:
@@ -118,7 +126,8 @@ class ReturnModel:
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Return R(z, z'), the covariance of the residual, `[first, second]`."""
-        return self._residual * self._kernel(first, second)
+        same = (first[:, None] == second[None]).all(axis=-1)
+        return self._residual * self._kernel(first, second) + self._jump * same
 
     def _kernel(self, first: FloatArray, second: FloatArray) -> FloatArray:
         return matern(first, second, self._length_scale)
@@ -204,6 +213,12 @@ class Posterior:
         between = self.task_weights @ (self.task_mean - self.mean) ** 2
         return np.sqrt(between + np.maximum(self.variance, 0.0))
 
+    def is_known(self, model: ReturnModel, point: int) -> bool:
+        """Whether a latent would return what it returned before: its episodes have no noise."""
+        played = any(one.point == point for one in self.readings)
+        z = self.points[point : point + 1]
+        return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
+
     def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         j, length = reading.point, reading.length
@@ -214,8 +229,10 @@ class Posterior:
         offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
         variance = float(covariance[j]) + length * offset + float(model.noise(point)[0])
         error = reading.episode_return - (self.task_mean[:, j] + length * self.task_offset)
-        std = float(np.sqrt(max(variance, np.finfo(np.float64).tiny)))
-        scale = max(std, float(np.abs(error).min()) / OUTLIER)
+        if self.is_known(model, j):
+            scale = np.inf  # it teaches nothing, so its row is zero
+        else:
+            scale = max(float(np.sqrt(variance)), float(np.abs(error).min()) / OUTLIER)
         innovation, row, offset_row = error / scale, covariance / scale, offset / scale
         return replace(
             self,
@@ -247,6 +264,28 @@ class Posterior:
             variance=np.append(self.variance, variance),
             rows=np.hstack([self.rows, rows]),
         )
+
+
+def roughness(kernel: FloatArray, centred: FloatArray) -> float:
+    """Return the variance of the returns that near latents do not share: noise and jumps.
+
+    The share of the variance that makes each latent's returns, predicted from those of all other
+    latents, most probable (Rasmussen and Williams 2006, section 5.4.2).
+    """
+    spread = float((centred**2).mean())
+    if not spread:
+        return 0.0
+    values, vectors = np.linalg.eigh(kernel)
+    rotated, squares = vectors.T @ centred.T, vectors**2
+    best, found = np.inf, 0.0
+    for share in ROUGHNESS:
+        inverse = 1.0 / (spread * ((1.0 - share) * np.maximum(values, 0.0) + share))
+        precision = squares @ inverse
+        error = (vectors @ (inverse[:, None] * rotated)) / precision[:, None]
+        score = float((error**2 * precision[:, None]).mean() - np.log(precision).mean())
+        if score < best:
+            best, found = score, share * spread
+    return found
 
 
 def matern(first: FloatArray, second: FloatArray, length_scale: float) -> FloatArray:

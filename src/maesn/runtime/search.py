@@ -123,7 +123,10 @@ class LatentSearch:
         """
         task = generator.choice(self.model.num_tasks, p=self.posterior.task_weights)
         chosen = self.highest(self.scores(task))
-        if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
+        is_explored = self._is_known[self.best] or (
+            chosen == self.best and self._plays(chosen) >= PLAYS
+        )
+        if self.settings.draws == 0 or not is_explored:
             return self, chosen
         wider = self._with_draws(generator)
         refined = wider.highest(wider.scores(task))
@@ -163,8 +166,17 @@ class LatentSearch:
             task: the training task that was drawn.
         """
         if self.settings.acquisition == "thompson":
-            return self.posterior.task_mean[task]
-        return self.posterior.mean + self.settings.exploration * self.posterior.std
+            scores = self.posterior.task_mean[task]
+        else:
+            scores = self.posterior.mean + self.settings.exploration * self.posterior.std
+        return np.where(self._is_known, -np.inf, scores)
+
+    @property
+    def _is_known(self) -> NDArray[np.bool_]:
+        known = np.zeros(len(self.points), bool)
+        for point in {one.point for one in self.posterior.readings}:
+            known[point] = self.posterior.is_known(self.model, point)
+        return known
 
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file: all that this search has done."""
