@@ -22,6 +22,7 @@ from random_bonus import curiosities
 
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt, as_rows
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import vime
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
@@ -65,8 +66,8 @@ def curves(method: str, settings: Settings) -> list[dict[str, object]]:
         outcome = adapt(
             learner,
             Collector(world, settings.episodes_per_task),
+            Evaluation(seed=settings.seed),
             episodes=settings.updates * settings.episodes_per_task,
-            seed=settings.seed,
             tasks=range(settings.num_tasks),
         )
     return [{"method": method, **row} for row in as_rows(outcome)]

@@ -24,7 +24,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
-from maesn.runtime.search import LatentSearch
+from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.worlds.collector import Collector
 
 SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn
@@ -74,7 +74,7 @@ class Searched:
 def search(settings: Settings) -> Searched:
     """Play a search in one task."""
     run = Run.open(settings.run)
-    evaluation = Evaluation(rule=SearchRule(draws=0), seed=settings.seed)
+    evaluation = Evaluation(rule=SearchRule(SearchSettings(draws=0)), seed=settings.seed)
     searches, played, paths = [], [], []
     with new_tasks(run, evaluation) as (world, learner):
         collect, slot = Collector(world, 1), jnp.asarray([settings.task])

@@ -1,5 +1,6 @@
 """Latent search beside other rules and beside controls: every row, and the tables of them.
 
+    export PYTHONPATH=examples
     python benchmarks/search_tables.py --tasks validation --lines trials --out trials
     python benchmarks/search_tables.py --tasks final --out final
 
@@ -35,12 +36,12 @@ GRADIENT = 50  # episodes of an update, the paper's
 MAIN = {
     "search": Line(seeds=5),
     "gradient": Line("gradient", 500, GRADIENT),
-    "cma_es": Line("cma_es", 500),
-    "cross_entropy": Line("cross_entropy", 500),
-    "best_of": Line("best_of", 500),
+    "cma_es": Line("own_searches:CmaEs", 500),
+    "cross_entropy": Line("own_searches:CrossEntropy", 500),
+    "best_of": Line("own_searches:BestOf", 500),
     "gradient_wide": Line("gradient start_std=3", 500, GRADIENT),
     "gradient_by_20": Line("gradient", 500, 20),
-    "best_of_wide": Line("best_of spread=3", 500),
+    "best_of_wide": Line("own_searches:BestOf spread=3", 500),
 }
 CONTROLS = {
     "discrete": Line("search residual=0"),
@@ -60,10 +61,11 @@ TRIALS = {
        for n in (5, 10, 20) for scale in (0.3, 1, 3)},
     **{f"gradient_wide_scale_{scale}":
        Line(f"gradient start_std=3 step_scale={scale}", 200, GRADIENT) for scale in (0.3, 1, 3)},
-    **{f"cross_entropy_{std}_{size}": Line(f"cross_entropy spread={std} round_size={size}", 100)
+    **{f"cross_entropy_{std}_{size}":
+       Line(f"own_searches:CrossEntropy spread={std} round_size={size}", 100)
        for std in (1, 3) for size in (10, 20)},
-    **{f"cma_es_{spread}": Line(f"cma_es spread={spread}", 100) for spread in (1, 3)},
-    **{f"best_of_{spread}": Line(f"best_of spread={spread}", 100) for spread in (1, 3)},
+    **{f"cma_es_{spread}": Line(f"own_searches:CmaEs spread={spread}", 100) for spread in (1, 3)},
+    **{f"best_of_{spread}": Line(f"own_searches:BestOf spread={spread}", 100) for spread in (1, 3)},
 }  # fmt: skip
 GROUPS = {"main": MAIN, "controls": CONTROLS, "trials": TRIALS}
 CEILING = "ceiling"

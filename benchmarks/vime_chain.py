@@ -19,6 +19,7 @@ from random_bonus import curiosities
 
 from maesn.envs import chain
 from maesn.evaluation.evaluate import AdaptationCurves, adapt
+from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import SCRATCH, AbstractFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
@@ -85,8 +86,8 @@ def main(settings: Settings) -> None:
             outcome = adapt(
                 learner(name, settings),
                 collect,
+                Evaluation(seed=seed),
                 episodes=settings.updates * settings.episodes_per_task,
-                seed=seed,
             )
             rows.append(row(name, seed, outcome.curves))
             print(*rows[-1].values(), f"{time.perf_counter() - start:.0f} s", sep="\t", flush=True)

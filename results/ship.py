@@ -15,7 +15,7 @@ from typing import Any
 
 import tyro
 
-from maesn.learners import METHODS, AbstractMetaLearner, recommended, recommended_run
+from maesn.learners import PRESETS, AbstractMetaLearner, recommended, recommended_run
 from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
@@ -41,9 +41,9 @@ def command(config: RunConfig) -> str:
         ValueError: no command trains such a learner.
     """
     method, family = config.settings.method, config.settings.family
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
-    chosen = _changes(config, RunSettings(), METHODS[method]())
+    if method not in PRESETS:
+        raise ValueError(f"`method` must be one of {', '.join(PRESETS)}, got {method!r}.")
+    chosen = _changes(config, RunSettings(), PRESETS[method]())
     words = ["maesn train", method, "--settings reference"]
     if _slots(chosen):
         suited = RunSettings(**recommended_run(method, family)), recommended(method, family)

@@ -18,7 +18,6 @@ from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.gradient.outer import FirstOrderInfo
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
-from maesn.learners.wrappers.meta_bonus import BonusInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
@@ -138,7 +137,6 @@ def test_the_site_describes_every_method_and_every_public_name(
         ("outer/", TrustRegionInfo),
         ("outer/", FirstOrderInfo),
         ("policy_step/", ProximalInfo),
-        ("curiosity/", BonusInfo),
     ],
 )
 def test_every_metric_is_described(prefix: str, info: type) -> None:

@@ -19,6 +19,7 @@ from maesn.search.stored import read_prior, run_prior
 @pytest.fixture
 def tables(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    monkeypatch.syspath_prepend(ROOT / "examples")
     return load_script("benchmarks/search_tables.py")
 
 
@@ -33,7 +34,7 @@ def test_rows_are_those_of_adapt_and_are_made_once(
     tables: ModuleType, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "enable_compilation_cache", lambda: None)
-    short = tables.Line("best_of", 3)
+    short = tables.Line("own_searches:BestOf", 3)
     monkeypatch.setitem(tables.GROUPS, "short", {"search": tables.Line(episodes=3), "best": short})
     out = tmp_path / "rows"
     settings = tables.Settings(

@@ -51,8 +51,7 @@ TOPICS = {
 # What holds no docstring of its own.
 TABLES = {
     "FAMILIES": "The families of tasks, by name.",
-    "METHODS": "Functions that return a learner, by the name that `maesn train` takes.",
-    "PRESETS": "The same without those that have a curiosity bonus.",
+    "PRESETS": "Functions that return a learner, by the name that `maesn train` takes.",
     "SCRATCH": "Functions that return a method from scratch, by name.",
     "Collect": "What plays episodes for a learner: agents and keys in, episodes out.",
 }

@@ -30,7 +30,6 @@ from maesn.inner.adaptation import Adaptation as Adaptation
 from maesn.inner.adaptation import InnerStep as InnerStep
 from maesn.inner.adaptation import StepSchedule as StepSchedule
 from maesn.inner.advantage import AdvantageEstimator as AdvantageEstimator
-from maesn.learners import METHODS as METHODS
 from maesn.learners import PRESETS as PRESETS
 from maesn.learners import SCRATCH as SCRATCH
 from maesn.learners import AbstractFastLearner as AbstractFastLearner
@@ -38,7 +37,6 @@ from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners import AbstractOuterStep as AbstractOuterStep
 from maesn.learners import AbstractSettableLatent as AbstractSettableLatent
 from maesn.learners import BonusFastLearner as BonusFastLearner
-from maesn.learners import BonusMetaLearner as BonusMetaLearner
 from maesn.learners import Capabilities as Capabilities
 from maesn.learners import FineTuning as FineTuning
 from maesn.learners import FirstOrderOuterStep as FirstOrderOuterStep
@@ -79,9 +77,7 @@ from maesn.policies import GaussianMLP as GaussianMLP
 from maesn.policies import Recurrent as Recurrent
 from maesn.rules import AbstractRule as AbstractRule
 from maesn.rules import AbstractWrapper as AbstractWrapper
-from maesn.rules import BestOfRule as BestOfRule
-from maesn.rules import CmaEsRule as CmaEsRule
-from maesn.rules import CrossEntropyRule as CrossEntropyRule
+from maesn.rules import Budget as Budget
 from maesn.rules import GradientRule as GradientRule
 from maesn.rules import MemoryRule as MemoryRule
 from maesn.rules import NoAdaptation as NoAdaptation
@@ -92,6 +88,7 @@ from maesn.rules import Trained as Trained
 from maesn.rules import VimeBonus as VimeBonus
 from maesn.runs.config import RunSettings as RunSettings
 from maesn.runs.run import Run as Run
+from maesn.search import SearchSettings as SearchSettings
 from maesn.search.prior import PriorSettings as PriorSettings
 from maesn.storage import RunError as RunError
 from maesn.studies.spec import EvaluationSpec as EvaluationSpec

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pictures import assert_says_what_to_install, can_draw
 from PIL import Image
+from scripts import ROOT, load_script
 from small_runs import tiny_maesn, tiny_settings
 from strange_families import painters
 from strangers import HORIZON
@@ -21,10 +22,11 @@ from maesn.evaluation import film
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import Filmed, record_adaptation
 from maesn.evaluation.running import new_tasks
-from maesn.rules import BestOfRule
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld, EpisodeError
 from maesn.worlds.collector import Collector
+
+own_searches = load_script("examples/own_searches.py")
 
 TASK, PLAYED, SHOWN, AFTER = 3, 5, 2, [0, 10]
 Played = dict[int, list[Filmed]]
@@ -56,7 +58,7 @@ def test_the_episodes_are_those_of_adapt(run: Run, played: Played, tmp_path: Pat
 
 
 def test_a_search_is_shown_one_latent_after_the_other(run: Run, tmp_path: Path) -> None:
-    asked = Evaluation(rule=BestOfRule(), episodes=5, deploy_episodes=0, seed=4)
+    asked = Evaluation(rule=own_searches.BestOf(), episodes=5, deploy_episodes=0, seed=4)
     with new_tasks(run, asked) as (world, learner):
         played = record_adaptation(learner, world, asked, TASK, [0, 2], 3)
     curves = maesn.adapt(run, asked, out=tmp_path / "table.csv").curves
@@ -209,8 +211,12 @@ def test_what_is_no_picture_is_refused(painting: Run, tmp_path: Path) -> None:
         maesn.render(painting, asked, task=task, family=painters, out=tmp_path)
 
 
-def test_a_search_is_filmed_without_further_options(run: Run, drawn: list[Drawn]) -> None:
-    command = ["render", str(run.directory), "--rule", "best_of", "--episodes", "6"]
+def test_a_search_is_filmed_without_further_options(
+    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    rule = ["--rule", "own_searches:BestOf"]
+    command = ["render", str(run.directory), *rule, "--episodes", "6"]
     assert cli.run(command) == 0
     assert len(list((run.directory / "render").iterdir())) == 2
 

@@ -1,7 +1,6 @@
 """Rules and what is added to them, from the command line to the table."""
 
 import json
-import sys
 from pathlib import Path
 
 import jax
@@ -13,19 +12,17 @@ from maesn import api, cli
 from maesn.envs import point
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import (
-    METHODS,
+    PRESETS,
     BonusFastLearner,
-    BonusMetaLearner,
     CuriosityBonus,
     FineTuning,
     GradientFastLearner,
 )
-from maesn.policies import GaussianMLP
 from maesn.rules import (
-    BestOfRule,
     FixedAgents,
     GradientRule,
     NoAdaptation,
+    SearchRule,
     ThenReinforce,
     ThenTrpo,
     Trained,
@@ -94,7 +91,7 @@ def test_latents_may_start_wider(trained: Path, few: str, tmp_path: Path) -> Non
     np.testing.assert_allclose(np.exp(start.log_std), 3.0, rtol=1e-6)
     np.testing.assert_array_equal(start.mean, 0.0)
     without = tmp_path / "without"
-    Run.create(without, METHODS["maml"](meta_batch_size=4), tiny_settings(method="maml"))
+    Run.create(without, PRESETS["maml"](meta_batch_size=4), tiny_settings(method="maml"))
     with pytest.raises(RunError, match="`start_std` needs a method with a latent"):
         api.adapt(without, tasks=few, rule=GradientRule(start_std=3.0))
 
@@ -118,7 +115,7 @@ def test_settings_that_differ_have_files_that_differ() -> None:
 def test_a_rule_that_does_not_fit_the_method_is_refused(
     tmp_path: Path, few: str, name: str, rule: str, reason: str
 ) -> None:
-    run = Run.create(tmp_path / "run", METHODS[name](meta_batch_size=4), tiny_settings(method=name))
+    run = Run.create(tmp_path / "run", PRESETS[name](meta_batch_size=4), tiny_settings(method=name))
     with pytest.raises(RunError, match=f"`{name}` cannot be adapted like this: .*{reason}"):
         api.adapt(run, tasks=few, rule=from_text("rule", rule))
 
@@ -177,22 +174,6 @@ def test_the_weights_learn_from_the_bonus_as_well(trained: Path, order: slice) -
     assert isinstance(both.learner.learner, GradientFastLearner)
 
 
-def test_a_run_with_a_bonus_is_stored_and_gets_no_second_one(tmp_path: Path, few: str) -> None:
-    """`tests/long` trains and adapts one."""
-    command = (
-        "train maesn+curiosity --family point --iterations 0 --learner.policy.hidden-sizes 4 "
-        f"--curiosity.weight 0.5 --run {tmp_path / 'run'}"
-    )
-    assert cli.run(command.split()) == 0
-    run = Run.open(tmp_path / "run")
-    assert run.settings.method == "maesn+curiosity"
-    assert isinstance(run.learner, BonusMetaLearner)
-    assert run.learner.curiosity.weight == 0.5
-    assert run.learner.learner.policy == GaussianMLP((4,))
-    with pytest.raises(RunError, match="it has a curiosity bonus already"):
-        api.adapt(run, tasks=few, wrappers=(VimeBonus(),))
-
-
 def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="`after` must be at least 0, got -2"):
         ThenTrpo(after=-2)
@@ -202,7 +183,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         GradientRule(full_steps=0)
     with pytest.raises(ValueError, match="`start_std` must be positive and finite, got 0"):
         GradientRule(start_std=0.0)
-    recurrent = Run.create(tmp_path / "rl2", METHODS["rl2"](), tiny_settings())
+    recurrent = Run.create(tmp_path / "rl2", PRESETS["rl2"](), tiny_settings())
     for added, reason in (
         (ThenTrpo(), "`learner` must not be"),
         (VimeBonus(), "`learner` must learn"),
@@ -214,13 +195,28 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
     with pytest.raises(RunError, match="`after` must be a multiple of `episodes_per_update`"):
         api.adapt(trained, wrappers=(ThenReinforce(after=30),))
     with pytest.raises(RunError, match="`episodes` must be at least 20 more than `after`, got 20"):
-        api.adapt(trained, rule=BestOfRule(), episodes=20, wrappers=(ThenTrpo(after=10),))
+        api.adapt(trained, rule=SearchRule(), episodes=20, wrappers=(ThenTrpo(after=10),))
     with pytest.raises(RunError, match="`deploy_episodes` must be 0 or equal"):
         api.adapt(recurrent, deploy_episodes=7)
     with pytest.raises(RunError, match="an update needs at least 2 episodes of a task, got 1"):
         api.adapt(trained, episodes_per_update=1)
     with pytest.raises(TypeError, match="updates"):
         api.adapt(trained, updates=3)
+
+
+@pytest.mark.parametrize(
+    ("text", "full"),
+    [
+        ("gradient", "GradientRule(step_scale=1.0, full_steps=None, start_std=1.0)"),
+        (
+            "search exploration=1 any_reward=true",
+            "SearchRule(acquisition='ucb', exploration=1.0, draws=8, draw_std=0.2, residual=0.1, "
+            "length_scale=1.0, prior='', any_reward=True)",
+        ),
+    ],
+)
+def test_a_rule_written_out_in_full_is_what_names_jobs(text: str, full: str) -> None:
+    assert written_out(from_text("rule", text)) == full
 
 
 def test_rules_as_text() -> None:
@@ -236,8 +232,7 @@ def test_rules_as_text() -> None:
     [
         (
             "gradeint",
-            "must be one of gradient, search, best_of, cross_entropy, cma_es, memory, none, or "
-            "`module:name` of your own",
+            "must be one of gradient, search, memory, none, or `module:name` of your own",
         ),
         ("gradient step=2", "it has no setting `step`; write NAME=VALUE with one of step_scale, "),
         ("gradient step_scale", "expected NAME=VALUE, each name once, got `step_scale`"),
@@ -251,26 +246,6 @@ def test_mistakes_in_the_text_of_a_rule_get_a_sentence(text: str, message: str) 
     with pytest.raises(RunError) as refused:
         from_text("rule", text)
     assert message in str(refused.value)
-
-
-def test_a_rule_of_ones_own_is_found_by_name(
-    trained: Path, few: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = (
-        "import maesn\n\n"
-        "class Widened(maesn.AbstractRule):\n"
-        "    factor: float = 2.0\n\n"
-        "    def fast_learner(self, trained, env):\n"
-        "        return trained.fast_learner()\n"
-    )
-    (tmp_path / "widened_rules.py").write_text(source)
-    monkeypatch.syspath_prepend(tmp_path)
-    command = ["adapt", str(trained), "--tasks", few, *BUDGET, "--rule", "widened_rules:Widened"]
-    assert cli.run([*command, "factor=3"]) == 0
-    (table,) = (trained / "adaptation").glob("file-few-*-sparse-widened-*.csv")
-    record = json.loads(table.with_suffix(".settings.json").read_text())
-    assert record["rule"] == "widened_rules:Widened(factor=3.0)"
-    del sys.modules["widened_rules"]
 
 
 def test_a_label_says_what_is_changed() -> None:

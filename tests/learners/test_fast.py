@@ -15,7 +15,7 @@ from reference.maesn import Agent, inner_update, start
 from maesn.context import Latent
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.learners import (
-    METHODS,
+    PRESETS,
     SCRATCH,
     Capabilities,
     FineTuning,
@@ -109,13 +109,12 @@ CAN = {
     "maml_bias_only": Capabilities(),
     "rl2": Capabilities(is_recurrent=True, trial_episodes=2, learns_from_reward=False),
     "oracle": Capabilities(learns_from_reward=False),
-    "maesn+curiosity": Capabilities(has_bonus=True, least_episodes=2),
 }
 
 
 @pytest.mark.parametrize("method", CAN)
 def test_learners_say_what_they_can(method: str) -> None:
-    meta = METHODS[method]()
+    meta = PRESETS[method]()
     learner = meta.fast_learner(meta.init(jax.random.key(0), Problem(2, 2, 20, 2)))
     assert learner.capabilities == CAN[method]
 
@@ -154,11 +153,9 @@ def test_a_latent_that_compares_episodes_needs_two_of_them() -> None:
         with pytest.raises(ValueError, match=message):
             preset().check_batch(1)
         preset().check_batch(2)
-    with pytest.raises(ValueError, match=message):
-        METHODS["maesn+curiosity"]().check_batch(1)
     # Without an inner update nothing can stand still; and whatever else moves can learn from one.
     for method in ("latent_space", "maml", "maml_bias", "maml_bias_only", "oracle"):
-        METHODS[method]().check_batch(1)
+        PRESETS[method]().check_batch(1)
     maesn(adaptation=Adaptation(InnerStep(0.1), InnerStep(1.0))).check_batch(1)
     rl2(meta_batch_size=40).check_batch(1)
     meta = maml(policy=GaussianMLP((4,)))

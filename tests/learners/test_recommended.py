@@ -10,7 +10,7 @@ import maesn
 from maesn import cli
 from maesn.commands.train import read_options
 from maesn.envs import FAMILIES
-from maesn.learners import METHODS, RECOMMENDED, RECOMMENDED_RUNS, method_name
+from maesn.learners import PRESETS, RECOMMENDED, RECOMMENDED_RUNS, method_name
 from maesn.learners.recommended import with_setting
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json
@@ -22,7 +22,7 @@ SUITED = [(method, family) for family in RECOMMENDED for method in RECOMMENDED[f
 @pytest.mark.parametrize(("method", "family"), SUITED)
 def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> None:
     table = {path: found.value for path, found in RECOMMENDED[family][method].items()}
-    learner, usual = maesn.recommended(method, family), METHODS[method]()
+    learner, usual = maesn.recommended(method, family), PRESETS[method]()
     for path, value in table.items():
         assert attrgetter(path)(learner) == value != attrgetter(path)(usual)
     own, others = (leaves(fields_to_json(one)) for one in (learner, usual))
@@ -30,8 +30,6 @@ def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> No
         is_listed = any(f"{path}.".startswith(f"{one}.") for one in table)
         assert is_listed or own[path] == others[path]
     assert method_name(learner) == method
-    with_bonus = maesn.recommended(f"{method}+curiosity", family)
-    assert with_bonus == with_setting(METHODS[f"{method}+curiosity"](), "learner", learner)
 
 
 def test_the_tables_name_families_methods_and_settings() -> None:
@@ -39,14 +37,15 @@ def test_the_tables_name_families_methods_and_settings() -> None:
     for table in (RECOMMENDED, RECOMMENDED_RUNS):
         assert set(table) <= set(FAMILIES)
         for of_family in table.values():
-            assert set(of_family) <= set(METHODS)
+            assert set(of_family) <= set(PRESETS)
             assert all("results/" in one.source for of in of_family.values() for one in of.values())
     assert all(set(of) <= fields for run in RECOMMENDED_RUNS.values() for of in run.values())
 
 
 def test_elsewhere_the_preset_is_what_there_is() -> None:
-    assert maesn.recommended("maesn", "point") == METHODS["maesn"]()
-    assert maesn.recommended("rl2", "blockpush") == METHODS["rl2"]()
+    assert [method_name(preset()) for preset in PRESETS.values()] == [*PRESETS]
+    assert maesn.recommended("maesn", "point") == PRESETS["maesn"]()
+    assert maesn.recommended("rl2", "blockpush") == PRESETS["rl2"]()
     with pytest.raises(ValueError, match=r"`method` must be one of maesn.*got 'trpo'"):
         maesn.recommended("trpo", "point")
 
@@ -57,10 +56,10 @@ def test_elsewhere_the_preset_is_what_there_is() -> None:
         ("--family blockpush", maesn.recommended("maesn", "blockpush"), 50),
         ("--family=ant", maesn.recommended("maesn", "ant"), 50),
         ("", maesn.recommended("maesn", "wheeled"), 20),
-        ("--family blockpush --settings reference", METHODS["maesn"](), 20),
+        ("--family blockpush --settings reference", PRESETS["maesn"](), 20),
         (
             "--episodes-per-task 30 --family wheeled --context.initial-spread 0.5",
-            with_setting(METHODS["maesn"](), "context.initial_spread", 0.5),
+            with_setting(PRESETS["maesn"](), "context.initial_spread", 0.5),
             30,
         ),
     ],

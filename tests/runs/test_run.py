@@ -21,7 +21,7 @@ from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 from maesn import cli, storage
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, AnyEnv, Point
-from maesn.learners import METHODS, maml
+from maesn.learners import PRESETS, maml
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
@@ -151,7 +151,7 @@ def test_the_command_gives_policies_that_choose_where_that_is_needed(
 
 
 def test_trials_that_are_too_few_for_the_minibatches_are_refused(tmp_path: Path) -> None:
-    directory, learner = tmp_path / "run", METHODS["rl2"](meta_batch_size=2)
+    directory, learner = tmp_path / "run", PRESETS["rl2"](meta_batch_size=2)
     with pytest.raises(RunError, match=r"`policy_step\.descent\.minibatches` is 8"):
         Run.create(directory, learner, tiny_settings(episodes_per_task=2))
     assert not directory.exists()

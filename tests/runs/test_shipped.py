@@ -163,7 +163,7 @@ def test_what_no_option_can_name_is_refused() -> None:
 def test_shipping_takes_the_last_checkpoint_and_leaves_a_run(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ship, "METHODS", {"Drift": Drift})
+    monkeypatch.setattr(ship, "PRESETS", {"Drift": Drift})
     run = create(folder / "run")
     with pytest.raises(ValueError, match="0 of 6"):
         ship.ship(run, "0123abc", folder / "shipped")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scripts import load_script
 
 import maesn
 from maesn import api, cli
@@ -59,7 +60,8 @@ def test_from_what_a_search_has_found_the_gradient_goes_on_as_from_the_prior(
     adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, _ = adapted
-    found = api.adapt(run, rule=maesn.BestOfRule(), episodes=2, num_tasks=2, deploy_episodes=1)
+    rule = load_script("examples/own_searches.py").BestOf()
+    found = api.adapt(run, rule=rule, episodes=2, num_tasks=2, deploy_episodes=1)
     path = api.export(run, tmp_path / "policy.npz", latents=found.latents, task=1)
     explorer = Explorer.load(path)
     np.testing.assert_array_equal(explorer.latent_mean, found.outcome.contexts.mean[1, -1])

@@ -16,7 +16,7 @@ import numpy as np
 
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners import METHODS, GradientMetaLearner, Problem
+from maesn.learners import PRESETS, GradientMetaLearner, Problem
 from maesn.numerics.mesh import sharing_tasks
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
@@ -70,12 +70,10 @@ def deviations(reference: Any, other: Any) -> dict[str, float]:
 
 def small(method: str) -> Any:
     """A learner of eight tasks, a multiple of all numbers of devices."""
-    learner = METHODS[method](meta_batch_size=8)
-    found = getattr(learner, "learner", learner)
-    if isinstance(found, GradientMetaLearner):
-        region = replace(found.outer.trust_region, cg_steps=CG_STEPS)
-        fewer = replace(found, outer=replace(found.outer, trust_region=region))
-        return fewer if found is learner else replace(learner, learner=fewer)
+    learner = PRESETS[method](meta_batch_size=8)
+    if isinstance(learner, GradientMetaLearner):
+        region = replace(learner.outer.trust_region, cg_steps=CG_STEPS)
+        return replace(learner, outer=replace(learner.outer, trust_region=region))
     return learner
 
 

@@ -9,6 +9,7 @@ from maesn.learners import GradientMetaLearner
 from maesn.rules import SearchRule
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json, leaves
+from maesn.search import SearchSettings
 from maesn.storage import RunError
 from maesn.studies.members import members_of_run
 from maesn.studies.plan import make_plan
@@ -55,7 +56,7 @@ def test_a_file_becomes_the_settings_that_commands_use(tmp_path: Path) -> None:
     assert isinstance(first.run.learner, GradientMetaLearner)
     assert not first.run.learner.adaptation.context.learned
     search = study.evaluations["search"].usual
-    assert search.rule == SearchRule(exploration=1.0)
+    assert search.rule == SearchRule(SearchSettings(exploration=1.0))
     assert search.budget == (10, 1, 5)
     assert study.evaluations["usual"].on["point"].num_tasks == 6
     assert study.scratch["trpo"].max_kl == 0.02

@@ -14,18 +14,18 @@ from maesn.commands.options import command
 from maesn.envs import FAMILIES, PROBES
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
-from maesn.learners import BONUS_SUFFIX, PRESETS, SCRATCH
-from maesn.rules import KNOWN
+from maesn.learners import PRESETS, SCRATCH
+from maesn.rules import KNOWN, paths_of
 from maesn.runs.config import installed_versions, read_config
 from maesn.runs.process import cache_directory
 from maesn.runs.run import Run
-from maesn.runs.serialization import TAG, fields_to_json
+from maesn.runs.serialization import fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
 from maesn.settings import leaves
 from maesn.storage import RunError, check_writable
 
 # Packages that extras of the installation bring.
-_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "cmaes", "plotly")
+_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "plotly")
 
 
 @command
@@ -54,8 +54,7 @@ def doctor() -> None:
 @command
 def list() -> None:  # noqa: A001
     """List methods, rules, families of tasks, and policies that come with the library."""
-    any_of_these = "Any of these, with a bonus for what it finds out in it."
-    _show("methods", _first_lines(PRESETS) | {f"NAME{BONUS_SUFFIX}": any_of_these})
+    _show("methods", _first_lines(PRESETS))
     _show("from scratch, for `maesn compare --scratch`", _first_lines(SCRATCH))
     for option, rules in KNOWN.items():
         settings = {name: _settings(rule()) for name, rule in rules.items()}
@@ -76,8 +75,9 @@ def _show(title: str, texts: Mapping[str, str]) -> None:
 
 def _settings(rule: Any) -> str:
     """Return the settings of a rule with their defaults, as they are written behind its name."""
-    shown = {n: v for n, v in leaves(fields_to_json(rule)).items() if n.split(".")[-1] != TAG}
-    return "".join(f"\n{'':18s}{name}={json.dumps(value)}" for name, value in shown.items())
+    values = leaves(fields_to_json(rule))
+    shown = {name: json.dumps(values[path]) for name, path in paths_of(rule).items()}
+    return "".join(f"\n{'':18s}{name}={value}" for name, value in shown.items())
 
 
 def _first_lines(described: Mapping[str, Any]) -> dict[str, str]:

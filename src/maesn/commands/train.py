@@ -45,7 +45,6 @@ _HELP = f"""usage: maesn train METHOD --run DIR [OPTIONS]
 
 METHOD is one of: {", ".join(learners.PRESETS)};
 or `module:name` of your own, such as a class `name` in the file `module.py`.
-METHOD{learners.BONUS_SUFFIX} gets a bonus for what it finds out as well.
 `maesn train METHOD --family FAMILY --help` lists all settings, with the defaults of the method on
 that family. Those of `maesn`:
 """
@@ -57,8 +56,8 @@ def train(arguments: list[str]) -> None:
     if method in ("-h", "--help"):
         print(_HELP)
         read_options("maesn", ["--help"])
-    if ":" not in method and method not in learners.METHODS:
-        hint, known = suggestion(method, learners.METHODS), ", ".join(learners.PRESETS)
+    if ":" not in method and method not in learners.PRESETS:
+        hint, known = suggestion(method, learners.PRESETS), ", ".join(learners.PRESETS)
         raise RunError(
             f"there is no method `{method}`.{hint} Known are: {known}; give your own as "
             "`module:name`."
@@ -89,7 +88,7 @@ def read_options(method: str, arguments: list[str]) -> Options:
     if ":" in method:
         default = Options(RunSettings(family=family), own_method(method))
     elif found.settings == "reference":
-        default = Options(RunSettings(family=family), learners.METHODS[method](), "reference")
+        default = Options(RunSettings(family=family), learners.PRESETS[method](), "reference")
     else:
         settings = RunSettings(family=family, **learners.recommended_run(method, family))
         default = Options(settings, learners.recommended(method, family))

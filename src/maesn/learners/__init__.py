@@ -20,8 +20,6 @@ from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOut
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.policy_steps import ProximalStep as ProximalStep
 from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
-from maesn.learners.presets import BONUS_SUFFIX as BONUS_SUFFIX
-from maesn.learners.presets import METHODS as METHODS
 from maesn.learners.presets import PRESETS as PRESETS
 from maesn.learners.presets import fine_tuned as fine_tuned
 from maesn.learners.presets import latent_space as latent_space
@@ -60,4 +58,3 @@ from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
 from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
-from maesn.learners.wrappers.meta_bonus import BonusMetaLearner as BonusMetaLearner

@@ -18,7 +18,6 @@ from maesn.learners.scratch.policy_gradient import PolicyImprovement
 from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import FineTuning
-from maesn.learners.wrappers.meta_bonus import BonusMetaLearner
 from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
@@ -195,18 +194,7 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
 }
 
 
-def _with_bonus(preset: Callable[..., AbstractMetaLearner[Any, Any]]) -> Callable[..., Any]:
-    return lambda **settings: BonusMetaLearner(preset(**settings))
-
-
-BONUS_SUFFIX = "+curiosity"
-"""Suffix of the name of a method with a curiosity bonus."""
-
-METHODS = PRESETS | {name + BONUS_SUFFIX: _with_bonus(preset) for name, preset in PRESETS.items()}
-"""Every preset, without and with a curiosity bonus."""
-
-
 def method_name(learner: AbstractMetaLearner[Any, Any]) -> str:
     """Return the name of the preset whose slots a learner fills, or that of its class."""
-    names = [name for name, preset in METHODS.items() if preset().slots() == learner.slots()]
+    names = [name for name, preset in PRESETS.items() if preset().slots() == learner.slots()]
     return names[0] if names else type(learner).__name__

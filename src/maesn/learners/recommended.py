@@ -5,11 +5,10 @@ they are listed here and nowhere else. `results/settings.md` says how they were 
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeVar
 
 from maesn.learners.base import AbstractMetaLearner
-from maesn.learners.presets import BONUS_SUFFIX, METHODS
+from maesn.learners.presets import PRESETS
 from maesn.policies import AnnealedGaussianMLP
 
 Settings = TypeVar("Settings")
@@ -92,15 +91,15 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
     """Return a method with the settings that suit a family; its preset where none are known.
 
     Args:
-        method: as in `maesn.METHODS`.
+        method: as in `maesn.PRESETS`.
         family: name of a family.
 
     Raises:
         ValueError: there is no such method.
     """
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}.")
-    learner = METHODS[method]()
+    if method not in PRESETS:
+        raise ValueError(f"`method` must be one of {', '.join(PRESETS)}, got {method!r}.")
+    learner = PRESETS[method]()
     for path, value in recommended_settings(method, family).items():
         learner = with_setting(learner, path, value)
     return learner
@@ -108,15 +107,13 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
 
 def recommended_settings(method: str, family: str) -> dict[str, Any]:
     """Return the settings of the learner that suit a family, by path; none where none are known."""
-    base = method.removesuffix(BONUS_SUFFIX)
-    prefix = "learner." if base != method else ""
-    found = _found(RECOMMENDED, base, family)
-    return {prefix + path: recommendation.value for path, recommendation in found.items()}
+    found = RECOMMENDED.get(family, {}).get(method, {})
+    return {path: recommendation.value for path, recommendation in found.items()}
 
 
 def recommended_run(method: str, family: str) -> dict[str, Any]:
     """Return the settings of a run that suit a method on a family, by name."""
-    found = _found(RECOMMENDED_RUNS, method.removesuffix(BONUS_SUFFIX), family)
+    found = RECOMMENDED_RUNS.get(family, {}).get(method, {})
     return {name: recommendation.value for name, recommendation in found.items()}
 
 
@@ -126,9 +123,3 @@ def with_setting(settings: Settings, path: str, value: Any) -> Settings:
     if rest:
         value = with_setting(getattr(settings, name), rest, value)
     return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
-
-
-def _found(
-    table: Mapping[str, Mapping[str, Mapping[str, Recommendation]]], method: str, family: str
-) -> Mapping[str, Recommendation]:
-    return table.get(family, {}).get(method, {})

@@ -1,6 +1,5 @@
 """Rules: what happens in a new task."""
 
-from maesn.rules.base import GRADIENT_BUDGET as GRADIENT_BUDGET
 from maesn.rules.base import AbstractRule as AbstractRule
 from maesn.rules.base import AbstractWrapper as AbstractWrapper
 from maesn.rules.base import Budget as Budget
@@ -10,13 +9,10 @@ from maesn.rules.prescribed import GradientRule as GradientRule
 from maesn.rules.prescribed import MemoryRule as MemoryRule
 from maesn.rules.prescribed import NoAdaptation as NoAdaptation
 from maesn.rules.search import SearchRule as SearchRule
-from maesn.rules.strategies import BestOfRule as BestOfRule
-from maesn.rules.strategies import CmaEsRule as CmaEsRule
-from maesn.rules.strategies import CrossEntropyRule as CrossEntropyRule
 from maesn.rules.text import KNOWN as KNOWN
 from maesn.rules.text import from_text as from_text
+from maesn.rules.text import paths_of as paths_of
 from maesn.rules.text import written_out as written_out
-from maesn.rules.wrappers import AbstractThen as AbstractThen
 from maesn.rules.wrappers import ThenReinforce as ThenReinforce
 from maesn.rules.wrappers import ThenTrpo as ThenTrpo
 from maesn.rules.wrappers import VimeBonus as VimeBonus

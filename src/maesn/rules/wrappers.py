@@ -97,6 +97,4 @@ class VimeBonus(AbstractWrapper):
         return "bonus by VIME"
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        if learner.capabilities.has_bonus:
-            raise ValueError("it has a curiosity bonus already: leave `bonus` out.")
         return with_curiosity(learner, self.curiosity, env.observation_size, env.action_size)

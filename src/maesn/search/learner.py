@@ -4,6 +4,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 
 from maesn.axes import TaskKeys
@@ -13,7 +14,6 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
-from maesn.search.strategy_learner import task_generators
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     settings: SearchSettings
 
     def init(self, keys: TaskKeys) -> SearchState:
-        generators = task_generators(keys)
+        seeds = np.asarray(jax.vmap(jax.random.key_data)(keys))
+        generators = [np.random.default_rng(seed.tolist()) for seed in seeds]
         start = LatentSearch.start(self.model, self.settings)
         return _propose([start] * len(generators), generators)
 

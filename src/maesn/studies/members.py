@@ -235,7 +235,7 @@ def _settings(
     if ":" in preset:
         learner = own_method(preset)
     elif spec.source == "reference":
-        learner = learners.METHODS[preset]()
+        learner = learners.PRESETS[preset]()
     else:
         learner = learners.recommended(preset, family)
         usual = learners.recommended_run(preset, family)

@@ -145,7 +145,7 @@ def _check_names(study: StudySpec, place: Place) -> None:
     (place / "oracle").check(study.oracle, study.runs)
     for name, run in study.runs.items():
         if not run.directories and ":" not in run.preset:
-            (place / "runs" / name / "preset").check(run.preset or name, learners.METHODS, "method")
+            (place / "runs" / name / "preset").check(run.preset or name, learners.PRESETS, "method")
     for name, scratch in study.scratch.items():
         here = place / "scratch" / name / "method"
         here.check(scratch.method or name, learners.SCRATCH, "method from scratch")

@@ -3,8 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
-from learners import test_bonus as short
 from playing import keys
 
 from maesn.envs import chain
@@ -38,8 +36,3 @@ def test_on_a_sparse_chain_vime_finds_the_reward_and_trpo_stands_still() -> None
         stays[name] = all(np.array_equal(one, other) for one, other in leaves)
     assert stays == {"trpo": True, "vime": False}
     assert found == {"trpo": [False] * TASKS, "vime": [True] * TASKS}
-
-
-@pytest.mark.parametrize("name", short.LONG)
-def test_with_a_weight_of_0_it_is_the_learner_itself(name: str) -> None:
-    short.test_with_a_weight_of_0_it_is_the_learner_itself(name, short.make_collect())

@@ -86,7 +86,13 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         """Learn from reward and bonus, then let the models learn from the transitions."""
         keys = _update_keys(state.keys, state.update)
         models, bonus = _judge(self.curiosity, keys[:, 0], state.curiosity, episodes)
-        learned = self.learner.update(state.learner, with_bonus(episodes, bonus))
+        rewarded = dataclasses.replace(
+            episodes,
+            reward=episodes.reward + bonus,
+            # What the policy received while it played has no bonus.
+            observed_reward=episodes.received_reward,
+        )
+        learned = self.learner.update(state.learner, rewarded)
         models = _learn(self.curiosity, keys[:, 1], models)
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
@@ -108,13 +114,6 @@ def _judge(
 @eqx.filter_jit
 def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
     return map_tasks(curiosity.learn, keys, models, how="vmap")
-
-
-def with_bonus(episodes: Episodes, bonus: Float[Array, "task episode time"]) -> Episodes:
-    """Add the bonus to the rewards to learn from, but not to those that the policy received."""
-    return dataclasses.replace(
-        episodes, reward=episodes.reward + bonus, observed_reward=episodes.received_reward
-    )
 
 
 def _update_keys(keys: TaskKeys, update: Int[Array, ""]) -> Any:

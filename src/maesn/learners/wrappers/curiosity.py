@@ -22,7 +22,7 @@ from maesn.axes import Key
 from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
-from maesn.numerics import DiagonalGaussian, Ring, first_order_step, mesh
+from maesn.numerics import DiagonalGaussian, Ring, first_order_step
 from maesn.settings import check_number, check_positive
 
 # Number of transitions whose gradients are held at once; bounds the memory.
@@ -144,11 +144,11 @@ class CuriosityBonus(eqx.Module):
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
-        pool = state.pool.extend(*self._draw_additions(pool_key, mesh.gather(played)))
+        pool = state.pool.extend(*self._draw_additions(pool_key, played))
         state = replace(state, pool=pool)
         gain = self.information_gains(noise_key, state.network, state.scale, played)
-        median = jnp.nanmedian(mesh.gather(jnp.where(played.valid, gain, jnp.nan)))
-        has_median = state.has_learned & mesh.gather(played.valid).any()
+        median = jnp.nanmedian(jnp.where(played.valid, gain, jnp.nan))
+        has_median = state.has_learned & played.valid.any()
         medians = state.medians.extend(median[None, None], has_median[None])
         state = replace(state, medians=medians)
         typical = state.typical_gain
