@@ -215,7 +215,7 @@ def export(
         raise RunError("`latents` and `task` belong together: give both of them, or none.")
     if isinstance(rule, SearchRule) and start is None:
         with closing(opened.world(reward_kind="sparse")) as world:
-            found = find_prior(opened, checkpoint.state, world, rule.prior, rule.any_reward)
+            found = find_prior(opened, checkpoint.state, world, False, rule.prior, rule.any_reward)
         search = found, rule.settings
     elif not isinstance(rule, GradientRule | None):
         raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")

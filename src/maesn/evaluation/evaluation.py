@@ -46,8 +46,11 @@ class Evaluation:
     from."""
     deploy_after: tuple[int, ...] = ()
     """Numbers of episodes after which the deployed agent is judged; none: after every update."""
+    action_noise: bool = False
+    """Whether actions have the noise of training in the episodes of a search and in deployed ones.
+    False: there each is the most probable one, for the latent alone explores."""
     seed: int = 0
-    """Of the episodes."""
+    """Seed of the episodes."""
     sparse_radius: float | None = None
     """Metres around the goal in which sparse reward tells the distance; None: the run's own."""
     engine: EngineName | None = None

@@ -63,7 +63,8 @@ def new_tasks(
     with closing(world):
         state = run.latest_state()
         check_policy(run.learner.player(state), world.env)
-        trained = Trained(run.learner, state, partial(find_prior, run, state, world))
+        of_run = partial(find_prior, run, state, world, evaluation.action_noise)
+        trained = Trained(run.learner, state, of_run)
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
@@ -87,6 +88,7 @@ def evaluate(
         "episodes_per_update": budget.per_update,
         "deploy_episodes": budget.deploy,
         "deploy_after": list(evaluation.deploy_after),
+        "action_noise": evaluation.action_noise,
         "seed": evaluation.seed,
         "num_tasks": evaluation.count(world.tasks),
         "episodes": budget.episodes,

@@ -87,27 +87,30 @@ class ReturnModel:
         residual: variance of R, as a share of the variance of x_i(z) over the training tasks,
             averaged over the archive.
         length_scale: length scale of k and of R, a distance in z.
+        jumps: whether returns may jump from a latent to the next, where one comes near the goal and
+            the other does not. Their variance, as found in the archive (`roughness`), is then added
+            to k and to R for each latent by itself.
     """
 
-    def __init__(self, prior: ReturnPrior, residual: float, length_scale: float) -> None:
+    def __init__(
+        self, prior: ReturnPrior, residual: float, length_scale: float, jumps: bool = True
+    ) -> None:
         self.prior = prior
         self.archive = prior.latents
         self._length_scale = length_scale
         self._average = float(prior.excess.mean())
         centred = prior.excess - self._average
         spread = float((centred**2).mean())
-        noise = prior.noise / prior.episodes
-        kernel = self._kernel(self.archive, self.archive)
-        rough = roughness(kernel, centred)
-        jump = max(rough - float(noise.mean()), 0.0)
-        signal = spread - rough
-        gram = signal * kernel + np.diag(noise + max(jump, _LEAST_NOISE * spread))
+        noise = np.maximum(prior.noise / prior.episodes, _LEAST_NOISE * spread)
+        kernel, average_noise = self._kernel(self.archive, self.archive), float(noise.mean())
+        self._jump = max(roughness(kernel, centred) - average_noise, 0.0) if jumps else 0.0
+        signal = max(spread - average_noise - self._jump, _LEAST_NOISE * spread)
+        gram = signal * kernel + np.diag(noise + self._jump)
         self._weights = (
             signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
         )
         variance = float(self.task_means(self.archive).var(axis=0, ddof=1).mean())
         self._residual = residual * variance
-        self._jump = jump
 
     @property
     def num_tasks(self) -> int:
@@ -125,7 +128,7 @@ class ReturnModel:
         return average
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return R(z, z'), the covariance of the residual, `[first, second]`."""
+        """Return R(z, z'), the covariance of residual and jumps, `[first, second]`."""
         same = (first[:, None] == second[None]).all(axis=-1)
         return self._residual * self._kernel(first, second) + self._jump * same
 

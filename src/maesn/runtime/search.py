@@ -31,6 +31,7 @@ class SearchSettings:
         residual: variance of a new task's returns that no training task explains, as a share of
             the mean variance over training tasks.
         length_scale: distance in z over which returns vary.
+        jumps: whether the model allows for jumps of the return between near latents.
 
     Raises:
         ValueError: a setting is out of its range.
@@ -42,6 +43,7 @@ class SearchSettings:
     draw_std: float = 0.2
     residual: float = 0.1
     length_scale: float = 1.0
+    jumps: bool = True
 
     def __post_init__(self) -> None:
         if self.acquisition not in get_args(AcquisitionName):
@@ -56,7 +58,7 @@ class SearchSettings:
 
     def model(self, prior: ReturnPrior) -> ReturnModel:
         """Return the model of returns with a prior."""
-        return ReturnModel(prior, self.residual, self.length_scale)
+        return ReturnModel(prior, self.residual, self.length_scale, self.jumps)
 
 
 class Beliefs(NamedTuple):

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -51,7 +51,8 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def _holding(self, state: SearchState, points: Sequence[int]) -> Agents:
         pairs = zip(state.searches, points, strict=True)
         latents = [search.latent(point) for search, point in pairs]
-        return self.steered.holding(np.asarray(latents, np.float32))
+        # The latents explore, so the actions need no noise.
+        return replace(self.steered.holding(np.asarray(latents, np.float32)), is_noisy=False)
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
