@@ -59,7 +59,7 @@ def test_the_prior_says_what_training_tasks_return(trained: Path) -> None:
     assert prior.excess.min() >= -4
     assert -4 < np.median(prior.excess) < 0
     assert prior.offset_mean == pytest.approx(-2.0 * 40, rel=1e-3)
-    assert set(bound) == {"checkpoint", "training task set", "reward", "numbers"}
+    assert set(bound) == {"checkpoint", "training task set", "reward", "action noise", "numbers"}
 
 
 def test_a_prior_plays_no_more_episodes_at_once_than_the_world_can_hold(
