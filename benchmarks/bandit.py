@@ -1,6 +1,6 @@
 """RL2 on Bernoulli bandits, beside the optimum and the classics.
 
-    python benchmarks/bandit.py --out results/bandit
+    PYTHONPATH=examples python benchmarks/bandit.py --out results/bandit
 
 Five arms give 1 with a probability of their own, uniform on [0, 1], and there are ten pulls (Duan
 et al. 2016, section 3.1). What any algorithm can win on average is known: dynamic programming over
@@ -19,9 +19,10 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import numpy as np
+from bernoulli_bandit import Bandit, bandit
 from safetensors.numpy import load_file, save_file
 
-from maesn.envs import Bandit, TaskSet, bandit
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect

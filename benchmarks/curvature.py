@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 from maesn.axes import Key
 from maesn.envs import find_family
 from maesn.experience.episodes import Thinning
-from maesn.learners import PRESETS, GradientMetaLearner
+from maesn.learners import PRESETS, GradientMetaLearner, Problem
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters, start_agents
@@ -187,7 +187,7 @@ def trained(
     """Train a while, and return the state."""
     env, collect = world.env, Collector(world, settings.episodes_per_task)
     state = learner.init(
-        jax.random.key(0), env.observation_size, env.action_size, collect.num_tasks
+        jax.random.key(0), Problem(env.observation_size, env.action_size, collect.num_tasks)
     )
     for iteration in range(settings.iterations):
         state, _ = learner.step(jax.random.fold_in(jax.random.key(1), iteration), state, collect)

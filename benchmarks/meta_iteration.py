@@ -21,7 +21,7 @@ from bare_physics import BarePhysics, Recorder
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
-from maesn.learners import PRESETS
+from maesn.learners import PRESETS, Problem
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -74,7 +74,7 @@ def measure(settings: Settings) -> Times:
     collect = Recorder(Collector(world, settings.episodes_per_task))
     learner = PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
     state = learner.init(
-        jax.random.key(0), env.observation_size, env.action_size, collect.num_tasks
+        jax.random.key(0), Problem(env.observation_size, env.action_size, collect.num_tasks)
     )
     state = eqx.tree_at(lambda s: s.iteration, state, jnp.asarray(settings.first_iteration))
     begin = time.perf_counter()
@@ -122,6 +122,10 @@ def report(settings: Settings, times: Times) -> None:
     print(f"ratio: {times.ratio:.2f}")
 
 
+def main(settings: Settings) -> None:
+    """Time meta-iterations, and print where the time goes."""
+    report(settings, measure(settings))
+
+
 if __name__ == "__main__":
-    chosen = tyro.cli(Settings)
-    report(chosen, measure(chosen))
+    main(tyro.cli(Settings))

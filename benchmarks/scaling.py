@@ -29,7 +29,7 @@ from maesn.envs.sources import resolve_family
 from maesn.learners import PRESETS, GradientMetaLearner, Problem
 from maesn.numerics.mesh import over_tasks, total
 from maesn.numerics.processes import Sharing, wait_for_all
-from maesn.studies.execution import thread_variables
+from maesn.studies.executors import thread_variables
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -1,6 +1,6 @@
 """Who finds a reward that is far away: TRPO, REINFORCE, and VIME, on the sparse chain.
 
-    python benchmarks/vime_chain.py --out results/vime_chain
+    PYTHONPATH=examples python benchmarks/vime_chain.py --out results/vime_chain
 
 Every seed plays several tasks, each with weights and random draws of its own. A run has found the
 reward at the first update before which some episode had it. Policies and batches are the same for
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from chain import chain
 from random_bonus import curiosities
 
-from maesn.envs import chain
 from maesn.evaluation.evaluate import AdaptationCurves, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import SCRATCH, AbstractFastLearner

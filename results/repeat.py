@@ -17,7 +17,7 @@ import tyro
 from maesn.runs.log import METRICS
 from maesn.runs.run import Run
 from maesn.runs.training import train
-from maesn.studies.execution import thread_variables
+from maesn.studies.executors import thread_variables
 from maesn.studies.members import RUN
 
 

@@ -37,11 +37,6 @@ def legend(figure: Figure) -> list[str]:
     return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
 
 
-def labels(axes: Axes) -> list[str]:
-    """The labels beside the lines of a panel, the lowest first."""
-    return [text.get_text().replace("\n", " ") for text in axes.texts]
-
-
 def segments(axes: Axes) -> list[np.ndarray]:
     (lines,) = (child for child in axes.collections if isinstance(child, LineCollection))
     return [np.asarray(segment) for segment in lines.get_segments()]

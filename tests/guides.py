@@ -1,9 +1,13 @@
 """Guides to a family or a rule of one's own, taken at their word: their files, their commands."""
 
+import importlib
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
+import pytest
 from pages import ROOT, blocks_of, commands_of
 
 from maesn import cli
@@ -41,6 +45,16 @@ class Guide:
         shown = blocks_of(self.path, "python")
         files = [code for code in shown if code.startswith(f"# {self.module}.py")]
         (directory / f"{self.module}.py").write_text("\n".join(files), encoding="utf-8")
+
+    def imported(self, directory: Path, patch: pytest.MonkeyPatch) -> ModuleType:
+        """Write the file into a directory, which becomes the current one; import it for a test."""
+        self.write(directory)
+        patch.chdir(directory)
+        patch.syspath_prepend(directory)
+        module = importlib.import_module(self.module)
+        del sys.modules[self.module]
+        patch.setitem(sys.modules, self.module, module)
+        return module
 
     def follow(self, *verbs: str, more: Sequence[str] = ()) -> None:
         """Run the commands that do one of these, in the current folder, with small numbers.

@@ -1,6 +1,10 @@
 """Benchmarks: they run, and the engine alone does just what a collection asks of it."""
 
+import csv
+import gzip
 import re
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,9 +16,12 @@ import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
 from scripts import ROOT, load_script
+from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.trial_state import TrialState
+from maesn.learners import rl2
+from maesn.policies import Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -69,17 +76,52 @@ def test_tasks_that_change_the_dynamics_do_so_there_as_well(
     assert len(np.unique(alone["qvel"])) >= 3
 
 
-def test_every_family_gets_its_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+LINES: dict[str, tuple[dict[str, Any], str, int]] = {
+    # Settings, and the lines that are printed: their form and number.
+    "collection": (
+        {"families": ("wheeled", "blockpush"), "num_tasks": 2, "episodes_per_task": 2}
+        | {"repetitions": 1},
+        r"^(?:wheeled|blockpush) ratio: \d+\.\d\d$",
+        2,
+    ),
+    "meta_iteration": (
+        {"meta_batch_size": 2, "episodes_per_task": 2, "iterations": 1},
+        r"^meta-iteration .*\d",
+        1,
+    ),
+    "methods": (
+        {"methods": ("maesn",), "scratch": ("reinforce",), "tasks": 2, "meta_episodes": 2}
+        | {"scratch_episodes": 2, "repetitions": 1},
+        r"^(?:maesn|reinforce)(?: +\d+\.\d+){4}$",
+        2,
+    ),
+    # Steps per second, three times, and how far the unlimited engine ends from itself.
+    "mjx": (
+        {"families": ("wheeled",), "meta_batch_size": 2, "episodes_per_task": 2, "repeats": 1},
+        r"^as the model says +\d+(?: +\d+\.?\d*s){3} +0\.000",
+        1,
+    ),
+    "vime_chain": (
+        {"seeds": 1, "tasks": 2, "updates": 1, "episodes_per_task": 2},
+        r"^(?:trpo|reinforce|random_bonus|vime)\t0\t2\t",
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[] if n == "collection" else [pytest.mark.long]) for n in LINES],
+)
+def test_every_line_is_printed(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    settings, form, number = LINES[name]
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    collection = load_script("benchmarks/collection.py")
-    names = ("wheeled", "blockpush")
-    collection.main(
-        collection.Settings(families=names, num_tasks=2, episodes_per_task=2, repetitions=1)
-    )
+    script = load_script(f"benchmarks/{name}.py")
+    script.main(script.Settings(**settings))
     printed = capsys.readouterr().out
-    assert re.findall(r"^(\w+) ratio: \d+\.\d\d$", printed, re.MULTILINE) == list(names)
+    assert len(re.findall(form, printed, re.MULTILINE)) == number, printed
 
 
 def test_memories_are_exchanged_among_tasks() -> None:
@@ -94,3 +136,67 @@ def test_memories_are_exchanged_among_tasks() -> None:
         np.testing.assert_array_equal(found.recurrent_state.ravel(), values)
         np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
         np.testing.assert_array_equal(found.reward.ravel(), values)
+
+
+@pytest.mark.long
+def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    curvature = load_script("benchmarks/curvature.py")
+    monkeypatch.setattr(curvature, "IN_CLOSED_FORM", [curvature.Choice(5, 20, 1)])
+    few = {"iterations": 0, "episodes_per_task": 2, "judged_episodes": 2, "repetitions": 2}
+    curvature.main(curvature.Settings(family="point", **few))
+    title, heading, row = capsys.readouterr().out.splitlines()
+    assert title == "maesn on point, after 0 meta-iterations"
+    assert heading == curvature.HEADING
+    assert row.split()[0] == "5"
+    kl, backtracks = map(float, row.split()[-3:-1])
+    assert 0 < kl <= 10.1  # the bound, 0.01, times 1000
+    assert backtracks >= 0
+
+
+@pytest.mark.long
+def test_random_bonuses_are_the_control_of_curiosity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    control = load_script("benchmarks/bonus_control.py")
+    options = {"num_tasks": 2, "updates": 2, "episodes_per_task": 3, "weight": 1.0}
+    control.main(control.Settings(family="point", **options, out=tmp_path))
+    assert re.findall(r"^(\w+) +after 2 updates", capsys.readouterr().out, re.M) == [
+        "random_bonus",
+        "vime",
+    ]
+    returns = {}
+    for name in ("random_bonus", "vime"):
+        with gzip.open(tmp_path / f"{name}.csv.gz", "rt", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [(row["task"], row["update"]) for row in rows] == [*product("01", "012")]
+        returns[name] = [float(row["mean_return"]) for row in rows]
+    # The first update has no bonus. From the second one on they have it for different steps.
+    same = np.equal(returns["random_bonus"], returns["vime"])
+    assert same.tolist() == [True, True, False] * 2
+
+
+@pytest.mark.long
+def test_second_episodes_begin_with_the_memory_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    control = load_script("benchmarks/memory_control.py")
+    run = create(tmp_path / "run", rl2(policy=Recurrent(hidden_size=3)))
+    settings = control.Settings(run.directory, tasks="validation", episodes_per_task=2)
+    means = dict(control.played(settings))
+    assert "deviation over" in capsys.readouterr().out
+    tasks = run.task_set("validation")
+    world, index = run.world(tasks), jnp.arange(len(tasks))
+    collect = Collector(world, 2)
+    first, second = jax.random.split(jax.random.key(0), (2, len(tasks)))
+    learner = run.learner.fast_learner(run.latest_state())
+    agents = learner.agents(learner.init(first))
+    alone = collect(second, agents, index)
+    began = replace(agents, trial_state=collect(first, agents, index).trial_end)
+    after = collect(second, began, index)
+    np.testing.assert_array_equal(means["nothing"], alone.undiscounted_return.mean(1))
+    np.testing.assert_array_equal(means["its own memory"], after.undiscounted_return.mean(1))
+    assert len({tuple(returns) for returns in means.values()}) == 4
+    world.close()

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from carts import MOTOR, RUNAWAY, CartTask, cart_on
 from gymnasium.utils.env_checker import check_env
+from learning_problems.probes import hidden_end
 from pictures import can_draw, drawn
 from playing import agents
 
@@ -139,7 +140,7 @@ def test_episodes_run_out_of_time_at_the_horizon() -> None:
 
 
 def test_an_end_by_nature_is_a_termination() -> None:
-    env = TaskEnv("hidden_end", task=2)
+    env = TaskEnv(hidden_end, task=2)
     env.reset(seed=0)
     lifetime = math.ceil(env._stepper.tasks[2])
     ends = [env.step(env.action_space.sample())[2:4] for _ in range(lifetime)]
@@ -175,7 +176,7 @@ def test_success_is_what_the_distance_says() -> None:
         ({"family": "weeled"}, RunError, "Did you mean `wheeled`"),
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
         ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
-        ({"family": "bandit"}, ValueError, "must have continuous actions"),
+        ({"family": "bernoulli_bandit:bandit"}, ValueError, "must have continuous actions"),
         ({"rewards": "sparse"}, ValueError, "^`rewards` is not a setting: choose from `task`"),
         ({"num_threads": 2}, ValueError, "`num_threads` is not a setting"),
     ],

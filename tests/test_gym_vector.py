@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from learning_problems.probes import hidden_end
 from pictures import drawn
 
 from maesn.gym import IDS, TaskEnv, TaskVectorEnv
@@ -35,10 +36,10 @@ def assert_same(batched: list[Any], one_by_one: list[Any]) -> None:
     ("family", "steps", "num_threads"),
     # point: three episodes one after the other. hidden_end: episodes of different lengths, NaN
     # behind their ends. The robots: states that only the engine knows.
-    [("point", 90, 0), ("hidden_end", 40, 0), ("wheeled", 10, 2), ("ant", 10, 2),
+    [("point", 90, 0), (hidden_end, 40, 0), ("wheeled", 10, 2), ("ant", 10, 2),
      ("blockpush", 110, 1)],
 )  # fmt: skip
-def test_rows_are_single_environments(family: str, steps: int, num_threads: int) -> None:
+def test_rows_are_single_environments(family: Any, steps: int, num_threads: int) -> None:
     batched = TaskVectorEnv(family, COUNT, num_threads=num_threads)
     single = SyncVectorEnv([lambda: TaskEnv(family)] * COUNT)
     assert batched.observation_space == single.observation_space
@@ -58,7 +59,7 @@ def test_gymnasium_makes_it_by_name_and_knows_how_it_resets() -> None:
 
 
 def test_episodes_can_be_reset_by_hand() -> None:
-    envs = TaskVectorEnv("hidden_end", COUNT, task=[2, 3, 2], autoreset_mode="Disabled")
+    envs = TaskVectorEnv(hidden_end, COUNT, task=[2, 3, 2], autoreset_mode="Disabled")
     envs.reset(seed=0)
     action = np.zeros((COUNT, 1), np.float32)
     ended = np.zeros(COUNT, bool)

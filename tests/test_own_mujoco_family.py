@@ -1,8 +1,5 @@
 """The guide to an own family on a MuJoCo model, taken at its word: its files, its commands."""
 
-import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -21,20 +18,9 @@ GUIDE = Guide("own_environment_mujoco.md", "puck")
 VERBS = {"train", "adapt", "report", "render", "export"}
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where the guide's file is, and can be imported from."""
-    directory = tmp_path_factory.mktemp("own")
-    GUIDE.write(directory)
-    sys.path.insert(0, str(directory))
-    yield directory
-    sys.path.remove(str(directory))
-    del sys.modules["puck"]
-
-
-@pytest.fixture(scope="module")
-def puck(folder: Path) -> ModuleType:
-    return importlib.import_module("puck")
+@pytest.fixture
+def puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return GUIDE.imported(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["family", "unknown"])
@@ -85,10 +71,9 @@ def test_masses_friction_and_motors_move_the_puck_as_they_should(puck: ModuleTyp
 
 @pytest.mark.long
 @pytest.mark.usefixtures("puck", "figures_unsaved")
-def test_its_commands_do_what_they_say(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_commands_do_what_they_say() -> None:
     assert GUIDE.verbs == VERBS
-    monkeypatch.chdir(folder)
     GUIDE.follow(*(VERBS if can_draw() else VERBS - {"render"}))
     for name in ("puck", "unknown"):
-        assert (folder / "runs" / name / "adaptation" / "test-sparse.csv").exists()
-    assert (folder / "runs" / "puck" / "figures" / "exploration-test-sparse.png").exists()
+        assert Path(f"runs/{name}/adaptation/test-sparse.csv").exists()
+    assert Path("runs/puck/figures/exploration-test-sparse.png").exists()

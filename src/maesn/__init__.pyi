@@ -91,14 +91,15 @@ from maesn.runs.run import Run as Run
 from maesn.search import SearchSettings as SearchSettings
 from maesn.search.prior import PriorSettings as PriorSettings
 from maesn.storage import RunError as RunError
+from maesn.studies.comparison import compare as compare
 from maesn.studies.spec import EvaluationSpec as EvaluationSpec
 from maesn.studies.spec import FigureSpec as FigureSpec
 from maesn.studies.spec import LineSpec as LineSpec
 from maesn.studies.spec import RunSpec as RunSpec
 from maesn.studies.spec import ScratchSpec as ScratchSpec
 from maesn.studies.spec import StudySpec as StudySpec
+from maesn.studies.study import FailedJobsError as FailedJobsError
 from maesn.studies.study import Study as Study
-from maesn.studies.study import compare as compare
 from maesn.worlds import EpisodeError as EpisodeError
 from maesn.worlds import make_world as make_world
 from maesn.worlds.collector import Collector as Collector

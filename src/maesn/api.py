@@ -7,7 +7,7 @@ as `module:name`.
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -17,11 +17,11 @@ from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
-from maesn.reporting.page import PAGE, run_page, study_page, write_page
-from maesn.reporting.report import report_runs, report_study
+from maesn.reporting.page import PAGE, page_of, write_page
+from maesn.reporting.reading import usual_table
+from maesn.reporting.report import Reported, say_missing, write_report
 from maesn.reporting.runs import EXPLORATION
-from maesn.reporting.sources import studies_in
-from maesn.reporting.tables import TextTable
+from maesn.reporting.sources import Compared, compare_runs, compare_study, studies_in
 from maesn.rules import GradientRule, SearchRule, Trained
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
@@ -230,15 +230,6 @@ def export(
     return Path(path)
 
 
-class Reported(NamedTuple):
-    """What `maesn.report` has written."""
-
-    files: list[Path]
-    """Figures, and tables of a study."""
-    tables: list[TextTable]
-    """Of a study: where each method ends, and who beats whom."""
-
-
 def report(
     of: Positional[Sequence[arguments.AnyRun]],
     out: arguments.OptionalPath = None,
@@ -248,8 +239,8 @@ def report(
     """Draw the figures of one or several runs, or figures and tables of a study.
 
     For runs, episodes of exploration are played first, and adaptation to the test tasks on sparse
-    reward where no table of it is there yet. A table that is there is drawn as it is: after more
-    training, `adapt` renews it. For a study, or a directory with several, nothing is played.
+    reward where no table of it is there yet. All tables that are there are drawn as they are: after
+    more training, `adapt` renews them. For a study, or a directory with several, nothing is played.
 
     Beside the figures goes `report.html`, a page that lets you move through the latents and watch a
     search. It needs no network; to write it needs the extra `page`.
@@ -275,20 +266,26 @@ def report(
                 "a study is reported by itself, into its directory: maesn report DIR. The page of "
                 "one study can go elsewhere: --out NAME.html"
             )
-        files: list[Path] = []
-        tables: list[TextTable] = []
+        all_of_them = Reported([], [])
         for path in studies:
-            tables += report_study(path, files.append)
-            files += write_page(page or path / PAGE, study_page(path))
-        return Reported(files, tables)
+            done = _report(compare_study(path), path, page or path / PAGE)
+            all_of_them.files.extend(done.files)
+            all_of_them.tables.extend(done.tables)
+        return all_of_them
     opened = [running.open_run(run, family, method) for run in of]
     for run in opened:
-        if not running.adaptation_file(run.directory, USUAL).exists():
+        if usual_table(run.directory) is None:
             adapt(run)
         if run.env().planar:
             record_exploration(run, run.directory / EXPLORATION)
             record_explorer(run)
     directories = [run.directory for run in opened]
     folder = page.parent if page else Path(out or directories[0] / "figures")
-    files = report_runs(directories, folder, print)
-    return Reported(files + write_page(page or folder / PAGE, run_page(directories)), [])
+    reported = _report(compare_runs(directories), folder, page or folder / PAGE)
+    say_missing(reported.files, print)
+    return reported
+
+
+def _report(study: Compared, out: Path, page: Path) -> Reported:
+    files, tables = write_report(study, out)
+    return Reported(files + write_page(page, page_of(study)), tables)

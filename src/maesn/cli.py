@@ -28,6 +28,19 @@ COMMANDS = {
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
 _FILES = {"doctor": "about", "list": "about", "train": "train"}
 
+# Other words for what a command does -> the command.
+_ALSO = {
+    **dict.fromkeys(("eval", "evaluate", "finetune", "fine-tune", "search", "test"), "adapt"),
+    **dict.fromkeys(("fit", "learn", "meta-train", "new", "start"), "train"),
+    **dict.fromkeys(("continue", "restart", "change"), "resume"),
+    **dict.fromkeys(("figure", "figures", "plot", "show", "table", "visualize"), "report"),
+    **dict.fromkeys(("animate", "film", "movie", "play", "rollout", "video", "watch"), "render"),
+    **dict.fromkeys(("benchmark", "experiment", "run", "status", "sweep"), "study"),
+    **dict.fromkeys(("deploy", "onnx", "save"), "export"),
+    **dict.fromkeys(("envs", "families", "methods", "rules"), "list"),
+    **dict.fromkeys(("check", "info", "version", "versions"), "doctor"),
+}
+
 _HELP = """usage: maesn COMMAND [OPTIONS]
 
 Meta-reinforcement learning of structured exploration strategies.
@@ -67,7 +80,9 @@ def run(arguments: list[str]) -> int:
         print(_ANSWERS[name])
         return 0
     if name not in COMMANDS:
-        known, hint = ", ".join(COMMANDS), suggestion(name, COMMANDS)
+        meant = _ALSO.get(name.lower())
+        hint = f" Did you mean `{meant}`?" if meant else suggestion(name, COMMANDS)
+        known = ", ".join(COMMANDS)
         print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
         return USAGE_ERROR
     try:

@@ -41,7 +41,7 @@ def explained(action: str, path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def refusals(before: str = "") -> Iterator[None]:
-    """Turn a `ValueError`, by which code refuses a setting, into a `RunError`."""
+    """Turn a `ValueError`, which refuses a setting, into a `RunError`."""
     try:
         yield
     except ValueError as error:
@@ -59,7 +59,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file and the directories above; at any moment it is the old one or the new one."""
+    """Write a file and the directories above as a whole: a crash leaves the old one or the new."""
     with explained("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
         archive.write_whole(path, content)
@@ -134,7 +134,7 @@ def locked(directory: Path) -> Iterator[None]:
 
 
 def is_locked(directory: Path) -> bool:
-    """Whether a process works in a directory; what a killed one has left there does not count."""
+    """Whether a process works in a directory. The lock of a killed process does not count."""
     with contextlib.suppress(FileNotFoundError), (directory / LOCK).open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

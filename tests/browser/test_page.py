@@ -17,8 +17,9 @@ from synthetic_runs import write_run
 from maesn import GradientRule, SearchRule, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
-from maesn.reporting.page import PAGE, run_page, study_page, write_page
+from maesn.reporting.page import PAGE, page_of, write_page
 from maesn.reporting.runs import EXPLORATION
+from maesn.reporting.sources import compare_runs, compare_study
 from maesn.runs.run import Run
 from maesn.studies.spec import EvaluationSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Study
@@ -40,7 +41,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def of_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    document = run_page([write_run(folder / "run", note=HOSTILE)])
+    document = page_of(compare_runs([write_run(folder / "run", note=HOSTILE)]))
     write_page(folder / PAGE, document | {"title": f"MAESN {HOSTILE}"})
     return folder / PAGE
 
@@ -56,7 +57,7 @@ def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         evaluations={"few": EvaluationSpec(few)},
     )
     Study(spec).run(folder, workers=1)
-    write_page(folder / PAGE, study_page(folder / "small"))
+    write_page(folder / PAGE, page_of(compare_study(folder / "small")))
     return folder / PAGE
 
 
@@ -179,7 +180,7 @@ def test_pictures_of_a_shipped_policy(browser: Browser, tmp_path: Path) -> None:
         adapt(run, rule=rule)
     record_exploration(Run.open(run), run / EXPLORATION)
     record_explorer(Run.open(run))
-    write_page(tmp_path / PAGE, run_page([run]))
+    write_page(tmp_path / PAGE, page_of(compare_runs([run])))
     assert (tmp_path / PAGE).stat().st_size < 6e6
     out = Path(os.environ.get("PICTURES") or tmp_path)
     for name, width, scheme in PICTURES:

@@ -92,16 +92,3 @@ def test_the_zeroth_action_is_judged_by_its_likelihood() -> None:
     )
     pathwise = LatentContext(1, gradient="reparameterized")
     assert pathwise.draw_loss(value, drawn, advantage) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"), [("size", 0), ("kl_weight", -0.1), ("initial_spread", -1.0)]
-)
-def test_impossible_settings_of_a_latent_are_refused_by_name(setting: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"`{setting}` .*must be at least .*, got {value}"):
-        LatentContext(**{setting: value})
-
-
-def test_a_bias_of_negative_size_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"`size` of BiasContext must be at least 0, got -1"):
-        BiasContext(-1)

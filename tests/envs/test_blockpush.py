@@ -33,20 +33,6 @@ def reward(env: BlockPush, place: tuple[float, float], block: int = 3) -> float:
     return float(reward.total)
 
 
-def test_sizes_and_times() -> None:
-    env = BlockPush()
-    assert (env.horizon, env.control_period, env.sparse_radius) == (100, 0.01, 0.2)
-    assert (env.observation_size, env.action_size) == (26, 3)
-    assert BlockPush(variant="paper").observation_size == 28
-
-
-def test_the_order_of_what_is_seen() -> None:
-    state = {"qpos": jnp.arange(13.0), "qvel": jnp.arange(13.0, 26.0)}
-    blocks = np.arange(3.0, 13.0).reshape(5, 2) + HOMES
-    expected = np.concatenate([[0.0, 1.0, 2.0], blocks.reshape(-1), np.arange(13.0, 26.0)])
-    np.testing.assert_allclose(BlockPush().observe(state), expected, rtol=1e-6)
-
-
 def test_what_is_seen_of_blocks_is_where_the_model_has_them() -> None:
     model = load_model("blockpush")
     data = mujoco.MjData(model)
@@ -67,15 +53,6 @@ def test_an_episode_starts_as_the_task_says() -> None:
     observation = BlockPush().observe({"qpos": qpos, "qvel": qvel})
     np.testing.assert_array_equal(observation[:3], np.zeros(3))
     np.testing.assert_allclose(observation[3:13], np.arange(10.0) / 10, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("action", "control"), [(-3.0, -2.0), (-0.5, -1.0), (0.25, 0.5), (1.0, 2.0), (7.0, 2.0)]
-)
-def test_control_scales_and_clips(action: float, control: float) -> None:
-    np.testing.assert_array_equal(
-        BlockPush().control(jnp.array([action, 0.125, 0.0])), [control, 0.25, 0.0]
-    )
 
 
 @pytest.mark.parametrize(
@@ -120,13 +97,6 @@ def test_only_the_relevant_block_counts() -> None:
         assert not bool(env.solved(readings(other, at_goal), TASK))
 
 
-@pytest.mark.parametrize(("distance", "expected"), [(0.19, True), (0.21, False)])
-def test_the_goal_region_is_reached_by_the_middle_of_the_block(
-    distance: float, expected: bool
-) -> None:
-    assert bool(BlockPush().solved(readings(3, (0.8, -0.6 + distance)), TASK)) is expected
-
-
 def test_the_paper_tells_the_goal_and_not_the_block() -> None:
     np.testing.assert_array_equal(BlockPush().instruction(TASK), np.zeros(0))
     env = BlockPush(variant="paper")
@@ -134,33 +104,17 @@ def test_the_paper_tells_the_goal_and_not_the_block() -> None:
     np.testing.assert_array_equal(shown, np.tile(np.float32([0.8, -0.6]), (5, 1)))
 
 
-def test_figures_show_the_gripper_and_the_goal() -> None:
-    np.testing.assert_array_equal(BlockPush().position(jnp.arange(26.0)), [0.0, 1.0])
-    np.testing.assert_array_equal(BlockPush().goal(TASK), np.float32([0.8, -0.6]))
-
-
-@pytest.mark.parametrize("variant", ["reference", "paper"])
-def test_an_episode_on_the_engine(variant: Any) -> None:
-    """Forwards with 1.4 N: a block in front of the crossbar is pushed into its goal region."""
+def test_a_block_is_pushed_into_its_goal_region() -> None:
+    """Forwards with 1.4 N, a block in front of the crossbar; `test_leaks` compares what is seen."""
     layout = HOMES + np.array([0.0, 3.0])
     layout[2] = 0.4, 0.0
-    task = BlockPushTask(
-        np.array([2, 4], np.int32),
-        np.array([[0.9, 0.0], [0.9, 0.0]], np.float32),
-        np.tile(layout.astype(np.float32), (2, 1, 1)),
-    )
-    env = BlockPush(variant=variant, reward_kind="sparse")
+    goals = np.array([[0.9, 0.0], [0.9, 0.0]], np.float32)
+    task = BlockPushTask(np.int32([2, 4]), goals, np.tile(np.float32(layout), (2, 1, 1)))
+    env = BlockPush(reward_kind="sparse")
     cast = constant_agents(env, 2, mean=np.array([0.7, 0.0, 0.0]), std=1e-6)
     episodes = play(env, TaskSet(task), [0, 1], episodes=1, cast=cast)
-    assert episodes.valid.all()
-    assert not episodes.terminated.any()
     assert not episodes.solved_at_start.any()
     np.testing.assert_array_equal(episodes.solved.any(-1), [[True], [False]])
-    # Rewards differ; observations do not, but for the little noise of the actions.
-    np.testing.assert_allclose(episodes.observation[0], episodes.observation[1], atol=1e-4)
-    assert episodes.observation.shape == (2, 1, 101, env.observation_size)
-    still = [3, 4, 5, 6, 9, 10, 11, 12]
-    np.testing.assert_array_equal(np.ptp(episodes.observation[0, 0, :, still], axis=-1), 0.0)
 
 
 def test_episodes_that_start_in_the_goal_region_are_marked() -> None:
@@ -186,32 +140,22 @@ def bands(places: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("which", SETS)
 def test_twenty_layouts_of_five_tasks_each(which: Any) -> None:
-    tasks = blockpush.task_set(which).tasks
+    tasks, rows = blockpush.task_set(which).tasks, np.arange(100)
     found, counts = np.unique(tasks.layout.reshape(-1, 10), axis=0, return_counts=True)
     assert (len(found), set(counts)) == (20, {5})
     np.testing.assert_array_equal(np.bincount(tasks.block, minlength=5), np.full(5, 20))
     pairs = {
-        (tuple(row.ravel()), block) for row, block in zip(tasks.layout, tasks.block, strict=True)
+        (row.tobytes(), int(block)) for row, block in zip(tasks.layout, tasks.block, strict=True)
     }
     assert len(pairs) == 100
     # Shuffled: neither the blocks nor the layouts come in order.
     assert (np.diff(tasks.block) < 0).any()
-    same = (tasks.layout[1:] == tasks.layout[:-1]).all((1, 2))
-    assert same.sum() < 20
-
-
-@pytest.mark.parametrize("which", SETS)
-def test_every_block_has_a_band_to_itself_and_its_goal_lies_in_it(which: Any) -> None:
-    tasks = blockpush.task_set(which).tasks
-    np.testing.assert_array_equal(
-        np.sort(bands(tasks.layout), axis=1), np.tile(np.arange(5), (100, 1))
-    )
-    own = bands(tasks.layout)[np.arange(100), tasks.block]
-    np.testing.assert_array_equal(bands(tasks.goal), own)
-    assert tasks.layout[..., 0].min() >= np.float32(0.35)
-    assert tasks.layout[..., 0].max() <= np.float32(0.65)
-    assert tasks.goal[:, 0].min() >= np.float32(0.75)
-    assert tasks.goal[:, 0].max() <= np.float32(0.95)
+    assert (tasks.layout[1:] == tasks.layout[:-1]).all((1, 2)).sum() < 20
+    # Every block has a band to itself, and its goal lies in it.
+    np.testing.assert_array_equal(np.sort(bands(tasks.layout)), np.tile(np.arange(5), (100, 1)))
+    np.testing.assert_array_equal(bands(tasks.goal), bands(tasks.layout)[rows, tasks.block])
+    for values, low, high in ((tasks.layout[..., 0], 0.35, 0.65), (tasks.goal[:, 0], 0.75, 0.95)):
+        assert np.float32(low) <= values.min() < values.max() <= np.float32(high)
 
 
 def test_no_layout_is_in_two_sets() -> None:

@@ -4,43 +4,28 @@ from typing import Any
 
 import pytest
 
-from maesn.envs import FAMILIES, PROBES, AnyEnv, find_family, point
-
-EVERY = FAMILIES | PROBES
+from maesn.envs import FAMILIES, AnyEnv, find_family, point
 
 
-def test_names_are_unique_and_complete() -> None:
+def test_a_family_is_found_by_its_name() -> None:
     assert list(FAMILIES) == ["point", "wheeled", "ant", "blockpush"]
-    assert list(PROBES) == [
-        *("hidden_target", "delayed_target", "hidden_side", "hidden_end"),
-        *("bandit", "chain"),
-    ]
-    assert all(family.name == name for name, family in EVERY.items())
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_a_family_is_found_by_its_name(name: str) -> None:
-    assert find_family(name) is EVERY[name]
-    assert find_family(name).make_env().name == name
+    for name, family in FAMILIES.items():
+        assert find_family(name) is family
+        assert family.name == family.make_env().name == name
 
 
 @pytest.mark.parametrize(
-    ("wrong", "meant"), [("weeled", "wheeled"), ("Point", "point"), ("hidden_sides", "hidden_side")]
+    ("wrong", "meant"), [("weeled", "wheeled"), ("Point", "point"), ("xyzzy", None)]
 )
-def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str) -> None:
-    with pytest.raises(ValueError, match=f"got `{wrong}`. Did you mean `{meant}`\\?") as error:
+def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str | None) -> None:
+    with pytest.raises(ValueError, match=f"got `{wrong}`") as error:
         find_family(wrong)
-    assert all(name in str(error.value) for name in EVERY)
+    assert all(name in str(error.value) for name in FAMILIES)
+    assert ("Did you mean" in str(error.value)) == (meant is not None)
+    assert meant is None or f"Did you mean `{meant}`?" in str(error.value)
 
 
-def test_a_name_like_no_other_gets_the_list_alone() -> None:
-    with pytest.raises(ValueError, match="`family` must be one of point, wheeled") as error:
-        find_family("xyzzy")
-    assert "Did you mean" not in str(error.value)
-    assert all(name in str(error.value) for name in EVERY)
-
-
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_takes_the_same_settings(name: str) -> None:
     settings = {"variant": "paper", "reward_kind": "sparse", "sparse_radius": 0.125}
     env: AnyEnv = find_family(name).make_env(**settings)
@@ -53,7 +38,7 @@ def test_every_family_takes_the_same_settings(name: str) -> None:
     assert env != default
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", FAMILIES)
 def test_settings_without_a_meaning_are_refused(name: str) -> None:
     for setting, wrong, least in (("horizon", 0, 1), ("sparse_radius", -0.5, 0)):
         with pytest.raises(ValueError, match=f"`{setting}` must be at least {least}, got {wrong}"):
@@ -61,15 +46,8 @@ def test_settings_without_a_meaning_are_refused(name: str) -> None:
 
 
 @pytest.mark.usefixtures("no_type_checks")
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"reward_kind": "dens"}, "`reward_kind` must be 'dense' or 'sparse', got 'dens'."),
-        ({"variant": "papier"}, "`variant` must be 'reference' or 'paper', got 'papier'."),
-    ],
-)
-def test_a_misspelt_kind_of_reward_does_not_count_as_the_other_one(
-    wrong: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ValueError, match=f"^{message}$"):
+@pytest.mark.parametrize("wrong", [{"reward_kind": "dens"}, {"variant": "papier"}])
+def test_a_misspelt_kind_of_reward_does_not_count_as_the_other_one(wrong: dict[str, Any]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"`{name}` must be '.*' or '.*', got '{wrong[name]}'"):
         point.make_env(**wrong)

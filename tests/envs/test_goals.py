@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maesn.envs import Point, RewardKind, Variant, Wheeled
-from maesn.envs.goals import goal_reward, within
+from maesn.envs.goals import goal_reward
 
 # A goal 2 m from the start: |(1.2, 1.6)|^2 = 1.44 + 2.56 = 4.
 GOAL = (1.2, 1.6)
@@ -79,32 +79,6 @@ def test_the_default_radius(make_env: type, radius: float) -> None:
     for distance, reached in ((radius - 0.01, True), (radius + 0.01, False)):
         state = readings(env, (2.0 - distance, 0.0))
         assert bool(env.solved(state, jnp.array([2.0, 0.0]))) is reached
-
-
-def test_the_region_is_the_same_for_dense_rewards() -> None:
-    goal = jnp.array(GOAL)
-    for env in (Wheeled(), Wheeled(reward_kind="sparse")):
-        assert bool(env.solved(readings(env, NEAR), goal))
-        assert not bool(env.solved(readings(env, FAR), goal))
-
-
-def test_parts_of_the_formula() -> None:
-    distance = jnp.float32(0.75)
-    assert float(goal_reward(distance, -9.0, "dense", 0.5)) == -0.75
-    assert float(goal_reward(distance, -9.0, "sparse", 0.5)) == -9.0
-    assert float(goal_reward(distance, -9.0, "sparse", 0.75)) == -0.75
-    assert not bool(within(distance, 0.5))
-
-
-def test_prices_other_than_those_of_the_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    # c_max 3; a = (1, -0.5) gives u = (2, -1), cost 0.5 (4 + 1) = 2.5; |(3, 4)| = 5, d = 0.75.
-    monkeypatch.setattr(Wheeled, "c_max", 3.0)
-    monkeypatch.setattr(Wheeled, "control_cost", 0.5)
-    goal, action = jnp.array([3.0, 4.0]), jnp.array([1.0, -0.5])
-    for variant, expected in {"paper": (-3.0, 0.0), "reference": (-5.0, -2.5)}.items():
-        env = Wheeled(variant=variant, reward_kind="sparse", sparse_radius=0.5)
-        reward = env.reward(readings(env, FAR), action, readings(env, (3.0, 3.25)), goal)
-        assert (float(reward.goal), float(reward.other)) == expected
 
 
 def test_a_reward_that_is_not_a_number_stays_one() -> None:

@@ -1,17 +1,19 @@
-"""Every environment: sizes as announced, compiled, mapped and repeated without a difference."""
+"""Every environment: sizes as announced, compiled and mapped without a difference."""
 
 import dataclasses
 import functools
 from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import assert_same, readings_at
+from learning_problems.probes import PROBES
+from playing import readings_at
 
-from maesn.envs import FAMILIES, PROBES, AbstractPureEnv, AnyEnv, TaskFamily
+from maesn.envs import FAMILIES, AbstractPureEnv, AnyEnv, TaskFamily
 
 EVERY = FAMILIES | PROBES
 BATCH = 3
@@ -78,24 +80,14 @@ def arguments(family: TaskFamily) -> tuple[jax.Array, Any]:
     return jax.random.split(jax.random.key(4), BATCH), tasks
 
 
-def row(tasks: Any, index: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[index], tasks)
-
-
-def assert_close(first: Any, second: Any) -> None:
-    """Up to the rounding of fused operations; integers and truth values exactly."""
-    assert jax.tree.structure(first) == jax.tree.structure(second)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6), first, second)
-
-
 @functools.cache
-def compiled_step(env: AnyEnv) -> Callable[[jax.Array, Any], dict[str, Any]]:
-    return jax.jit(one_step(env))
+def steps_of(name: str) -> dict[str, Any]:
+    """Compiled and mapped over keys and tasks."""
+    return jax.jit(jax.vmap(one_step(EVERY[name].make_env())))(*arguments(EVERY[name]))
 
 
 def test_sizes_are_as_announced(family: TaskFamily, env: AnyEnv) -> None:
-    keys, tasks = arguments(family)
-    step = compiled_step(env)(keys[0], row(tasks, 0))
+    step = jax.tree.map(lambda leaf: leaf[0], steps_of(family.name))
     assert step["observation"].shape == (env.observation_size,)
     assert jax.tree.map(jnp.shape, step["following"]) == jax.tree.map(jnp.shape, step["readings"])
     assert step["position"].shape == step["goal"].shape == (2,)
@@ -108,24 +100,14 @@ def test_sizes_are_as_announced(family: TaskFamily, env: AnyEnv) -> None:
     assert env.control_period > 0
 
 
-def test_compiled_equals_interpreted(family: TaskFamily, env: AnyEnv) -> None:
+def test_compiled_and_mapped_equals_interpreted_one_by_one(family: TaskFamily, env: AnyEnv) -> None:
     keys, tasks = arguments(family)
-    assert_close(compiled_step(env)(keys[0], row(tasks, 0)), one_step(env)(keys[0], row(tasks, 0)))
-
-
-def test_mapped_equals_one_by_one(family: TaskFamily, env: AnyEnv) -> None:
-    keys, tasks = arguments(family)
-    mapped = jax.jit(jax.vmap(one_step(env)))(keys, tasks)
-    singles = [compiled_step(env)(keys[i], row(tasks, i)) for i in range(BATCH)]
-    assert_close(mapped, jax.tree.map(lambda *leaves: np.stack(leaves), *singles))
-
-
-def test_repeatable(family: TaskFamily, env: AnyEnv) -> None:
-    keys, tasks = arguments(family)
-    first, again = (compiled_step(env)(keys[0], row(tasks, 0)) for _ in range(2))
-    assert_same(first, again)
-    drawn = [compiled_step(env)(key, row(tasks, 0)) for key in keys]
-    distinct = {np.concatenate([x["control"], x["following"]["qpos"]]).tobytes() for x in drawn}
-    # Blind agents know their left from their right and no more; in the chain, two of these actions
-    # are clipped to the same step, into the wall.
-    assert len(distinct) == (2 if family.name in ("hidden_side", "chain") else BATCH)
+    singles = [one_step(env)(keys[i], jax.tree.map(itemgetter(i), tasks)) for i in range(BATCH)]
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *singles)
+    assert jax.tree.structure(stacked) == jax.tree.structure(steps_of(family.name))
+    # Up to the rounding of fused operations.
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6),
+        steps_of(family.name),
+        stacked,
+    )

@@ -1,26 +1,22 @@
 """Probes: played returns against their closed forms."""
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chain import LENGTH, Chain
+from learning_problems.probes import (
+    DelayedTarget,
+    HiddenEnd,
+    HiddenSide,
+    HiddenTarget,
+)
 from playing import LATENT_SIZE, constant_agents, play
 from scipy import stats
 
 from maesn.context import Latent
-from maesn.envs import (
-    AnyEnv,
-    RewardKind,
-    TaskSet,
-    delayed_target,
-    hidden_end,
-    hidden_side,
-    hidden_target,
-)
-from maesn.envs.probes import HiddenEnd, HiddenSide
-from maesn.envs.target_probes import DelayedTarget, HiddenTarget
+from maesn.envs import AnyEnv, RewardKind, TaskSet
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear
@@ -67,30 +63,6 @@ def test_sparse_return_of_a_gaussian_on_a_target(make_env: type) -> None:
         inside = x.expect(lambda value: -(std**2) * value, ub=edge)
         assert_mean(np.asarray(episodes.undiscounted_return[task]), inside - x.sf(edge))
         assert_mean(np.asarray(episodes.solved[task, :, -1], float), x.cdf(edge))
-
-
-@pytest.mark.parametrize("make_env", [HiddenTarget, DelayedTarget])
-@pytest.mark.parametrize("settings", [{}, {"reward_kind": "sparse", "sparse_radius": RADIUS}])
-def test_the_target_itself_is_the_optimum(make_env: type, settings: dict[str, Any]) -> None:
-    env = make_env(**settings)
-    cast = constant_agents(env, 2, jnp.array([0.6, 0.8]), 1e-6)
-    episodes = play_many(env, TARGETS, cast)
-    np.testing.assert_allclose(episodes.undiscounted_return[0], np.zeros(EPISODES), atol=1e-9)
-    assert np.asarray(episodes.solved[0]).all()
-    # |(0.6, 0.8) - (-1, 0)|^2 = 2.56 + 0.64; sparse, |g|^2 = 1.
-    other = -1.0 if settings else -3.2
-    np.testing.assert_allclose(episodes.undiscounted_return[1], other, rtol=1e-4)
-    assert not np.asarray(episodes.solved[1]).any()
-
-
-def test_the_best_action_for_all_targets_together() -> None:
-    # E[-|a - g|^2] over g uniform on the half circle is best at a = E[g] = (0, 2/pi), where it is
-    # |E g|^2 - E|g|^2 = (2/pi)^2 - 1.
-    targets = hidden_target.draw_tasks(np.random.default_rng(0), 20_000).astype(np.float64)
-    for coordinate, expected in enumerate((0.0, 2 / math.pi)):
-        assert_mean(targets[:, coordinate], expected)
-    best = np.array([0.0, 2 / math.pi])
-    assert_mean(-np.sum((best - targets) ** 2, axis=1), 4 / math.pi**2 - 1)
 
 
 def test_only_the_first_action_counts_and_is_rewarded_at_the_end() -> None:
@@ -143,14 +115,23 @@ def test_with_a_latent_every_side_is_found_in_half_of_the_episodes() -> None:
         assert stats.binomtest(int(returns.sum()), EPISODES, 0.5).pvalue > 1e-6
 
 
-@pytest.mark.parametrize("reward_kind", ["dense", "sparse"])
-def test_an_adapted_latent_has_the_best_return(reward_kind: RewardKind) -> None:
-    env = HiddenSide(reward_kind=reward_kind)
-    episodes = play_many(env, SIDES, coherent_agents([-1.0, 1.0], 1e-3))
-    np.testing.assert_allclose(episodes.undiscounted_return, np.ones((2, EPISODES)), rtol=1e-6)
-    # Sparse, there is no reward before the last step.
-    early = np.asarray(episodes.reward[..., :-1])
-    np.testing.assert_allclose(early, np.full_like(early, 0.1 if reward_kind == "dense" else 0.0))
+GOALS = (28.0, 28.5, 29.7, 30.0)
+
+
+def test_the_best_return_of_the_chain_is_that_of_going_straight_ahead() -> None:
+    tasks, steps = TaskSet(np.float32(GOALS)), np.ceil(GOALS)  # the last one is the first rewarded
+    for settings, expected in (
+        ({}, LENGTH / np.array(GOALS)),
+        ({"reward_kind": "sparse"}, 50 - steps + 1),
+        ({"reward_kind": "sparse", "reward_elsewhere": -1.0}, (50 - steps + 1) - (steps - 1)),
+    ):
+        env = Chain(**settings)
+        cast = constant_agents(env, len(GOALS), 3.0, 1e-3)  # clipped: a full step
+        found = play(env, tasks, range(len(GOALS)), cast=cast).undiscounted_return[:, 0]
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+    lost = play(env, tasks, range(len(GOALS)), cast=constant_agents(env, len(GOALS), 0.0, 1.0))
+    np.testing.assert_array_equal(lost.reward, -1.0)
+    np.testing.assert_array_equal(lost.observed_reward, -1.0)
 
 
 LIFETIMES = {0.2: 1, 1.0: 1, 1.5: 2, 2.5: 3, 4.0: 4, 9.5: 10, 10.0: 10, 11.0: 10}
@@ -167,23 +148,8 @@ def test_lifetimes_are_counted_in_whole_steps(reward_kind: RewardKind) -> None:
     np.testing.assert_array_equal(episodes.valid.sum(-1), np.stack([steps] * 2, axis=1))
     np.testing.assert_array_equal(episodes.terminated, np.stack([ends] * 2, axis=1))
     np.testing.assert_array_equal(episodes.solved.sum(-1), np.stack([ends] * 2, axis=1))
-
-
-def test_after_the_end_nothing_is_a_number() -> None:
-    env, tasks = HiddenEnd(), TaskSet(np.float32([*LIFETIMES]))
-    episodes = play(env, tasks, np.arange(len(LIFETIMES)), episodes=2)
-    for task, steps in enumerate(LIFETIMES.values()):
-        alive = np.tile(np.arange(env.horizon) < steps, (2, 1))
-        np.testing.assert_array_equal(np.isfinite(episodes.reward[task]), alive)
-        # The state in which the episode ends is still real: bootstrapping may look at it.
-        seen = np.tile(np.arange(env.horizon + 1) <= steps, (2, 1))
-        np.testing.assert_array_equal(np.isfinite(episodes.observation[task, :, :, 0]), seen)
-
-
-def test_figures_know_where_probes_are() -> None:
-    np.testing.assert_array_equal(delayed_target.make_env().position(jnp.arange(3.0)), [1, 2])
-    np.testing.assert_array_equal(delayed_target.make_env().goal(jnp.ones(2)), [1, 1])
-    np.testing.assert_array_equal(hidden_side.make_env().position(jnp.ones(1)), [0, 0])
-    np.testing.assert_array_equal(hidden_side.make_env().goal(jnp.float32(-1)), [-1, 0])
-    np.testing.assert_array_equal(hidden_end.make_env().position(jnp.full(1, 0.5)), [0.5, 0])
-    np.testing.assert_array_equal(hidden_end.make_env().goal(jnp.float32(5)), [0.5, 0])
+    # After the end nothing is a number; the state in which it ends is, for bootstrapping.
+    for task, lived in enumerate(steps):
+        alive = np.tile(np.arange(env.horizon + 1) <= lived, (2, 1))
+        np.testing.assert_array_equal(np.isfinite(episodes.reward[task]), alive[:, 1:])
+        np.testing.assert_array_equal(np.isfinite(episodes.observation[task, :, :, 0]), alive)

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bernoulli_bandit import bandit
+from chain import chain
 from scipy import stats
 
-from maesn.envs import FAMILIES, PROBES, SETS, TaskFamily, TaskSet
+from maesn.envs import FAMILIES, SETS, TaskFamily, TaskSet
 
 # Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest.
 DIGESTS = {
@@ -18,31 +20,11 @@ DIGESTS = {
     "wheeled": ("e16cc188bb14fa38", "2aca6d26ad7350a1", "70ca09ac6fbf6f4a", "431567cbaf096259"),
     "ant": ("5a00652a6cbdf857", "8a7f1a1858bb9a0b", "382f92979d32b94b", "a761d25c914d74a3"),
     "blockpush": ("bb4c755eeb5004bb", "9e05bbfed1a37ae9", "9b61958360ed389a", "b422aeb160123c89"),
-    "hidden_target": (
-        "3f458746bd8cda41",
-        "6949cd45f3af2c07",
-        "20c90ceed05bf3b2",
-        "cd54f8be494d0724",
-    ),
-    "delayed_target": (
-        "69fa2bdb67b07d9b",
-        "7f48ff567830c7ab",
-        "98b709a63514ff8f",
-        "2bfd56a1163394ca",
-    ),
-    "hidden_side": ("65f36e1fab92d587", "47496002fa4aaa11", "92de92291e3add07", "e7ea8ae34bb177a1"),
-    "hidden_end": ("3136b90393464204", "bf4ca2295beabf0f", "5a924b5e47b4976e", "abda08b1a3f654a2"),
     "bandit": ("97273fe932b95947", "0f8d6e0d8c0c3648", "5b5558cbd4929caa", "137d588515fc5670"),
     "chain": ("c6665112796f4675", "b2e80fa0939368d4", "aad02583d45623f1", "e68350dc3745fd54"),
 }
-ON_HALF_CIRCLES = {
-    "point": 2.0,
-    "wheeled": 2.0,
-    "ant": 2.0,
-    "hidden_target": 1.0,
-    "delayed_target": 1.0,
-}
-EVERY = FAMILIES | PROBES
+ON_HALF_CIRCLES = ("point", "wheeled", "ant")
+EVERY = FAMILIES | {"bandit": bandit, "chain": chain}
 
 
 def rows(family: TaskFamily, name: str) -> np.ndarray:
@@ -57,15 +39,10 @@ def test_sets_of_a_hundred_tasks_that_never_change(name: str) -> None:
     assert tuple(tasks.digest() for tasks in sets) == DIGESTS[name]
 
 
-@pytest.mark.parametrize("name", sorted(set(EVERY) - {"hidden_side"}))
+@pytest.mark.parametrize("name", EVERY)
 def test_no_task_comes_twice(name: str) -> None:
     tasks = np.concatenate([rows(EVERY[name], which) for which in SETS])
     assert len(np.unique(tasks, axis=0)) == 400
-
-
-@pytest.mark.parametrize("which", SETS)
-def test_the_family_of_two_tasks_is_balanced(which: str) -> None:
-    assert np.unique(rows(PROBES["hidden_side"], which), return_counts=True)[1].tolist() == [50, 50]
 
 
 def test_families_have_seeds_of_their_own() -> None:
@@ -80,27 +57,20 @@ def test_the_sets_are_the_same_in_another_process() -> None:
     assert done.stdout.strip() == DIGESTS["wheeled"][2]
 
 
-@pytest.mark.parametrize("which", SETS)
-@pytest.mark.parametrize(("name", "radius"), ON_HALF_CIRCLES.items())
-def test_goals_are_uniform_on_the_upper_half_circle(name: str, radius: float, which: str) -> None:
-    goals = rows(EVERY[name], which).astype(np.float64)
-    np.testing.assert_allclose(np.linalg.norm(goals, axis=1), radius, rtol=1e-6)
-    angles = np.degrees(np.arctan2(goals[:, 1], goals[:, 0]))
-    assert angles.min() >= 0
-    assert angles.max() < 180
-    # Kolmogorov-Smirnov. The sets are fixed, so this holds for good or not at all; of twenty
-    # draws from the right distribution, one in fifty would fail here.
-    assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
+@pytest.mark.parametrize("name", ON_HALF_CIRCLES)
+def test_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
+    many = EVERY[name].draw_tasks(np.random.default_rng(3), 20_000)
+    for goals in (*(rows(EVERY[name], which) for which in SETS), many):
+        np.testing.assert_allclose(np.linalg.norm(goals.astype(float), axis=1), 2.0, rtol=1e-6)
+        angles = np.degrees(np.arctan2(*goals.astype(float).T[::-1]))
+        assert angles.min() >= 0
+        assert angles.max() < 180
+        # Kolmogorov-Smirnov. The sets are fixed, so this holds for good or not at all; of twenty
+        # draws from the right distribution, one in fifty would fail here.
+        assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("name", ON_HALF_CIRCLES)
-def test_many_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
-    goals = EVERY[name].draw_tasks(np.random.default_rng(3), 20_000).astype(np.float64)
-    angles = np.degrees(np.arctan2(goals[:, 1], goals[:, 0]))
-    assert stats.kstest(angles, stats.uniform(0, 180).cdf).pvalue > 1e-3
-
-
-@pytest.mark.parametrize("name", ["point", "wheeled", "ant"])
 def test_goals_out_of_distribution_are_none_that_training_shows(name: str) -> None:
     goals = rows(EVERY[name], "ood").astype(np.float64)
     radius = np.linalg.norm(goals, axis=1)
@@ -113,13 +83,8 @@ def test_goals_out_of_distribution_are_none_that_training_shows(name: str) -> No
 
 
 def test_a_family_without_tasks_out_of_distribution_says_so() -> None:
-    with pytest.raises(ValueError, match="`hidden_end` has the task sets training, validation"):
-        PROBES["hidden_end"].task_set("ood")
-
-
-def test_lifetimes_are_uniform_up_to_beyond_the_horizon() -> None:
-    lifetimes = PROBES["hidden_end"].draw_tasks(np.random.default_rng(0), 20_000)
-    assert stats.kstest(lifetimes.astype(np.float64), stats.uniform(0, 12).cdf).pvalue > 1e-3
+    with pytest.raises(ValueError, match="`chain` has the task sets training, validation"):
+        chain.task_set("ood")
 
 
 class Pair(NamedTuple):

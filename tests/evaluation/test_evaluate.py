@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import HiddenEnd, hidden_end
 
 from maesn.axes import Readings
-from maesn.envs import HiddenEnd, Wheeled, hidden_end, point, wheeled
+from maesn.envs import Wheeled, point, wheeled
 from maesn.evaluation.evaluate import adapt, as_rows, measure
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_runs import create, finish, tiny_maesn
+from small_runs import create, tiny_maesn
 
 from maesn.evaluation import exploration
 from maesn.learners import maml
@@ -28,8 +28,7 @@ from maesn.search.stored import find_prior, run_prior
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run with a prior over returns, and what is recorded of it."""
-    made = create(tmp_path_factory.mktemp("explorer") / "run", tiny_maesn(), iterations=1)
-    finish(made)
+    made = create(tmp_path_factory.mktemp("explorer") / "run", tiny_maesn())
     run_prior(made, PriorSettings(draws=12, adapted=False, episodes=2))
     exploration.record_explorer(made)
     return made

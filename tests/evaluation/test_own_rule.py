@@ -1,9 +1,6 @@
 """The guide to a rule of one's own, taken at its word: its file, its commands."""
 
-import importlib
 import math
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -19,20 +16,9 @@ from maesn.runs.run import Run
 GUIDE = Guide("own_rule.md", "my_rules")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where the guide's file is, and can be imported from."""
-    directory = tmp_path_factory.mktemp("own_rule")
-    GUIDE.write(directory)
-    sys.path.insert(0, str(directory))
-    yield directory
-    sys.path.remove(str(directory))
-    del sys.modules["my_rules"]
-
-
-@pytest.fixture(scope="module")
-def rules(folder: Path) -> ModuleType:
-    return importlib.import_module("my_rules")
+@pytest.fixture
+def rules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return GUIDE.imported(tmp_path, monkeypatch)
 
 
 def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path: Path) -> None:
@@ -53,3 +39,13 @@ def test_the_next_latents_are_drawn_around_the_best(rules: ModuleType, tmp_path:
     deployed = learner.agents(state, "deploy").context
     np.testing.assert_array_equal(deployed.mean, state.context.mean)
     assert float(np.exp(deployed.log_std).max()) < 1e-5
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("rules")
+def test_its_commands_do_what_they_say() -> None:
+    GUIDE.follow("adapt", "compare", more=["--num-tasks", "2"])
+    written = Path("maesn-wheeled/adaptation").glob("test-*-sparse-crossentropy-*.csv")
+    assert len(list(written)) == 2  # with other settings of the rule the table is another one
+    assert Path("cross-entropy/comparison.png").exists()
+    assert "MAESN (CrossEntropy)" in Path("cross-entropy/summary.md").read_text()

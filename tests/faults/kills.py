@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from faults.material import Material
-from faults.processes import fork, killed_at, killed_in_write, wait
+from faults.processes import failing_at, fork, killed_in_write, wait
 from faults.scenarios import SCENARIOS, operations
 from faults.table import CONTINUED, LOSS, TRACEBACK, Findings
 
@@ -26,7 +26,7 @@ def attempt(stream: random.Random, material: Material, directory: Path, findings
         dying, what = killed_in_write(work, size := stream.randrange(LARGEST)), f"byte {size}"
     else:
         moment = stream.randrange(operations(name, material))
-        dying, what = killed_at(work, moment), f"operation {moment}"
+        dying, what = failing_at(work, moment), f"operation {moment}"
     ended = wait(fork(dying, directory / "said"), directory / "said")
     what = f"{name}, killed at {what}"
     if ended.status not in EXPECTED:

@@ -64,26 +64,19 @@ def count_operations(work: Callable[[], Any], directory: Path) -> int:
     return int(counts.read_text())
 
 
-def killed_at(work: Callable[[], Any], moment: int) -> Callable[[], Any]:
-    """Return work that the process does not survive: SIGKILL before its n-th operation."""
+def failing_at(
+    work: Callable[[], Any], moment: int, reason: int | None = None
+) -> Callable[[], Any]:
+    """Return work whose n-th operation fails with an error of the operating system.
+
+    Without a reason the process does not survive it: SIGKILL.
+    """
 
     def act(number: int) -> None:
+        if number == moment and reason is not None:
+            raise OSError(reason, os.strerror(reason))
         if number == moment:
             os.kill(os.getpid(), signal.SIGKILL)
-
-    def dying() -> None:
-        sys.setprofile(at_operations(act))
-        work()
-
-    return dying
-
-
-def failing_at(work: Callable[[], Any], moment: int, reason: int) -> Callable[[], Any]:
-    """Return work whose n-th operation fails with this error of the operating system."""
-
-    def act(number: int) -> None:
-        if number == moment:
-            raise OSError(reason, os.strerror(reason))
 
     def failing() -> None:
         sys.setprofile(at_operations(act))

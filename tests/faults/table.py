@@ -9,13 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from faults.material import Material
 
-Outcome: TypeAlias = Literal[
-    "clear errors", "continued correctly", "silent losses", "tracebacks", "hangs", "executed"
-]
 CLEAR, CONTINUED, LOSS, TRACEBACK, HANG, EXECUTED = OUTCOMES = (
     "clear errors",
     "continued correctly",

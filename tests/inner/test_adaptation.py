@@ -184,11 +184,6 @@ def test_nothing_to_adapt_leaves_the_agents_as_they_are() -> None:
         np.testing.assert_array_equal(old, new)
 
 
-def test_a_stage_before_the_beginning_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="`first_iteration` must be at least 0, got -1"):
-        InnerStep(first_iteration=-1)
-
-
 @pytest.mark.parametrize(
     ("schedule", "expected"),
     [
@@ -202,9 +197,3 @@ def test_a_stage_before_the_beginning_is_refused_by_name() -> None:
 def test_step_schedule(schedule: StepSchedule, expected: list[float]) -> None:
     actual = [schedule(jnp.asarray(update)) for update in range(len(expected))]
     np.testing.assert_allclose(actual, expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("factor", [0.0, 1.5])
-def test_a_factor_that_stops_or_grows_is_refused_by_name(factor: float) -> None:
-    with pytest.raises(ValueError, match=rf"`factor` must lie in \(0, 1\], got {factor}"):
-        StepSchedule(factor=factor)

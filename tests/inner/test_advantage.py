@@ -104,10 +104,3 @@ def test_equal_pay_drifts_as_in_the_reference_if_asked_to() -> None:
     advantages = advantages_of(AdvantageEstimator(drifts=True), stack(batch))
     assert_equal_to_reference(advantages, batch, REFERENCE, atol=1e-9)
     np.testing.assert_allclose(jnp.std(advantages.step, axis=(1, 2)), 1.0, rtol=1e-5)
-
-
-@pytest.mark.parametrize("setting", ["discount", "gae_lambda"])
-@pytest.mark.parametrize("value", [-0.1, 1.1])
-def test_impossible_settings_are_refused_by_name(setting: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"`{setting}` must lie in \[0, 1\], got {value}"):
-        AdvantageEstimator(**{setting: value})

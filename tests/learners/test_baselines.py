@@ -2,11 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import scipy.stats
-from playing import assert_same, keys
+from bernoulli_bandit import bandit
+from learning_problems.probes import hidden_target
+from playing import keys
 
-from maesn.envs import AnyEnv, bandit, hidden_target, point
+from maesn.envs import AnyEnv, point
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import FixedPolicy, baselines
 from maesn.worlds import make_world
@@ -47,12 +48,3 @@ def test_choices_have_the_same_probability_each() -> None:
     actions = Collector(make_world(env, tasks), 50)(keys(10), agents, jnp.arange(10)).action
     counts = np.asarray(actions).sum((0, 1, 2))
     assert scipy.stats.chisquare(counts).pvalue > 1e-4
-
-
-@pytest.mark.parametrize("name", ["zero action", "random actions"])
-def test_experience_changes_nothing(name: str) -> None:
-    env, tasks = point.make_env(), point.task_set("test", 2)
-    learner = of(env)[name]
-    state, before = learner.init(keys(2)), learner.agents(learner.init(keys(2)))
-    episodes = Collector(make_world(env, tasks), 3)(keys(2), before, jnp.arange(2))
-    assert_same(learner.agents(learner.update(state, episodes)), before)

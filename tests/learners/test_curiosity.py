@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.transitions import linear_episodes
+from learning_problems.transitions import episodes_of, linear_episodes
 
 from maesn.experience.transitions import Scale, Transitions, transitions
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
@@ -229,28 +229,20 @@ def test_the_pool_holds_a_sample_of_all_batches() -> None:
         assert set(added) <= seen
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "said"),
-    [
-        ("weight", -1.0, "`weight` must be finite and at least 0, got -1.0"),
-        ("hidden_sizes", (0,), r"`hidden_sizes` must be positive, got \(0,\)"),
-        ("updates", -1, "`updates` must be finite and at least 0, got -1"),
-        *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("samples", "batch_size")],
-        *[(n, 0, f"`{n}` must be at least 1, got 0") for n in ("pool_size", "pool_additions")],
-        ("median_window", 0, "`median_window` must be at least 1, got 0"),
-        *[
-            (n, 0.0, f"`{n}` must be positive and finite, got 0.0")
-            for n in ("prior_std", "likelihood_std")
-        ],
-        ("likelihood_std", float("inf"), "`likelihood_std` must be positive and finite, got inf"),
-        ("learning_rate", float("nan"), "`learning_rate` must be positive and finite, got nan"),
-    ],
-)
-def test_impossible_settings_are_refused_by_name(setting: str, value: object, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        CuriosityBonus(**{setting: value})
-
-
 def test_a_world_without_observations_is_refused() -> None:
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0"):
         CuriosityBonus().init(KEY, 0, 2)
+
+
+@pytest.mark.long
+def test_what_is_known_is_worth_less_than_what_is_new() -> None:
+    curiosity = CuriosityBonus(updates=1500)
+    state, _ = judge(curiosity, KEY, curiosity.init(KEY, 2, 1), linear_episodes(1, (20,), 25, 0.05))
+    known = linear_episodes(2, (8,), 25, noise=0.05)
+    new = replace(known, action=known.action + 4.0)  # pushed harder, without any effect
+    both = episodes_of(*(np.concatenate([getattr(e, f) for e in (known, new)]) for f in (
+        "observation", "action",
+    )))  # fmt: skip
+    learned = learn(curiosity, KEY, state)
+    _, bonus = judge(curiosity, KEY, learned, both)
+    assert np.median(bonus[8:]) > 10 * np.median(bonus[:8])

@@ -34,9 +34,13 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "maml, two updates": ("maml", {"inner_updates": 2}),
     "maml_bias_only, two updates": ("maml_bias_only", {"inner_updates": 2}),
 }
-# What the others are made of; `tests/long` has them as well.
+# What the others are made of.
 LONG = ["maesn", "maml_bias", "maml, two updates"]
-every_case = pytest.mark.parametrize("case", [case for case in CASES if case not in LONG])
+every_case = pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=[pytest.mark.long] if case in LONG else []) for case in CASES],
+)
+a_bias = pytest.param("maml_bias", marks=pytest.mark.long)
 REGION = TrustRegion(damping=1e-3)
 ALL, SOME, OTHERS = Thinning(1, 0), Thinning(2, 1), Thinning(3, 0)
 pytestmark = pytest.mark.usefixtures("x64")
@@ -125,7 +129,7 @@ def test_sampling_changes_derivatives_alone(case: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "case", ["maesn_theta", pytest.param("reparameterized", marks=pytest.mark.long)]
+    "case", ["maesn_theta", a_bias, pytest.param("reparameterized", marks=pytest.mark.long)]
 )
 def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(case: str) -> None:
     """Where the inner update goes through the policy.
@@ -153,7 +157,7 @@ def test_derivatives_of_the_inner_step_are_of_the_sampled_steps(case: str) -> No
     assert np.abs(exact - expected).max() > 1e-3 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("case", ["maesn_theta", "latent_space"])
+@pytest.mark.parametrize("case", ["maesn_theta", "latent_space", a_bias])
 def test_task_by_task_is_all_at_once(case: str) -> None:
     """Loss, divergence and gradient of the loop, against those of the whole batch."""
     objective, parameters = problem_of(case)

@@ -105,12 +105,3 @@ def test_steps_that_are_not_finite_change_nothing() -> None:
     assert not info.accepted
     np.testing.assert_array_equal(flat(after), flat(at))
     assert eqx.tree_equal(opt_state, outer.init(at))
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [("steps", 0), ("learning_rate", 0.0), ("clip", 1.0)],
-)
-def test_impossible_settings_are_refused_by_name(setting: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=f"`{setting}` must"):
-        ProximalOuterStep(**{setting: value})

@@ -177,14 +177,3 @@ def test_garbage_changes_nothing(step: ProximalStep | TrustRegionStep) -> None:
     dirty = replace(trials, behaviour=Categorical(logits))
     spoiled = take(step, policy, state, dirty, jnp.where(invalid, jnp.nan, advantages))
     jax.tree.map(np.testing.assert_array_equal, clean, spoiled[0])
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [({"clip": 0.0}, "`clip` must lie in"), ({"entropy_weight": -1.0}, "`entropy_weight` must be")],
-)
-def test_impossible_settings_are_refused(settings: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ProximalStep(**settings)
-    with pytest.raises(ValueError, match="`curvature_stride` must be at least 1"):
-        TrustRegionStep(curvature_stride=0)

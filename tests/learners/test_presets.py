@@ -16,7 +16,6 @@ from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.prepared import HORIZON
 
 from maesn.context import AbstractContextSettings, LatentContext, NoContext, OracleContext
-from maesn.experience.agent import Agents
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.learners import (
     PRESETS,
@@ -38,10 +37,15 @@ SMALL = {
     "outer": TrustRegionOuterStep(curvature_stride=2, hessian_stride=2),
 }
 # Those with memory have tests of their own (`test_recurrent`). The slots of MAML with a bias appear
-# in MAML and in MAESN; `tests/long` has it as well.
-LONG = ["maml_bias", "maml_bias_only"]
-SHORT = [name for name in PRESETS if not name.startswith("rl2") and name not in LONG]
-every_preset = pytest.mark.parametrize("preset", SHORT)
+# in MAML and in MAESN.
+every_preset = pytest.mark.parametrize(
+    "preset",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if name.startswith("maml_bias") else [])
+        for name in PRESETS
+        if not name.startswith("rl2")
+    ],
+)
 
 
 @contextmanager
@@ -100,23 +104,18 @@ def run(preset: str) -> Run:
     return result
 
 
-def shapes(tree: object) -> list[tuple[tuple[int, ...], jnp.dtype]]:
-    return [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
-
-
 @every_preset
-def test_states_and_agents_hold_arrays_only(preset: str) -> None:
+def test_states_keep_structure_shapes_and_types_and_infos_are_finite_scalars(preset: str) -> None:
     done = run(preset)
     leaves = jax.tree.leaves((done.states, done.infos, done.fast_states))
     assert all(isinstance(leaf, jax.Array) for leaf in leaves)
-
-
-@every_preset
-def test_states_keep_structure_shapes_and_types(preset: str) -> None:
-    done = run(preset)
     for states in (done.states, done.fast_states[1:]):
-        assert len({jax.tree.structure(state) for state in states}) == 1
-        assert all(shapes(state) == shapes(states[0]) for state in states)
+        kinds = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state) for state in states]
+        assert all(kind == kinds[0] for kind in kinds)
+    for info in done.infos:
+        assert all(leaf.shape == () and np.isfinite(leaf) for leaf in jax.tree.leaves(info))
+    assert [int(state.iteration) for state in done.states] == list(range(STEPS + 1))
+    assert [int(state.update) for state in done.fast_states] == list(range(STEPS + 1))
 
 
 @every_preset
@@ -128,14 +127,6 @@ def test_parameters_stay_finite_and_change(preset: str) -> None:
         changed = any((x != y).any() for x, y in zip(new, old, strict=True))
         assert changed == bool(info.outer.accepted)
     assert any(info.outer.accepted for info in done.infos)
-
-
-@every_preset
-def test_infos_are_finite_scalars(preset: str) -> None:
-    for info in run(preset).infos:
-        leaves = jax.tree.leaves(info)
-        assert all(leaf.shape == () for leaf in leaves)
-        assert all(np.isfinite(leaf) for leaf in leaves)
 
 
 @every_preset
@@ -152,12 +143,6 @@ def test_shares_of_the_step_sum_to_one(preset: str) -> None:
     for info in run(preset).infos:
         total = info.shares.policy + info.shares.context + info.shares.step_sizes
         np.testing.assert_allclose(total, 1.0 if info.outer.accepted else 0.0, rtol=1e-5)
-
-
-@every_preset
-def test_the_iteration_is_counted(preset: str) -> None:
-    assert [int(state.iteration) for state in run(preset).states] == list(range(STEPS + 1))
-    assert [int(state.update) for state in run(preset).fast_states] == list(range(STEPS + 1))
 
 
 @every_preset
@@ -253,44 +238,6 @@ def test_fewer_tasks_than_a_meta_batch_are_refused() -> None:
         PRESETS["maesn"]().init(jax.random.key(0), Problem(OBSERVATION, ACTION, 19))
 
 
-class Asked(Exception):
-    """Ends a step at its first collection."""
-
-
-def test_a_whole_training_set_is_a_permutation() -> None:
-    learner = PRESETS["maesn"](**SMALL | {"meta_batch_size": 20})
-    state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, 20))
-    index = []
-
-    class Recorder:
-        num_tasks = 20
-        episodes_per_task = 4
-
-        def __call__(
-            self, keys: jax.Array, agents: Agents, task_index: jax.Array, stage: int = 0
-        ) -> None:
-            index.extend(np.asarray(task_index).tolist())
-            raise Asked
-
-    with pytest.raises(Asked):
-        learner.step(jax.random.key(1), state, Recorder())
-    assert sorted(index) == list(range(20))
-    assert index != sorted(index)
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [
-        ("meta_batch_size", 0),
-        ("outer_batches", 0),
-        ("inner_updates", -1),
-    ],
-)
-def test_impossible_settings_are_refused_by_name(setting: str, value: int) -> None:
-    with pytest.raises(ValueError, match=f"`{setting}` must be at least .*, got {value}"):
-        PRESETS["maesn"](**{setting: value})
-
-
 @pytest.mark.parametrize("context", [NoContext(), OracleContext()], ids=["none", "oracle"])
 def test_a_context_in_which_nothing_moves_is_given_no_steps(
     context: AbstractContextSettings,
@@ -304,18 +251,3 @@ def test_inner_updates_that_move_nothing_are_refused() -> None:
     with pytest.raises(ValueError, match="`inner_updates` is 1, but `adaptation` moves nothing"):
         GradientMetaLearner(LatentContext(), Adaptation())
     assert GradientMetaLearner(LatentContext(), Adaptation(), inner_updates=0).inner_updates == 0
-
-
-def test_agents_of_new_tasks_are_one_per_task() -> None:
-    state = run("maesn").fast_states[0]
-    assert isinstance(state.agents, Agents)
-    np.testing.assert_array_equal(state.agents.context.mean, np.zeros((TASKS, 2)))
-    np.testing.assert_array_equal(state.agents.context.log_std, np.zeros((TASKS, 2)))
-
-
-@pytest.mark.parametrize("name", ["latent_space", "oracle"])
-def test_the_curvature_of_twice_the_episodes_takes_as_many_steps(name: str) -> None:
-    learner, usual = PRESETS[name](), PRESETS["maesn"]()
-    assert (
-        learner.outer_batches / learner.outer.curvature_stride == 1 / usual.outer.curvature_stride
-    )

@@ -10,8 +10,8 @@ import maesn
 from maesn import cli
 from maesn.commands.train import read_options
 from maesn.envs import FAMILIES
-from maesn.learners import PRESETS, RECOMMENDED, RECOMMENDED_RUNS, method_name
-from maesn.learners.recommended import with_setting
+from maesn.learners import PRESETS, method_name, recommended_settings
+from maesn.learners.recommended import RECOMMENDED, with_setting
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json
 from maesn.settings import leaves
@@ -21,7 +21,7 @@ SUITED = [(method, family) for family in RECOMMENDED for method in RECOMMENDED[f
 
 @pytest.mark.parametrize(("method", "family"), SUITED)
 def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> None:
-    table = {path: found.value for path, found in RECOMMENDED[family][method].items()}
+    table = recommended_settings(method, family)
     learner, usual = maesn.recommended(method, family), PRESETS[method]()
     for path, value in table.items():
         assert attrgetter(path)(learner) == value != attrgetter(path)(usual)
@@ -32,14 +32,12 @@ def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> No
     assert method_name(learner) == method
 
 
-def test_the_tables_name_families_methods_and_settings() -> None:
+def test_the_file_names_families_methods_and_settings() -> None:
     fields = {field.name for field in dataclasses.fields(RunSettings)}
-    for table in (RECOMMENDED, RECOMMENDED_RUNS):
-        assert set(table) <= set(FAMILIES)
-        for of_family in table.values():
-            assert set(of_family) <= set(PRESETS)
-            assert all("results/" in one.source for of in of_family.values() for one in of.values())
-    assert all(set(of) <= fields for run in RECOMMENDED_RUNS.values() for of in run.values())
+    assert set(RECOMMENDED) <= set(FAMILIES)
+    for of_family in RECOMMENDED.values():
+        assert set(of_family) <= set(PRESETS)
+        assert all(set(one.get("run", {})) <= fields for one in of_family.values())
 
 
 def test_elsewhere_the_preset_is_what_there_is() -> None:
@@ -73,20 +71,9 @@ def test_the_command_begins_with_what_suits(words: str, learner: Any, episodes: 
 def test_the_command_says_so_in_one_line(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
     few = ["--family", "wheeled", "--iterations", "0", "--policy.hidden-sizes", "4"]
     assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "a")]) == 0
-    said = [line for line in capsys.readouterr().out.splitlines() if "that suit" in line]
-    assert said == [
-        "settings that suit `wheeled`: context.initial_spread 0.0 (--settings reference for the "
-        "published ones)"
-    ]
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if "that suit" in line]
+    assert "context.initial_spread 0.0" in said
     overridden = [*few, "--context.initial-spread", "1", "--run", str(tmp_path / "b")]
     assert cli.run(["train", "maesn", *overridden]) == 0
     assert "that suit" not in capsys.readouterr().out
     assert maesn.Run.open(tmp_path / "a").learner.context.initial_spread == 0
-
-
-def test_help_shows_the_familys_own_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        cli.run(["train", "maesn", "--family", "blockpush", "--help"])
-    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "and ant. (default: 0.5)" in text
-    assert "--settings {recommended,reference}" in text

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.memory import assert_a_probe_of_memory_is_solved
+from learning_problems.probes import HiddenEnd
 
 from maesn.axes import TaskKeys
-from maesn.envs import HiddenEnd, TaskSet
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
 from maesn.learners import (
-    PRESETS,
     GradientMetaLearner,
     Problem,
     ProximalStep,
@@ -27,14 +27,13 @@ from maesn.learners import (
     RecurrentValue,
     TrustRegionStep,
     maesn,
-    method_name,
     rl2,
 )
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import GaussianMLP, Recurrent
+from maesn.policies import Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -176,9 +175,9 @@ def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was(
 
 
 @pytest.mark.long
-def test_a_probe_that_needs_memory_across_episodes_is_solved() -> None:
-    """`tests/long` has RL2 by TRPO."""
-    assert_a_probe_of_memory_is_solved("rl2")
+@pytest.mark.parametrize("method", ["rl2", "rl2_trpo"])
+def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> None:
+    assert_a_probe_of_memory_is_solved(method)
 
 
 def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
@@ -189,30 +188,6 @@ def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
     assert collect.trial_states[0] is None
     for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
         assert began is before.trial_end
-
-
-def test_method_names() -> None:
-    assert method_name(small()) == "rl2"
-    for name, preset in PRESETS.items():
-        assert method_name(preset()) == name
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"meta_batch_size": 0}, "`meta_batch_size` must be at least 1, got 0"),
-        ({"trial_episodes": 0}, "`trial_episodes` must be at least 1, got 0"),
-        ({"discount": 1.5}, r"`discount` must lie in \[0, 1\], got 1.5"),
-        ({"gae_lambda": -0.5}, r"`gae_lambda` must lie in \[0, 1\], got -0.5"),
-        (
-            {"policy": GaussianMLP()},
-            "`trial_episodes` is 2, but a policy of `GaussianMLP` is not rec",
-        ),
-    ],
-)
-def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        rl2(**settings)
 
 
 def test_too_few_tasks_are_refused() -> None:

@@ -17,7 +17,6 @@ from reference.trust_region import TrustRegionSettings
 from maesn.context import Nothing
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt
-from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator
@@ -155,16 +154,6 @@ def test_every_task_learns_on_its_own(name: str, collect: Collector) -> None:
     assert np.all(returns[:, -1] > returns[:, 0])
 
 
-@pytest.mark.long  # `tests/evaluation` does it with another learner
-@pytest.mark.parametrize("name", ["reinforce", "trpo"])
-def test_chunks_change_nothing(name: str, collect: Collector) -> None:
-    whole, parts = (
-        adapt(small(name), collect, Evaluation(tasks_at_once=size), episodes=16) for size in (4, 2)
-    )
-    expected = whole.curves.mean_return
-    np.testing.assert_allclose(parts.curves.mean_return, expected, rtol=2e-3, atol=2e-3)
-
-
 def test_tasks_start_with_different_weights_that_the_seed_says() -> None:
     learner = small("trpo")
     one, same, other = (
@@ -195,19 +184,3 @@ def test_equal_pay_moves_who_drifts(name: str, drifts: bool, collect: Collector)
 
 def test_vpg_is_reinforce() -> None:
     assert SCRATCH["vpg"](3, 2) == SCRATCH["reinforce"](3, 2)
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: GradientStep(step_size=float("inf")), "`step_size` must be positive and finite"),
-        (lambda: GradientStep(step_size=0.0), "`step_size` must be positive and finite, got 0.0"),
-        (
-            lambda: TrustRegionStep(curvature_stride=0),
-            "`curvature_stride` must be at least 1",
-        ),
-    ],
-)
-def test_impossible_settings_are_refused_by_name(make: object, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        make()

@@ -7,11 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bernoulli_bandit import Bandit
+from learning_problems.probes import HiddenEnd
 from playing import keys
 
 from maesn.axes import ObservedReward
 from maesn.context import Nothing
-from maesn.envs import Bandit, HiddenEnd, Point, TaskSet, point
+from maesn.envs import Point, TaskSet, point
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.surrogate import action_distributions

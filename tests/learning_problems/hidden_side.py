@@ -9,8 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from learning_problems.probes import HiddenSide
 from maesn.context import LatentContext
-from maesn.envs import HiddenSide, TaskSet
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS, Problem

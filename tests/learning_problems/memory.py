@@ -3,7 +3,8 @@
 import jax
 import numpy as np
 
-from maesn.envs import HiddenSide, TaskSet
+from learning_problems.probes import HiddenSide
+from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import PRESETS, Problem, ProximalStep, RecurrentValue
 from maesn.numerics import MinibatchDescent

@@ -1,6 +1,5 @@
 """The guide to a family from Gymnasium, taken at its word: its file, its commands."""
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,12 +15,9 @@ def test_its_commands_do_what_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert set(VERBS) == GUIDE.verbs
-    GUIDE.write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+    GUIDE.imported(tmp_path, monkeypatch)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # as the guide says, for the processes
     GUIDE.follow(*VERBS)
-    del sys.modules["hidden_gravity"]
     run = tmp_path / "runs" / "gravity"
     assert (run / "adaptation" / "test-sparse.csv").exists()
     assert (tmp_path / "gravity.npz").exists()

@@ -57,12 +57,3 @@ def test_too_few_samples_are_refused() -> None:
         descent.run(
             jax.random.key(0), jnp.zeros(2), descent.init(jnp.zeros(2)), loss, jnp.asarray(TARGETS)
         )
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [("learning_rate", float), ("epochs", int), ("minibatches", int), ("max_gradient_norm", float)],
-)
-def test_impossible_settings_are_refused(name: str, kind: type) -> None:
-    with pytest.raises(ValueError, match=f"`{name}` must be"):
-        MinibatchDescent(**{name: kind(0)})

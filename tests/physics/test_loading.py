@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -14,62 +13,39 @@ PLAIN = "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></m
 DEPRECATED = PLAIN.replace("<mujoco>", "<mujoco><compiler settotalmass='3'/>")
 
 
-@pytest.fixture
-def own_handler() -> Iterator[list[str]]:
-    previous = mujoco.get_mju_user_warning()
-    heard: list[str] = []
-    mujoco.set_mju_user_warning(heard.append)
-    yield heard
-    mujoco.set_mju_user_warning(previous)
+@pytest.mark.parametrize("kind", ["path", "text of a path", "XML"])
+def test_a_users_model_never_resets_itself_and_warnings_are_pythons(
+    kind: str, tmp_path: Path
+) -> None:
+    def given(xml: str) -> str | Path:
+        path = tmp_path / "own.xml"
+        path.write_text(xml, encoding="utf-8")
+        return {"path": path, "text of a path": str(path), "XML": f"\n  {xml}"}[kind]
 
-
-def test_a_model_is_found_with_and_without_its_ending() -> None:
-    assert load_model("wheeled").nq == load_model("wheeled.xml").nq == 6
-
-
-def test_a_users_file_never_resets_itself(tmp_path: Path) -> None:
-    path = tmp_path / "own.xml"
-    path.write_text(PLAIN, encoding="utf-8")
-    for given in (path, str(path)):
-        model = load_model(given)
-        assert model.nq == 1
-        assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-
-
-def test_a_model_may_be_xml_itself() -> None:
-    model = load_model(f"\n  {PLAIN}")
+    model = load_model(given(PLAIN))
     assert model.nq == 1
     assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
     with pytest.raises(ValueError, match="XML"):
-        load_model("<mujoco><worldbody/>")
-    with pytest.warns(UserWarning, match=r"^model '<mujoco>': .*settotalmass"):
-        load_model(DEPRECATED)
+        load_model(given("<mujoco><worldbody/>"))
+    named = "<mujoco>" if kind == "XML" else r"own\.xml"
+    with pytest.warns(UserWarning, match=f"^model '.*{named}': .*settotalmass"):
+        load_model(given(DEPRECATED))
 
 
-def test_an_unknown_model_names_the_known_ones() -> None:
+def test_a_model_is_found_by_its_name() -> None:
+    assert load_model("wheeled").nq == load_model("wheeled.xml").nq == 6
     with pytest.raises(FileNotFoundError, match=r"wheeled\.xml.*got 'weeled'"):
         load_model("weeled")
 
 
-def test_a_broken_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "broken.xml"
-    path.write_text("<mujoco><worldbody/>", encoding="utf-8")
-    with pytest.raises(ValueError, match="XML"):
-        load_model(path)
-
-
-def test_warnings_of_the_compiler_become_python_warnings(tmp_path: Path) -> None:
-    path = tmp_path / "deprecated.xml"
-    path.write_text(DEPRECATED, encoding="utf-8")
-    with pytest.warns(UserWarning, match=r"deprecated\.xml.*settotalmass"):
-        load_model(path)
-
-
-def test_somebody_elses_handler_is_left_alone(tmp_path: Path, own_handler: list[str]) -> None:
-    path = tmp_path / "deprecated.xml"
-    path.write_text(DEPRECATED, encoding="utf-8")
-    load_model(path)
-    assert len(own_handler) == 1
+def test_somebody_elses_handler_is_left_alone() -> None:
+    previous, heard = mujoco.get_mju_user_warning(), []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        load_model(DEPRECATED)
+    finally:
+        mujoco.set_mju_user_warning(previous)
+    assert len(heard) == 1
 
 
 def test_a_blow_up_writes_nothing_to_disk_or_terminal(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from physics.accelerated import ROD
 
 from maesn.physics import EngineError, PhysicsError, load_model
-from maesn.physics.mjx import MjxEngine, MjxLimits
+from maesn.physics.mjx import MjxEngine
 
 
 def test_a_margin_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
@@ -22,11 +22,11 @@ def test_a_margin_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
 def test_fields_that_cannot_differ_are_refused_by_name() -> None:
     engine, model = MjxEngine("wheeled"), load_model("wheeled")
     rough = np.ones((2, model.nv))
-    with pytest.raises(ValueError, match="`model_fields` cannot hold dof_frictionloss on"):
+    with pytest.raises(ValueError, match="`model_fields` cannot hold dof_frictionloss"):
         engine.dynamics({"dof_frictionloss": rough, "dof_damping": rough})
     with pytest.raises(ValueError, match=r"must name fields of `mujoco.MjModel`.*'body_mas'"):
         engine.dynamics({"body_mas": rough})
-    with pytest.raises(ValueError, match=r"`dof_damping` must have the shape \('simulation', 6\)"):
+    with pytest.raises(ValueError, match=r"`dof_damping` must have the shape \(2, 6\)"):
         engine.dynamics({"dof_damping": rough[:, :5]})
     rough[1, 2] = np.nan
     with pytest.raises(PhysicsError, match="simulation 1: `dof_damping` must be finite"):
@@ -36,10 +36,6 @@ def test_fields_that_cannot_differ_are_refused_by_name() -> None:
 def test_what_the_engine_lacks_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"`readings` of the engine `mjx` .* got 'energy'"):
         MjxEngine("wheeled", ("qpos", "energy"))
-    with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
-        MjxEngine("wheeled", limits=MjxLimits(iterations=0))
-    with pytest.raises(ValueError, match="`untouched` must name geoms of the model, got 'hood'"):
-        MjxEngine("wheeled", limits=MjxLimits(untouched=("hood",)))
     path = tmp_path / "implicit.xml"
     path.write_text(
         ROD.format(rod='size="0.1"').replace("<option", '<option integrator="implicit"')

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from maesn.axes import RecurrentState
-from maesn.context import LatentContext
-from maesn.learners.recurrent.value import RecurrentValue
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import (
     AbstractPolicy,
@@ -119,33 +117,6 @@ def test_kinds_of_actions() -> None:
     assert isinstance(distribution, Categorical)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"hidden_size": 0}, "`hidden_size` must be at least 1, got 0"),
-        ({"encoder_sizes": (3, 0)}, "`encoder_sizes` must be positive"),
-        ({"readout_sizes": (-1,)}, "`readout_sizes` must be positive"),
-        ({"initial_std": 0.0}, "`initial_std` must be positive"),
-    ],
-)
-def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Recurrent(**settings)
-    if "initial_std" not in settings:
-        with pytest.raises(ValueError, match=message):
-            RecurrentValue(**settings)
-
-
-def test_what_is_no_number_is_refused() -> None:
-    for refused in (
-        lambda: LatentContext(kl_weight=np.nan),
-        lambda: LatentContext(initial_spread=np.nan),
-        lambda: GaussianMLP(initial_std=np.nan),
-    ):
-        with pytest.raises(ValueError, match=r"must be .*, got nan"):
-            refused()
-
-
 @pytest.mark.usefixtures("no_type_checks")
 @pytest.mark.parametrize(
     ("wrong", "message"),
@@ -159,8 +130,3 @@ def test_misspelt_settings_do_not_count_as_the_other_one(
 ) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
         Recurrent(**wrong)
-
-
-def test_hidden_sizes_of_the_feed_forward_policy_are_checked() -> None:
-    with pytest.raises(ValueError, match="`hidden_sizes` must be positive"):
-        CategoricalMLP((0,))

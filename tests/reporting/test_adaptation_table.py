@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from maesn.reporting.reading import (
     TableName,
     read_adaptation,
     stack_seeds,
-    table_name,
+    usual_table,
 )
-from maesn.reporting.tables import update_tables
+from maesn.reporting.tables import adaptation_tables
+from maesn.rules import SearchRule
 from maesn.storage import RunError
 
 HEADER = ",".join(COLUMNS)
@@ -33,24 +35,16 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = tmp_path / "validation-dense.csv"
     written = adaptation_table()
     write_adaptation(path, written)
-    table = read_adaptation(path)
-    for name in MEASURES:
-        np.testing.assert_array_equal(getattr(table, name), getattr(written, name))
-    np.testing.assert_array_equal(table.solved_at_reset, written.solved_at_reset)
+    header, *rows = path.read_text().splitlines()
+    for order in (1, -1):  # the order of the rows does not matter
+        path.write_text("\n".join([header, *rows[::order]]))
+        table = read_adaptation(path)
+        for name in (*MEASURES, "solved_at_reset"):
+            np.testing.assert_array_equal(getattr(table, name), getattr(written, name))
     assert (table.tasks, table.reward, table.purpose) == ("validation", "dense", EXPLORE)
     assert table.episodes.tolist() == [0, 50, 100, 150]
     assert table.updates.tolist() == [0, 1, 2, 3]
     assert table.num_tasks == NUM_TASKS
-
-
-def test_the_order_of_the_rows_does_not_matter(tmp_path: Path) -> None:
-    path = tmp_path / "my-goals-sparse.csv"
-    write_adaptation(path, adaptation_table())
-    header, *rows = path.read_text().splitlines()
-    path.write_text("\n".join([header, *rows[::-1]]))
-    table = read_adaptation(path)
-    np.testing.assert_array_equal(table.mean_return, adaptation_table().mean_return)
-    assert (table.tasks, table.reward) == ("my-goals", "sparse")
 
 
 def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Path) -> None:
@@ -67,45 +61,68 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
     assert explored.prior_reach not in ("", "100% of the goals in 50 episodes")
 
 
-def test_an_adaptation_that_continued_another_starts_later(tmp_path: Path) -> None:
-    path = tmp_path / "test-sparse.csv"
-    written = adaptation_table()
-    later = replace(written, updates=written.updates + 10, episodes=written.episodes + 500)
-    write_adaptation(path, later)
-    table = read_adaptation(path)
-    assert table.updates.tolist() == [10, 11, 12, 13]
-    assert table.episodes_per_update == 50
-    # Its first column is not played from the prior.
-    assert table.prior_reach == ""
-
-
-def test_the_path_of_a_table_says_what_its_name_says() -> None:
-    usual = adaptation_file(Path("run"), Evaluation())
-    assert usual == Path("run/adaptation/test-sparse.csv")
-    assert table_name(usual) == TableName("test", "sparse")
-    changed = Evaluation(tasks="ood", reward="dense", engine="mjx")
-    other = adaptation_file(Path("run"), changed)
-    assert table_name(other) == TableName("ood-on-mjx", "dense")
+@pytest.mark.parametrize(
+    ("changed", "name", "label"),
+    [
+        ({}, "test-sparse", ""),
+        ({"episodes": 500, "tasks_at_once": 3, "num_threads": 2}, "test-sparse", ""),
+        ({"tasks": "ood", "reward": "dense", "engine": "mjx"}, "ood-on-mjx-dense", ""),
+        ({"episodes": 100}, "test-sparse-with-100-episodes", "with 100 episodes"),
+        (
+            {"episodes": 40, "episodes_per_update": 20, "deploy_episodes": 5, "seed": 3},
+            "test-sparse-with-40-episodes-20-per-update-5-deployed-seed-3",
+            "with 40 episodes 20 per update 5 deployed seed 3",
+        ),
+        (
+            {"rule": SearchRule(), "episodes": 10, "deploy_after": (0, 10)},
+            "test-sparse-search-ee78bb-with-10-episodes-after-0-10",
+            "search with 10 episodes after 0 10",
+        ),
+    ],
+)
+def test_all_that_decides_the_numbers_is_in_the_name_of_the_file(
+    changed: dict[str, Any], name: str, label: str
+) -> None:
+    file = adaptation_file(Path("run"), Evaluation(**changed))
+    assert file == Path(f"run/adaptation/{name}.csv")
+    assert TableName.of(file).label == label
+    assert TableName.of(file).path(Path("run")) == file
 
 
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("test-sparse", ("test", "sparse", "")),
-        ("from-10-test-dense", ("from-10-test", "dense", "")),
-        ("file-my-sparse-goals-0a1b2c-dense", ("file-my-sparse-goals-0a1b2c", "dense", "")),
-        ("test-sparse-10-then-trpo", ("test", "sparse", "-10-then-trpo")),
-        ("ood-on-mjx-sparse-3-full-steps", ("ood-on-mjx", "sparse", "-3-full-steps")),
-        ("validation-dense-bonus-vime", ("validation", "dense", "-bonus-vime")),
-        ("table", ("table", "", "")),
+        ("file-my-sparse-goals-0a1b2c-dense", ("file-my-sparse-goals-0a1b2c", "dense", "", "")),
+        (
+            "ood-on-mjx-sparse-3-full-steps-a0b1c2",
+            ("ood-on-mjx", "sparse", "-3-full-steps-a0b1c2", ""),
+        ),
+        (
+            "test-sparse-cma-with-restarts-a0b1c2",
+            ("test", "sparse", "-cma-with-restarts-a0b1c2", ""),
+        ),
+        ("table", ("table", "", "", "")),
     ],
 )
-def test_a_name_says_of_what_a_table_is(name: str, expected: tuple[str, str, str]) -> None:
-    assert table_name(Path(f"{name}.csv")) == expected
+def test_a_name_is_taken_apart(name: str, expected: tuple[str, ...]) -> None:
+    assert TableName.of(Path(f"{name}.csv")) == expected
+
+
+def test_the_usual_table_is_by_the_methods_own_rule_and_the_usual_budget_if_there_is_one(
+    tmp_path: Path,
+) -> None:
+    assert usual_table(tmp_path) is None
+    folder = tmp_path / "adaptation"
+    for name in ("test-sparse-search-ee78bb", "test-dense", "ood-sparse"):
+        write_adaptation(folder / f"{name}.csv", adaptation_table())
+    assert usual_table(tmp_path) is None
+    for name in ("test-sparse-with-100-episodes", "test-sparse"):
+        write_adaptation(folder / f"{name}.csv", adaptation_table())
+        assert usual_table(tmp_path) == folder / f"{name}.csv"
 
 
 def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
-    """Of RL2, an update is one episode, of which as many are played as there are trials."""
+    """An update of RL2 is one episode; as many are played as there are trials."""
     path = tmp_path / "test-sparse.csv"
     write_adaptation(path, replace(adaptation_table(), episodes=np.arange(NUM_UPDATES + 1)))
     record = {"episodes_per_update": 30, "trial_episodes": 2}
@@ -114,23 +131,16 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     assert table.episodes_per_update == 1
     assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
-    (summary,) = update_tables(table, "RL2")
-    assert summary.notes[0] == (
+    assert adaptation_tables(path)[0].notes[0] == (
         "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
     )
-
-
-def test_a_goal_counts_as_reached_if_one_episode_reaches_it() -> None:
-    rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
-    rates[:2, 0] = 0.02, 1.0
-    rates[:, 1] = 1.0
-    reach = replace(adaptation_table(), explored_success_rate=rates).prior_reach
-    assert reach == f"{2 / NUM_TASKS:.0%} of the goals in 50 episodes"
 
 
 def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
     rates[:2, 0] = 0.02, 1.0
+    reach = replace(adaptation_table(), explored_success_rate=rates).prior_reach
+    assert reach == f"{2 / NUM_TASKS:.0%} of the goals in 50 episodes"
     at_reset = np.zeros_like(rates)
     at_reset[1] = 1.0
     table = replace(adaptation_table(), explored_success_rate=rates, solved_at_reset=at_reset)
@@ -141,96 +151,52 @@ def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
     np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
     everything = replace(table, solved_at_reset=np.ones_like(rates))
     assert everything.prior_reach == ""
+    single = columns(adaptation_table(), slice(1))  # the number of episodes is unknown
+    assert (single.episodes_per_update, single.prior_reach) == (None, "")
 
 
-def test_without_an_update_the_number_of_episodes_is_unknown() -> None:
-    single = columns(adaptation_table(), slice(1))
-    assert single.episodes_per_update is None
-    assert single.prior_reach == ""
-
-
-def test_seeds_are_stacked() -> None:
-    tables = [adaptation_table(seed=seed) for seed in range(3)]
-    stacked = stack_seeds(tables)
-    assert stacked.goal_return.shape == (3, NUM_TASKS, NUM_UPDATES + 1)
-    np.testing.assert_array_equal(stacked.goal_return[2], tables[2].goal_return)
-    assert stacked.num_tasks == NUM_TASKS
-    chosen = stacked.part(np.arange(NUM_TASKS) < 2)
-    np.testing.assert_array_equal(chosen.goal_return[2], tables[2].goal_return[:2])
-
-
-def test_a_task_is_solved_at_reset_if_it_is_so_for_one_seed() -> None:
+def test_seeds_are_stacked_if_they_have_the_same_tasks() -> None:
     at_reset = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
     at_reset[1, 2] = 0.1
-    other = replace(adaptation_table(), solved_at_reset=at_reset)
-    stacked = stack_seeds([adaptation_table(), other])
+    tables = [adaptation_table(), replace(adaptation_table(seed=1), solved_at_reset=at_reset)]
+    stacked = stack_seeds(tables)
+    assert stacked.goal_return.shape == (2, NUM_TASKS, NUM_UPDATES + 1)
+    np.testing.assert_array_equal(stacked.goal_return[1], tables[1].goal_return)
+    # A task is solved at reset if it is so for one seed.
     assert np.flatnonzero(stacked.is_solved_at_reset).tolist() == [1]
-
-
-def test_seeds_with_different_tasks_are_refused() -> None:
-    with pytest.raises(
-        RunError,
-        match=r"got 5 tasks, updates 0 to 3 and 8 tasks, updates 0 to 3.*same `--tasks`",
-    ):
+    chosen = stacked.part(np.arange(NUM_TASKS) < 2)
+    assert (stacked.num_tasks, chosen.num_tasks) == (NUM_TASKS, 2)
+    np.testing.assert_array_equal(chosen.goal_return[1], tables[1].goal_return[:2])
+    with pytest.raises(RunError, match="got 5 tasks, updates 0 to 3 and 8 tasks"):
         stack_seeds([adaptation_table(), adaptation_table(num_tasks=5)])
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
+    "content",
     [
-        ("", "its rows of purpose explore lack a task or an update, or repeat one"),
-        ("task,update\n0,0\n", "cannot be drawn: 'purpose'"),
-        (f"{HEADER}\n", "its rows of purpose explore lack a task or an update, or repeat one"),
-        (
-            f"{HEADER}\n{ROW}\n{ROW}\n",
-            "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
-        (
-            f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n",
-            "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
-        (
-            f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
-            "cannot be drawn: could not convert string to float: .*good",
-        ),
-        (
-            f"{HEADER}\n0,0,0,explore,-396.0\n",
-            "a number in it is not finite",
-        ),
-        (
-            f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
-            "a number in it is not finite",
-        ),
-        (
-            f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
-            "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
-        (
-            f"{HEADER}\n{ROW.replace('explore', 'deploy')}\n",
-            "its rows of purpose explore lack a task or an update, or repeat one",
-        ),
+        "",
+        "task,update\n0,0\n",
+        f"{HEADER}\n",
+        f"{HEADER}\n{ROW}\n{ROW}\n",
+        f"{HEADER}\n{ROW}\n1,1,50,{ONES}\n",
+        f"{HEADER}\n{ROW.replace('-390.0', 'good')}\n",
+        f"{HEADER}\n0,0,0,explore,-396.0\n",
+        f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
+        f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
     ],
 )
-def test_a_broken_table_is_refused_in_one_sentence(
-    tmp_path: Path, content: str, complaint: str
-) -> None:
+def test_a_broken_table_is_refused_in_one_sentence(tmp_path: Path, content: str) -> None:
     path = tmp_path / "test-sparse.csv"
     path.write_text(content)
-    with pytest.raises(RunError, match=complaint) as caught:
+    with pytest.raises(RunError, match=r"cannot be drawn: .*maesn adapt") as caught:
         read_adaptation(path)
-    assert "maesn adapt" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_or_unreadable_table_is_refused(tmp_path: Path) -> None:
-    missing, binary = tmp_path / "test-sparse.csv", tmp_path / "test-dense.csv"
+def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
+    binary, pipe = tmp_path / "test-dense.csv", tmp_path / "pipe-sparse.csv"
     binary.write_bytes(b"\xff\xfe\x00")
-    for path in (missing, binary, tmp_path):
+    os.mkfifo(pipe)  # nobody waits for what will never come
+    for path in (tmp_path / "missing.csv", binary, pipe, tmp_path):
         with pytest.raises(RunError, match=r"Expected a table at .*maesn adapt"):
             read_adaptation(path)
-
-
-def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "test-sparse.csv")
-    with pytest.raises(RunError, match="it is a pipe or a device"):
-        read_adaptation(tmp_path / "test-sparse.csv")

@@ -1,27 +1,34 @@
 """Learning and adaptation curves: what is drawn is the data, with intervals and legends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from figure_checks import check_saved_whole, crowd, labels, line
-from synthetic_runs import adaptation_table, learning_curve
+from figure_checks import check_saved_whole, crowd, legend, line
+from synthetic_runs import adaptation_table, learning_curve, write_metrics, write_run
 from synthetic_runs import line as method
 
+from maesn.reporting.charts import learning_charts, moving_mean
 from maesn.reporting.comparison import Comparison, Line
-from maesn.reporting.figures.curves import moving_mean, plot_curves, plot_learning_curves
+from maesn.reporting.figures.curves import plot_curves, plot_learning_curves
 from maesn.reporting.published import PublishedCurve, comparable_curve
 from maesn.reporting.reading import DEPLOY, stack_seeds
+from maesn.reporting.runs import LearningCurve
+from maesn.reporting.sources import read_series
 from maesn.reporting.statistics import INTERVAL, bootstrap, mean
 from maesn.reporting.style import METHOD_STYLES, Drawn
 
 
-def learning_figure() -> Drawn:
-    seeds = (learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20))
-    trained = {METHOD_STYLES["maesn"]: seeds, METHOD_STYLES["maml"]: seeds[1:2]}
-    return plot_learning_curves(trained, "dense")
+def learning_figure(directory: Path, seeds: Sequence[LearningCurve]) -> Drawn:
+    """Meta-training of MAESN with three seeds, and of MAML, which is as its second seed."""
+    runs = [write_run(directory / f"{i}", seed=i, without=["metrics"]) for i in range(len(seeds))]
+    runs.append(write_run(directory / "maml", "maml", without=["metrics"]))
+    for run, curve in zip(runs, (*seeds, seeds[1]), strict=True):
+        write_metrics(run / "metrics.jsonl", curve)
+    (charts,) = learning_charts(read_series(runs)).values()
+    return plot_learning_curves(charts)
 
 
 def curves(*lines: Line) -> Drawn:
@@ -49,28 +56,22 @@ def crowded_adaptation_figure() -> Drawn:
     return curves(*lines)
 
 
-FIGURES: dict[str, Callable[[], Drawn]] = {
-    "learning": learning_figure,
-    "adaptation": adaptation_figure,
-    "crowded adaptation": crowded_adaptation_figure,
-}
-
-
-@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
+@pytest.mark.parametrize("make", [adaptation_figure, crowded_adaptation_figure])
 def test_every_figure_is_saved_with_nothing_cut_off(
     tmp_path: Path, make: Callable[[], Drawn]
 ) -> None:
     check_saved_whole(make(), tmp_path)
 
 
-def test_learning_curves() -> None:
-    figure, notes = learning_figure()
+def test_learning_curves(tmp_path: Path) -> None:
+    seeds = learning_curve(level=-420.0), learning_curve(level=-400.0), learning_curve(20)
+    figure, notes = learning_figure(tmp_path, seeds)
     success, before, after = figure.axes
     assert before.get_ylabel() == "mean dense return"
     assert {axes.get_xlabel() for axes in figure.axes} == {"meta-iteration"}
     assert before.get_ylim() == after.get_ylim()
     assert success.get_ylim()[0] <= 0.0 < 1.0 <= success.get_ylim()[1]
-    assert labels(after) == ["MAESN, 3 seeds", "MAML"]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML"]
     assert "bands: range over the seeds; thin: iterations of a single seed" in notes
     drawn = line(before, "MAESN, 3 seeds")
     # As far as all seeds got; constant curves at -420, -400 and -400.
@@ -78,14 +79,14 @@ def test_learning_curves() -> None:
     np.testing.assert_allclose(drawn[:, 1], -1220 / 3)
     band = before.collections[0].get_paths()[0].vertices
     assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(-420.0), pytest.approx(-400.0))
+    check_saved_whole(Drawn(figure), tmp_path)
 
 
-def test_a_method_without_a_metric_has_no_line_for_it() -> None:
+def test_a_method_without_a_metric_has_no_line_for_it(tmp_path: Path) -> None:
     curve = replace(learning_curve(), return_before=np.full(30, np.nan))
-    drawn = plot_learning_curves({METHOD_STYLES["maesn"]: (curve,)}, "sparse")
-    _, before, after = drawn.figure.axes
+    _, before, after = learning_figure(tmp_path, (curve, curve)).figure.axes
     assert all(np.isnan(np.asarray(one.get_ydata(), float)).all() for one in before.lines)
-    assert len(after.lines) == 2  # the average, and what it is the average of
+    assert len(after.lines) == 3  # two averages, and what that of the single seed is of
 
 
 def test_moving_mean_is_brute_force() -> None:
@@ -100,7 +101,7 @@ def test_adaptation_curves() -> None:
     returns, success = figure.axes
     assert returns.get_ylabel() == "mean sparse return"
     assert {axes.get_xlabel() for axes in figure.axes} == {"episodes in the new task"}
-    assert labels(returns) == ["MAML (bias only)", "MAESN, 3 seeds"]
+    assert legend(figure) == ["MAESN, 3 seeds", "MAML (bias only)"]
     bands, judged = notes
     assert bands.startswith(f"bands: {INTERVAL}; circles: as")
     assert judged == "judged on the episodes that were learned from, z drawn, as in the paper"
@@ -123,20 +124,32 @@ def test_the_band_is_the_interval() -> None:
     assert line(figure.axes[0], "MAESN")[-1, 1] == pytest.approx(interval.mean)
 
 
-def test_the_note_says_which_lines_judge_the_deployed_agent() -> None:
+def test_the_figure_marks_baseline_and_oracle_and_notes_what_differs(tmp_path: Path) -> None:
     fresh = replace(adaptation_table(), purpose=DEPLOY)
-    (_, one) = curves(method("maesn", fresh)).notes
-    assert one == "judged on fresh episodes of the deployed agent"
-    lines = [method("maesn", fresh), method("maml", adaptation_table())]
-    *_, said = curves(*lines).notes
-    assert said.startswith("judged on fresh episodes of the deployed agent (MAESN); or judged on")
-    assert said.endswith("(MAML)")
-
-
-def test_two_lengths_of_updates_share_a_logarithmic_axis() -> None:
-    other = replace(adaptation_table(), episodes=20 * np.arange(4))
-    lines = [method("maesn", adaptation_table()), method("maml", other)]
-    assert {one.get_xscale() for one in curves(*lines).figure.axes} == {"symlog"}
+    memory = replace(adaptation_table(5), episodes=np.arange(4), trial_episodes=2)
+    compared = Comparison(
+        (method("maesn", fresh), method("rl2", memory)),
+        baselines=(method("idle", replace(fresh, mean_return=0 * fresh.mean_return - 400)),),
+        oracle=(method("oracle", replace(fresh, mean_return=0 * fresh.mean_return - 300)),),
+    )
+    drawn = plot_curves(compared)
+    returns, success = drawn.figure.axes
+    # Two lengths of updates share a logarithmic axis.
+    assert returns.get_xscale() == success.get_xscale() == "symlog"
+    shown = line(returns, "MAESN")
+    np.testing.assert_array_equal(shown[:, 0], 50 * np.arange(4))
+    np.testing.assert_allclose(shown[:, 1], fresh.mean_return.mean(0))
+    assert line(returns, "baseline")[:, 1].tolist() == [-400.0, -400.0]
+    assert line(returns, "oracle")[:, 1].tolist() == [-300.0, -300.0]
+    assert legend(drawn.figure) == ["MAESN", "RL²", "baseline", "oracle"]
+    _, judged, *beyond = drawn.notes
+    assert judged.startswith("judged on fresh episodes of the deployed agent (MAESN); or judged on")
+    assert judged.endswith("(RL²)")
+    assert beyond == [
+        "RL² was trained for trials of 2 episodes: from update 2 on it is beyond them",
+        "RL²: the first 5 of 8 tasks alone",
+    ]
+    check_saved_whole(drawn, tmp_path)
 
 
 def test_methods_are_drawn_in_their_own_style() -> None:

@@ -20,7 +20,6 @@ from synthetic_runs import (
 )
 
 from maesn.reporting.figures.exploration import (
-    ExplorationPanel,
     direction_scale,
     directions,
     plot_exploration,
@@ -37,15 +36,15 @@ def exploration_figure() -> Drawn:
     maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
     return plot_exploration(
         [
-            ExplorationPanel(maesn, exploration(), adaptation_table().prior_reach),
-            ExplorationPanel(maml, exploration(has_latents=False), ""),
+            (maesn, exploration(), adaptation_table().prior_reach),
+            (maml, exploration(has_latents=False), ""),
         ]
     )
 
 
 def crowded_exploration_figure() -> Drawn:
     reach = adaptation_table().prior_reach
-    return plot_exploration([ExplorationPanel(one.style, exploration(), reach) for one in crowd()])
+    return plot_exploration([(one.style, exploration(), reach) for one in crowd()])
 
 
 FIGURES: dict[str, Callable[[], Drawn]] = {
@@ -82,20 +81,10 @@ def test_exploration() -> None:
     assert maesn.get_ylabel() == "y (m)"
 
 
-@pytest.mark.parametrize("number", [1, 3, 6])
-def test_lower_left_panels_keep_their_labels(number: int) -> None:
-    styles = list(METHOD_STYLES.values())[:number]
-    panels = [ExplorationPanel(style, exploration(), None) for style in styles]
-    axes = plot_exploration(panels).figure.axes
-    assert len(axes) == number + 1
-    assert axes[-1].get_xlabel() == "x (m)"
-    assert axes[0].get_ylabel() == "y (m)"
-
-
 def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() -> None:
     def title(recorded: RecordedExploration) -> str:
-        panel = ExplorationPanel(METHOD_STYLES["maesn"], recorded, None)
-        return str(plot_exploration([panel]).figure.axes[-1].get_title())
+        drawn = plot_exploration([(METHOD_STYLES["maesn"], recorded, "")])
+        return str(drawn.figure.axes[-1].get_title())
 
     # 2 of the 7 tasks that are not solved at reset.
     assert title(exploration()) == "untrained policy\n29% of the goals in 10 episodes"
@@ -103,15 +92,12 @@ def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() 
     assert title(everything) == "untrained policy"
 
 
-def test_limits_hold_discs_and_paths() -> None:
+def test_limits_hold_discs_and_paths_and_colours_cover_directions() -> None:
     goals, paths = np.array([[0.0, 2.0]]), fan(np.array([0.0]), 3.0)
     limits = shared_limits([goals, paths], radius=0.5)
     assert (limits.min < [-0.5, 0.0]).all()
     assert (limits.max > [3.0, 2.5]).all()
     assert limits.height < limits.width
-
-
-def test_directions_are_degrees_and_colours_cover_them() -> None:
     goals = np.array([[1.0, 0.0], [0.0, 2.0], [-3.0, 0.0]])
     np.testing.assert_allclose(directions(goals), [0.0, 90.0, 180.0])
     assert direction_scale(goals[:2]).get_clim() == (0.0, 90.0)
@@ -147,9 +133,6 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
     drawn = line(axes, "objects of training tasks")
     np.testing.assert_array_equal(drawn, np.concatenate([layout, layout + 5.0]))
     np.testing.assert_array_equal(line(axes, "objects of tasks adapted to"), layout - 5.0)
-    # The panel holds them all.
-    assert axes.get_xlim()[0] < -4.6
-    assert axes.get_xlim()[1] > 5.5
 
 
 def test_latents() -> None:
@@ -177,11 +160,6 @@ def test_latents_show_the_components_that_spread_most() -> None:
         "latent component 3",
         "latent component 4",
     )
-
-
-def test_latents_that_went_on_have_another_beginning() -> None:
-    axes = plot_latents(replace(latents(), first_update=1)).figure.axes
-    assert [one.get_title() for one in axes] == ["after update 1", "after update 4"]
 
 
 def test_structured_noise() -> None:

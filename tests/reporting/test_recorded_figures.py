@@ -27,12 +27,12 @@ def compared(
     write_exploration(directory / "maesn.npz", exploration())
     held = latents(components)
     part = {"mean": held.mean[: table.num_tasks], "log_std": held.log_std[: table.num_tasks]}
-    np.savez(directory / "latents.npz", **vars(replace(held, **part)))
+    np.savez(directory / "table.latents.npz", **vars(replace(held, **part)))
     one = replace(
         line("maesn", table, replace(table, explored_success_rate=0 * table.success_rate)),
         source="maesn",
         recorded=directory / "maesn.npz",
-        latents=directory / "latents.npz",
+        files=(directory / "table.csv",),
     )
     return Comparison((one,), sparse_radius=radius)
 
@@ -66,7 +66,7 @@ def test_a_share_of_goals_is_said_of_those_that_are_drawn(tmp_path: Path) -> Non
     assert share > 0
     said = f"MAESN\n{share:.0%} of the goals in 50 episodes"
     assert title(compared(tmp_path, table)) == said
-    single = replace(table, explored_episodes=1)
+    single = replace(table, about={"episodes_per_update": 1})
     assert title(compared(tmp_path, single)) == said.replace("50 episodes", "1 episode")
     assert title(compared(tmp_path, replace(table, tasks="validation"))) == "MAESN"
     assert title(compared(tmp_path, table, radius=0.3)) == "MAESN"

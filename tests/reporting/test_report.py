@@ -7,32 +7,18 @@ from pathlib import Path
 import pytest
 from synthetic_runs import write_run
 
-from maesn.reporting.report import report_runs
-from maesn.reporting.style import Drawn
+from maesn.reporting.report import say_missing, write_report
+from maesn.reporting.sources import compare_runs
 from maesn.storage import RunError
 
 LEARNER_AND_PHYSICS = {"equinox", "jax", "mujoco", "tensorboardX", "tyro"}
 
 
-@pytest.fixture
-def unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Touch the files of figures instead of laying them out, which takes a second each."""
-
-    def touch(drawn: Drawn, directory: Path, name: str) -> list[Path]:
-        assert drawn.figure.axes
-        directory.mkdir(parents=True, exist_ok=True)
-        files = [directory / f"{name}.png", directory / f"{name}.pdf"]
-        for file in files:
-            file.touch(exist_ok=False)
-        return files
-
-    monkeypatch.setattr("maesn.reporting.report.save_figure", touch)
-
-
 def draw(directories: list[Path], out: Path) -> tuple[set[str], str]:
     """Draw, check that the files are there in pairs, and return their names and what was said."""
     said: list[str] = []
-    written = report_runs(directories, out, said.append)
+    written = write_report(compare_runs(directories), out).files
+    say_missing(written, said.append)
     assert len(written) == len(set(written))
     assert {file for file in out.rglob("*") if file.is_file()} >= set(written)
     names = {str(file.relative_to(out).with_suffix("")) for file in written}
@@ -47,7 +33,7 @@ def test_one_run_gives_every_figure(tmp_path: Path) -> None:
     assert said == ""
 
 
-@pytest.mark.usefixtures("unsaved")
+@pytest.mark.usefixtures("figures_unsaved")
 def test_several_runs_share_figures(tmp_path: Path) -> None:
     runs = [
         write_run(tmp_path / "a", seed=0, without=["exploration"]),
@@ -60,49 +46,27 @@ def test_several_runs_share_figures(tmp_path: Path) -> None:
     assert said.startswith("Not drawn: noise. They need")
 
 
-@pytest.mark.usefixtures("unsaved")
-def test_rewards_are_kept_apart_and_worlds_refused(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("figures_unsaved")
+def test_rewards_are_kept_apart_and_what_was_not_adapted_has_no_line(tmp_path: Path) -> None:
     without = ["adaptation", "exploration"]
     runs = [
         write_run(tmp_path / "a", without=without),
         write_run(tmp_path / "b", without=without, reward="sparse"),
-        write_run(tmp_path / "c", without=without, family="point"),
     ]
-    names, said = draw(runs[:2], tmp_path / "out")
+    names, said = draw(runs, tmp_path / "out")
     assert names == {"learning-dense", "learning-sparse"}
     assert said.startswith("Not drawn: curves, tasks, exploration, noise, latents. They need")
-    with pytest.raises(RunError, match="same `family`, got point and wheeled: report on each"):
-        draw(runs, tmp_path / "other")
+    whole = write_run(tmp_path / "whole", "maml", without=["exploration", "metrics"])
+    names, _ = draw([runs[0], whole], tmp_path / "other")
+    assert names == {"learning-dense", "curves-test-sparse"}
 
 
-@pytest.mark.usefixtures("unsaved")
-def test_a_method_that_was_not_adapted_has_no_line(tmp_path: Path) -> None:
-    whole = write_run(tmp_path / "whole", without=["exploration", "metrics"])
-    bare = write_run(tmp_path / "bare", "maml", without=["adaptation", "exploration", "metrics"])
-    names, _ = draw([whole, bare], tmp_path / "out")
-    assert names == {"curves-test-sparse", "latents-test-sparse"}
-
-
-@pytest.mark.parametrize(
-    ("name", "complaint"),
-    [
-        ("metrics.jsonl", "Expected lines of JSON objects at .*metrics.jsonl`.*line 1 is"),
-        ("adaptation/test-sparse.csv", "test-sparse.csv` cannot be drawn"),
-        ("config.json", "Expected a JSON object at .*config.json"),
-    ],
-)
-def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, complaint: str) -> None:
+@pytest.mark.parametrize("name", ["metrics.jsonl", "adaptation/test-sparse.csv", "config.json"])
+def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str) -> None:
     run = write_run(tmp_path / "run", without=["metrics"])
     (run / name).write_text("broken\n")
-    with pytest.raises(RunError, match=complaint):
-        report_runs([run], tmp_path / "out", print)
-
-
-def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        RunError, match=r"config.json`, got no such file or directory; .*maesn train METHOD"
-    ):
-        report_runs([tmp_path], tmp_path, print)
+    with pytest.raises(RunError, match=f"{name}`"):
+        write_report(compare_runs([run]), tmp_path / "out")
 
 
 def test_plotting_loads_no_learner_no_physics_and_no_windows() -> None:

@@ -38,7 +38,7 @@ def test_results_stay_small() -> None:
 
 @pytest.mark.parametrize("directory", studies_in(RESULTS), ids=name_of)
 def test_summaries_are_what_the_report_writes(directory: Path) -> None:
-    _, comparisons = compare_study(directory)
+    comparisons = compare_study(directory).comparisons
     assert comparisons
     for one in comparisons:
         said = (directory / one.name / SUMMARY).read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def test_summaries_are_what_the_report_writes(directory: Path) -> None:
 
 def test_a_published_curve_stands_beside_its_method_and_not_beside_variants() -> None:
     for study in ("ablation", "tuning"):  # of training; of the rule in new tasks
-        _, (comparison, *_) = compare_study(RESULTS / study)
+        comparison, *_ = compare_study(RESULTS / study).comparisons
         beside = {line.label for line in comparison.lines if line.published is not None}
         assert [label for label in beside if label.startswith("MAESN")] == ["MAESN"]
 

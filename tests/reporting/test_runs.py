@@ -51,20 +51,12 @@ def test_settings_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (None, "got no such file or directory"),
-        ("{", "got something else that cannot be read"),
-        ("[1]", "Expected a JSON object .* is no JSON object"),
-        ('{"schema": 1}', "is not of a run .*'settings'"),
-        ('{"settings": {"method": "maesn"}}', "is not of a run .*'learner'"),
-    ],
+    "content", [None, "{", "[1]", '{"schema": 1}', '{"settings": {"method": "maesn"}}']
 )
-def test_what_is_no_run_is_refused(tmp_path: Path, content: str | None, complaint: str) -> None:
+def test_what_is_no_run_is_refused(tmp_path: Path, content: str | None) -> None:
     if content is not None:
         (tmp_path / "config.json").write_text(content)
-    with pytest.raises(RunError, match=complaint + ".*maesn train"):
-        read_run(tmp_path)
+    assert "maesn train" in refused(lambda: read_run(tmp_path))
 
 
 def test_metrics_are_read(tmp_path: Path) -> None:
@@ -85,52 +77,34 @@ def test_a_metric_that_a_method_lacks_is_nan(tmp_path: Path) -> None:
 
 
 def test_the_line_that_is_being_written_is_left_out(tmp_path: Path) -> None:
+    assert read_learning_curve(tmp_path) is None
     file = tmp_path / "metrics.jsonl"
     write_metrics(file, learning_curve(3))
     file.write_text(file.read_text() + '{"iteration": 4, "ret')
     curve = read_learning_curve(tmp_path)
     assert curve is not None
     assert curve.iteration.tolist() == [1, 2, 3]
-
-
-def test_a_run_without_an_iteration_has_no_curve(tmp_path: Path) -> None:
-    assert read_learning_curve(tmp_path) is None
-    (tmp_path / "metrics.jsonl").write_text("")
+    file.write_text("")
     assert read_learning_curve(tmp_path) is None
 
 
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        ("{\n", "line 1 is no JSON object"),
-        ('{"iteration": 1}\n[]\n', "line 2 is no JSON object"),
-    ],
-)
-def test_broken_metrics_are_refused(tmp_path: Path, content: str, complaint: str) -> None:
+@pytest.mark.parametrize(("content", "line"), [("{\n", 1), ('{"iteration": 1}\n[]\n', 2)])
+def test_broken_metrics_are_refused(tmp_path: Path, content: str, line: int) -> None:
     (tmp_path / "metrics.jsonl").write_text(content)
-    with pytest.raises(RunError, match=complaint):
-        read_learning_curve(tmp_path)
+    assert f"line {line}" in refused(lambda: read_learning_curve(tmp_path))
 
 
 @pytest.mark.parametrize("has_latents", [True, False])
 def test_exploration_is_read(tmp_path: Path, *, has_latents: bool) -> None:
-    written = exploration(has_latents=has_latents)
-    write_exploration(tmp_path / "figures" / "exploration.npz", written)
-    read = read_exploration(tmp_path)
-    assert read is not None
-    assert read.sparse_radius == RADIUS
-    for name, expected in vars(written).items():
-        np.testing.assert_array_equal(getattr(read, name), expected)
-
-
-def test_what_tasks_lay_out_is_read_where_it_is_recorded(tmp_path: Path) -> None:
     places = np.random.default_rng(0).normal(size=(10, 3, 2))
     laid_out = {"training_landmarks": places, "landmarks": places[:NUM_TASKS]}
-    write_exploration(tmp_path / "figures" / "exploration.npz", replace(exploration(), **laid_out))
-    read = read_exploration(tmp_path)
-    assert read is not None
-    for name, expected in laid_out.items():
-        np.testing.assert_array_equal(getattr(read, name), expected)
+    for written in (exploration(has_latents=has_latents), replace(exploration(), **laid_out)):
+        write_exploration(tmp_path / "figures" / "exploration.npz", written)
+        read = read_exploration(tmp_path)
+        assert read is not None
+        assert read.sparse_radius == RADIUS
+        for name, expected in vars(written).items():
+            np.testing.assert_array_equal(getattr(read, name), expected)
 
 
 def test_another_record_is_refused(tmp_path: Path) -> None:
@@ -143,9 +117,7 @@ def test_another_record_is_refused(tmp_path: Path) -> None:
         whole | {"goals": np.array(["x"])},
     ):
         np.savez(file, **arrays)
-        said = refused(lambda: read_exploration(tmp_path))
-        assert "holds other arrays than it should" in said
-        assert said.endswith("delete it, and report again.")
+        assert refused(lambda: read_exploration(tmp_path)).endswith("delete it, and report again.")
 
 
 @pytest.mark.parametrize("changed", [{"mean": np.zeros((8, 4))}, {"log_std": np.zeros((8, 4, 3))}])
@@ -153,7 +125,7 @@ def test_latents_of_other_shapes_are_refused(
     tmp_path: Path, changed: dict[str, np.ndarray]
 ) -> None:
     np.savez(tmp_path / "latents.npz", **{**vars(latents()), **changed})
-    with pytest.raises(RunError, match=r"(?s)holds other arrays than it should: .*adapt again"):
+    with pytest.raises(RunError, match=r"(?s)adapt again\.$"):
         read_record(Latents, tmp_path / "latents.npz", "adapt again")
 
 
@@ -162,7 +134,7 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     file.parent.mkdir()
     for content in (b"", b"PK\x03\x04 truncated", b"text"):
         file.write_bytes(content)
-        assert "something else that cannot be read" in refused(lambda: read_exploration(tmp_path))
+        refused(lambda: read_exploration(tmp_path))
     with file.open("wb") as stream:
         np.save(stream, np.zeros(3))
-    assert "something else that cannot be read" in refused(lambda: read_exploration(tmp_path))
+    refused(lambda: read_exploration(tmp_path))

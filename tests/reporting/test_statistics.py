@@ -1,6 +1,7 @@
 """Intervals against closed forms, and their coverage against what theory predicts."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,9 +125,12 @@ def test_curves_are_intervals_of_each_update() -> None:
     assert curve(values).points == [bootstrap(mean, values[..., k]) for k in range(4)]
 
 
-def test_other_tasks_cannot_be_paired() -> None:
-    with pytest.raises(ValueError, match=r"the same tasks, got 10 and 9; compare"):
-        bootstrap(difference, draw(1, 10), draw(1, 9))
+@pytest.mark.parametrize(
+    ("statistic", "sizes"), [(difference, (10, 9)), (score, (9, 8, 9)), (improvement, (3, 4))]
+)
+def test_other_tasks_cannot_be_paired(statistic: Any, sizes: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=f"same tasks, got {' and '.join(map(str, sizes))}"):
+        bootstrap(statistic, *(draw(1, size) for size in sizes))
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> None:
@@ -219,13 +223,3 @@ def test_a_score_has_no_interval_if_the_oracle_may_be_no_better_than_the_baselin
     found = bootstrap(score, draw(1, 8), np.eye(1, 8), np.zeros((1, 8)))
     assert found.mean == pytest.approx(8 * draw(1, 8).mean())
     assert not found.is_known
-
-
-def test_a_score_is_of_the_same_tasks() -> None:
-    with pytest.raises(ValueError, match="must hold the same tasks, got 9 and 8 and 9"):
-        bootstrap(score, draw(1, 9), draw(1, 8), draw(1, 9))
-
-
-def test_improvement_is_judged_on_the_same_tasks() -> None:
-    with pytest.raises(ValueError, match="must hold the same tasks, got 3 and 4"):
-        bootstrap(improvement, draw(1, 3), draw(1, 4))

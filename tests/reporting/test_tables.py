@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,25 +16,30 @@ from maesn.reporting.statistics import INTERVAL, bootstrap, mean
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
-    print_adaptation_summary,
-    update_tables,
+    adaptation_tables,
+    print_tables,
 )
 
 TABLE, FRESH = (adaptation_table(num_tasks=30, seed=seed) for seed in range(2))
 SCALE = np.array([1, 1, 100, 100, 100])  # of the measures: shares are printed in percent
 
 
-def summary() -> TextTable:
-    (table,) = update_tables(TABLE, "MAESN on 30 tasks")
-    return table
+@pytest.fixture(name="file")
+def a_file(tmp_path: Path) -> Path:
+    return tmp_path / "test-sparse.csv"
 
 
-def shown(table: TextTable, width: int = 80) -> str:
-    console = Console(file=io.StringIO(), width=width)
-    console.print(table.to_rich())
-    output = console.file
-    assert isinstance(output, io.StringIO)
-    return output.getvalue()
+def summarised(
+    file: Path, table: AdaptationTable, deployed: AdaptationTable | None = None
+) -> list[TextTable]:
+    write_adaptation(file, table, deployed)
+    return adaptation_tables(file)
+
+
+def shown(tables: Sequence[TextTable]) -> str:
+    with io.StringIO() as output:
+        print_tables(tables, Console(file=output, width=80))
+        return output.getvalue()
 
 
 def markdown_cells(table: TextTable) -> list[list[str]]:
@@ -52,84 +58,61 @@ def halves(update: int) -> list[list[float]]:
     return (SCALE[:, None] * np.array(pairs)).tolist()
 
 
-def test_markdown_has_every_interval() -> None:
-    heads, _, *rows = markdown_cells(summary())
+def test_markdown_has_every_interval(file: Path) -> None:
+    (table,) = summarised(file, TABLE)
+    heads, _, *rows = markdown_cells(table)
     assert heads[:2] == ["update", "episodes"]
     assert [row[:2] for row in rows] == [["0", "0"], ["1", "50"], ["2", "100"], ["3", "150"]]
     for update, row in enumerate(rows):
         np.testing.assert_allclose([*map(numbers, row[2:])], halves(update), atol=0.0501)
 
 
-def test_the_terminal_shows_means_and_half_widths_in_80_columns() -> None:
-    lines = shown(summary()).splitlines()
-    assert "MAESN on 30 tasks" in lines[0]
-    assert max(map(len, lines)) <= 80
-    assert f"± half the {INTERVAL}" in lines[-2]
-    assert "Judged on the episodes that were learned from" in lines[-1]
+def test_the_terminal_shows_means_and_half_widths_in_80_columns(file: Path) -> None:
+    text = shown(summarised(file, TABLE))
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert "Adaptation: test-sparse" in lines[0]
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
+    assert max(map(len, rows)) <= 80
+    assert f"± half the {INTERVAL}" in text
+    assert "Judged on the episodes that were learned from" in text
     assert len(rows) == NUM_UPDATES + 1
     np.testing.assert_allclose(numbers(rows[-1]), np.ravel(halves(-1)), atol=0.0501)
-
-
-def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table() -> None:
-    at_reset = np.zeros((30, NUM_UPDATES + 1))
-    at_reset[[4, 7, 8]] = 1.0
-    everything, others = update_tables(replace(TABLE, solved_at_reset=at_reset), "MAESN")
-    counted = "3 of the 30 tasks are solved at reset."
-    assert counted in everything.to_markdown()
-    assert counted in shown(everything)
-    assert others.title == "MAESN, without tasks solved at reset"
-    assert counted not in others.to_markdown()
-    rest = np.delete(TABLE.mean_return[:, -1], [4, 7, 8])
-    assert numbers(others.rows[-1][2])[0] == pytest.approx(np.mean(rest), abs=0.0501)
-
-
-def test_where_no_task_is_solved_at_reset_there_is_one_table() -> None:
-    assert "solved at reset" not in summary().to_markdown()
-    all_solved = replace(TABLE, solved_at_reset=np.ones((30, NUM_UPDATES + 1)))
-    (table,) = update_tables(all_solved, "MAESN")
-    assert "30 of the 30 tasks are solved at reset." in table.to_markdown()
-
-
-def test_one_task_has_means_without_intervals() -> None:
-    (table,) = update_tables(adaptation_table(num_tasks=1), "one")
-    assert not any("±" in cell for row in table.rows for cell in row)
-
-
-def printed(path: Path, table: AdaptationTable, deployed: AdaptationTable | None = None) -> str:
-    write_adaptation(path / "test-sparse.csv", table, deployed)
-    console = Console(file=io.StringIO(), width=80)
-    print_adaptation_summary(path / "test-sparse.csv", console)
-    output = console.file
-    assert isinstance(output, io.StringIO)
-    return " ".join(output.getvalue().split())
-
-
-def test_the_summary_of_a_file_is_printed(tmp_path: Path) -> None:
-    output = printed(tmp_path, TABLE)
-    assert "Adaptation: test-sparse" in output
-    assert f"{TABLE.mean_return[:, -1].mean():.1f}" in output
-    assert "No episode" not in output
-    fresh = printed(tmp_path, TABLE, FRESH)
+    fresh = shown(summarised(file, TABLE, FRESH))
     assert f"{FRESH.mean_return[:, -1].mean():.1f}" in fresh
     assert "Judged on fresh episodes of the deployed agent." in fresh
 
 
-def test_tasks_without_a_success_had_nothing_to_learn_from(tmp_path: Path) -> None:
+def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table(file: Path) -> None:
+    at_reset = np.zeros((30, NUM_UPDATES + 1))
+    at_reset[[4, 7, 8]] = 1.0
+    everything, others = summarised(file, replace(TABLE, solved_at_reset=at_reset))
+    counted = "3 of the 30 tasks are solved at reset."
+    assert counted in everything.to_markdown()
+    assert counted not in others.to_markdown()
+    assert others.title == "Adaptation: test-sparse, without tasks solved at reset"
+    rest = np.delete(TABLE.mean_return[:, -1], [4, 7, 8])
+    assert numbers(others.rows[-1][2])[0] == pytest.approx(np.mean(rest), abs=0.0501)
+    (table,) = summarised(file, replace(TABLE, solved_at_reset=np.ones((30, NUM_UPDATES + 1))))
+    assert "30 of the 30 tasks are solved at reset." in table.to_markdown()
+
+
+def test_one_task_has_means_without_intervals(file: Path) -> None:
+    table, _ = summarised(file, adaptation_table(num_tasks=1))
+    assert not any("±" in cell for row in table.rows for cell in row)
+
+
+def test_tasks_without_a_success_had_nothing_to_learn_from(file: Path) -> None:
+    assert "No episode" not in shown(summarised(file, TABLE))
     rates = adaptation_table(num_tasks=12).success_rate.copy()
     rates[[2, 5]] = 0.0
     rates[7, :-1] = 0.0  # one episode after the last update reached the goal
     table = replace(adaptation_table(num_tasks=12), success_rate=rates)
-    said = "No episode reached the goal in 2 of 12 tasks: there the adaptation had nothing to learn"
-    assert said in printed(tmp_path, table)
+    said = "No episode reached the goal in 2 of 12 tasks"
+    assert said in shown(summarised(file, table))
     # What the deployed agent reaches was not learned from.
     deployed = replace(table, purpose=DEPLOY, success_rate=np.ones_like(rates))
-    assert said in printed(tmp_path, table, deployed)
-    write_adaptation(tmp_path / "test-dense.csv", table)
-    console = Console(file=io.StringIO())
-    print_adaptation_summary(tmp_path / "test-dense.csv", console)
-    assert isinstance(console.file, io.StringIO)
-    assert "No episode" not in console.file.getvalue()
+    assert said in shown(summarised(file, table, deployed))
+    assert "No episode" not in shown(summarised(file.with_name("test-dense.csv"), table))
 
 
 def test_zero_has_no_minus() -> None:
@@ -137,11 +120,11 @@ def test_zero_has_no_minus() -> None:
     assert UNITS["mean_return"].number(-0.06) == "-0.1"
 
 
-def test_each_of_few_tasks_has_a_row(tmp_path: Path) -> None:
+def test_each_of_few_tasks_has_a_row(file: Path) -> None:
     table = adaptation_table(num_tasks=10)
-    output = printed(tmp_path, table)
-    assert "Each task, before and after 3 updates" in output
+    _, by_task = summarised(file, table)
+    assert by_task.title == "Each task, before and after 3 updates"
     for task in range(10):
         ends = [f"{table.mean_return[task, k]:.1f}" for k in (0, -1)]
         rates = [f"{100 * table.success_rate[task, k]:.1f}" for k in (0, -1)]
-        assert " ".join([str(task), *ends, *rates]) in output
+        assert by_task.rows[task] == (str(task), *ends, *rates)

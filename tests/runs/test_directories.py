@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from dying import files_no_larger_than
+from faults.processes import on_a_full_disk
 from small_runs import create, finish
 
 from maesn import api
@@ -101,6 +101,6 @@ def test_that_a_table_can_be_written_is_known_before_anything_is_played(
     monkeypatch.setattr(running, "evaluate", lambda *_: pytest.fail("it has played"))
     with pytest.raises(RunError, match="cannot write"):
         api.adapt(directory, out=directory)
-    with files_no_larger_than(100), pytest.raises(RunError, match="cannot write"):
-        api.adapt(directory)
+    with pytest.raises(RunError, match="cannot write"):
+        on_a_full_disk(lambda: api.adapt(directory), 100)()
     assert list((directory / "adaptation").iterdir()) == []

@@ -60,6 +60,6 @@ def test_a_meta_iteration_on_mjx(tmp_path: Path) -> None:
     names = [path.name for path in (run.directory / "adaptation").glob("*.csv")]
     # Between them stands the digest of the tasks.
     assert {name[:11] + name[17:] for name in names} == {
-        "file-tasks--dense.csv",
-        "file-tasks--dense-on-native.csv",
+        "file-tasks--dense-with-0-episodes-2-per-update.csv",
+        "file-tasks--on-native-dense-with-0-episodes-2-per-update.csv",
     }

@@ -3,18 +3,19 @@
 import dataclasses
 import itertools
 import logging
+import os
 import re
 import shutil
-import signal
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from dying import Crash, Death, files_no_larger_than
-from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors
+from faults.processes import on_a_full_disk
+from small_runs import create, finish, metrics, outcome, reopened, tensors
 
 from maesn.runs import config, log
-from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.storage import RunError
 
@@ -39,6 +40,30 @@ def test_leaving_the_loop_saves(
     assert outcome(finish(reopened(run))) == whole
 
 
+class Crash(BaseException):
+    """The process is gone."""
+
+
+class Death:
+    """Lets a process die at its n-th write: that one is half done, and nothing follows."""
+
+    def __init__(self, moment: int) -> None:
+        self._left = moment
+        self.dead = False
+
+    def before(self, call: Callable[..., Any], half: Callable[..., Any] | None = None) -> Any:
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            if not self.dead and self._left > 0:
+                self._left -= 1
+                return call(*arguments, **options)
+            if half is not None and not self.dead:
+                half(*arguments)
+            self.dead = True
+            raise Crash
+
+        return wrapped
+
+
 def half(path: Path, content: bytes) -> None:
     with path.open("ab") as file:
         file.write(content[:20])
@@ -52,7 +77,10 @@ def test_death_at_any_write_loses_nothing(
         directory, death = shutil.copytree(begun.directory, tmp_path / str(moment)), Death(moment)
         run = dataclasses.replace(begun, directory=directory)
         with monkeypatch.context() as patch:
-            death.at_files(patch)
+            patch.setattr(os, "fsync", death.before(os.fsync))
+            # Removing is also the clean-up after an exception, which a dead process does not do.
+            for method in ("replace", "unlink"):
+                patch.setattr(Path, method, death.before(getattr(Path, method)))
             patch.setattr(log, "append", death.before(log.append, half))
             patch.setattr(log, "cut_lines", death.before(log.cut_lines))
             try:
@@ -64,50 +92,6 @@ def test_death_at_any_write_loses_nothing(
             break
     # Three checkpoints of five writes, six iterations of two lines, and the files' beginnings.
     assert moment > 27
-
-
-@pytest.mark.parametrize("place", ["learner", "log", "checkpoint"])
-def test_control_c_saves_and_leaves_no_loose_ends(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    whole: tuple[bytes, dict[str, bytes]],
-    place: str,
-) -> None:
-    run = create(tmp_path / "run", checkpoint_every=3)
-    owner, name = {
-        "learner": (Drift, "step"),
-        "log": (log.RunLog, "write"),
-        "checkpoint": (Run, "save_state"),
-    }[place]
-    original, calls = getattr(owner, name), itertools.count()
-
-    def interrupted(*arguments: Any) -> Any:
-        result = original(*arguments)
-        if next(calls) == (0 if place == "checkpoint" else 4):
-            signal.raise_signal(signal.SIGINT)
-        return result
-
-    with monkeypatch.context() as patch:
-        patch.setattr(owner, name, interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            finish(run)
-    assert run.latest().iteration == (3 if place == "checkpoint" else 4)
-    assert outcome(finish(reopened(run))) == whole
-
-
-def test_a_damaged_checkpoint_sends_the_run_back(
-    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]], caplog: pytest.LogCaptureFixture
-) -> None:
-    run = finish(create(tmp_path / "run"), iterations=4)
-    last = run.checkpoints()[-1]
-    last.write_bytes(last.read_bytes()[:-5])
-    with caplog.at_level(logging.WARNING):
-        steps = train(reopened(run))
-        assert next(steps).iteration == 3
-    assert f"`{last}` is no readable checkpoint" in caplog.text
-    assert [line["iteration"] for line in metrics(run)] == [1, 2, 3]
-    steps.close()
-    assert outcome(finish(reopened(run))) == whole
 
 
 @pytest.mark.parametrize("how", ["end", "all", "byte"])
@@ -155,8 +139,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
     for size in (10, 75, *range(140, 2500, 150)):
         run = create(tmp_path / str(size))
         try:
-            with files_no_larger_than(size):
-                finish(run)
+            on_a_full_disk(partial(finish, run), size)()
         except RunError as error:
             (place,) = re.findall(f"`{run.directory}/([a-z]+)", str(error))
             failed.add(place)

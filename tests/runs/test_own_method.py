@@ -1,5 +1,6 @@
 """A method that a user brings: named on the command line, and never imported by reading a file."""
 
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -68,11 +69,18 @@ def test_reading_a_run_imports_nothing_and_says_what_to_type(
 def test_its_own_advice_works_as_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train(tmp_path / "run")
+    train(tmp_path / "a run")
     monkeypatch.delitem(sys.modules, "walk")
-    advice = capsys.readouterr().out.splitlines()[-1].split("maesn ")[-1].split()
+    advice = shlex.split(capsys.readouterr().out.splitlines()[-1].split("maesn ")[-1])
     small = ["--num-tasks", "2", "--episodes", "2", "--episodes-per-update", "1", "--rule", "none"]
     assert cli.run([*advice, *small]) == 0
+    # A second run in the same place is told how to go on with the first.
+    monkeypatch.delitem(sys.modules, "walk")
+    words = ["--run", str(tmp_path / "a run"), *USUAL]
+    assert cli.run(["train", "walk:Walk", *words]) == cli.USAGE_ERROR
+    monkeypatch.delitem(sys.modules, "walk")
+    advice = shlex.split(capsys.readouterr().err.splitlines()[-1].split("maesn ")[-1])
+    assert cli.run(advice) == 0
 
 
 def test_a_run_that_python_made_gives_the_same_advice(tmp_path: Path) -> None:
@@ -82,9 +90,9 @@ def test_a_run_that_python_made_gives_the_same_advice(tmp_path: Path) -> None:
 
     settings = RunSettings(family="point", iterations=0)
     made = Run.create(tmp_path / "run", Walk(), settings)
-    assert made.own_options == Run.open(tmp_path / "run").own_options == " --method walk:Walk"
+    assert made.typed == Run.open(tmp_path / "run").typed == f"{tmp_path}/run --method walk:Walk"
     usual = Run.create(tmp_path / "usual", tiny_maesn(policy=GaussianMLP((4,))), settings)
-    assert not usual.own_options
+    assert usual.typed == f"{tmp_path}/usual"
 
 
 def test_it_goes_on_bit_for_bit_replay_included(tmp_path: Path) -> None:

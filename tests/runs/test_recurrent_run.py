@@ -49,10 +49,12 @@ def test_what_is_written_of_an_iteration(trained: Path) -> None:
 
 
 def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:
-    adaptation = api.adapt(trained, episodes=4, episodes_per_update=2).outcome
+    done = api.adapt(trained, episodes=4, episodes_per_update=2)
+    adaptation = done.outcome
     assert adaptation.episodes_per_update == 1
     assert adaptation.trial_episodes == 2
-    with (trained / "adaptation" / "test-sparse.csv").open() as file:
+    with done.table.open() as file:
         rows = list(csv.DictReader(file))
     assert [row["episodes"] for row in rows[:3]] == ["0", "1", "2"]
-    assert not (trained / "adaptation" / "test-sparse.latents.npz").exists()
+    assert done.latents is None
+    assert not list(done.table.parent.glob("*.npz"))

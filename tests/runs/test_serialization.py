@@ -12,11 +12,8 @@ from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.runs.config import RunSettings
 from maesn.runs.serialization import (
     digest_of_document,
-    fields_from_json,
-    fields_to_json,
     from_json,
     to_json,
 )
@@ -119,24 +116,3 @@ def test_a_document_that_is_not_ours_is_refused_by_name(
 ) -> None:
     with pytest.raises(ValueError, match=named):
         from_json(altered(**changes), AbstractMetaLearner)
-
-
-@pytest.mark.parametrize("radius", [None, 0.25])
-def test_settings_of_a_run_come_back_equal(radius: float | None) -> None:
-    settings = RunSettings(method="maml", sparse_radius=radius, reward="sparse", seed=3)
-    document = json.loads(json.dumps(fields_to_json(settings)))
-    back = fields_from_json(RunSettings, document)
-    assert back == settings
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("iterations", -1), ("iterations", 2**31), ("seed", -1), ("seed", 2**32)),
-        *(("episodes_per_task", 0), ("episodes_per_task", 2**31), ("checkpoint_every", 0)),
-        *(("num_threads", -2), ("sparse_radius", 0.0), ("sparse_radius", float("nan"))),
-    ],
-)
-def test_a_wrong_setting_of_a_run_is_refused_by_name(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=f"`{name}` must be"):
-        RunSettings(**{name: value})

@@ -7,8 +7,6 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-import jax
-import numpy as np
 import pytest
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors, tiny_maesn
 from tensorboardX.proto.event_pb2 import Event
@@ -31,14 +29,6 @@ def test_what_is_left_behind(tmp_path: Path) -> None:
     assert [line["return_after"] for line in metrics(run)] == [p.info["return_after"] for p in seen]
     timing = [json.loads(x) for x in (run.directory / "timing.jsonl").read_text().splitlines()]
     assert [line["seconds"] for line in timing] == [progress.seconds for progress in seen]
-
-
-def test_every_iteration_has_a_key_of_its_own(tmp_path: Path) -> None:
-    run = finish(create(tmp_path / "run"))
-    by_hand = sum(
-        np.asarray(jax.random.normal(run.iteration_key(iteration), (3,))) for iteration in range(6)
-    )
-    np.testing.assert_allclose(run.latest_state().position, by_hand, rtol=1e-5)
 
 
 def test_nothing_left_to_do_changes_nothing(tmp_path: Path) -> None:

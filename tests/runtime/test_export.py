@@ -1,8 +1,6 @@
 """What can be exported, what is refused, and what the file says."""
 
 import dataclasses
-import json
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -11,16 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
-from runtime.robot import constant, fast_learner, play, policy_file
+from runtime.robot import fast_learner
 
-from maesn.context import Latent, LatentContext
+from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point, Wheeled
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import PRESETS, Problem
 from maesn.policies import GaussianMLP
-from maesn.runs.export import exported_policy, probe_actuators, write_policy
-from maesn.runtime import Explorer
+from maesn.runs.export import exported_policy, probe_actuators
 
 
 def preset(name: str, **settings: Any) -> Any:
@@ -29,53 +26,10 @@ def preset(name: str, **settings: Any) -> Any:
     return learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 1)))
 
 
-def test_the_file_holds_plain_arrays_and_json(tmp_path: Path) -> None:
-    with np.load(policy_file(tmp_path), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    metadata = json.loads(str(arrays.pop("metadata")))
-    assert (metadata["format"], metadata["version"]) == ("maesn-policy", 1)
-    assert all(array.dtype.kind in "fi" for array in arrays.values())
-
-
-def test_the_robot_knows_what_the_policy_is_for(tmp_path: Path) -> None:
-    found = Explorer.load(policy_file(tmp_path, Wheeled())).exported
-    assert (found.observation_size, found.action_size, found.latent_size) == (12, 2, 2)
-    assert found.description["family"] == "wheeled"
-    assert found.description["horizon"] == 200
-    assert found.description["control_period"] == 0.01
-    assert found.description["run"] == "a test"
-
-
-def test_learned_step_sizes_are_exported() -> None:
-    rule = exported_policy(fast_learner(), Point(), {}).rule
-    np.testing.assert_allclose(rule.mean_step, [1.3, 0.4], rtol=1e-6)
-    np.testing.assert_allclose(rule.log_std_step, [0.7, -0.2], rtol=1e-6)
-
-
 def test_fixed_step_sizes_and_the_schedule_are_exported() -> None:
     rule = exported_policy(preset("latent_space"), Point(), {}).rule
     assert rule.mean_step.tolist() == rule.log_std_step.tolist() == [1.0, 1.0]
     assert [rule.scale(update) for update in range(5)] == [1, 1, 1, 0.5, 0.25]
-
-
-def test_an_adapted_latent_is_where_the_robot_starts(tmp_path: Path) -> None:
-    start = Latent(jnp.asarray([0.5, -1.0]), jnp.asarray([-0.25, 0.125]))
-    write_policy(tmp_path / "policy.npz", exported_policy(fast_learner(), Point(), {}, (start, 3)))
-    explorer = Explorer.load(tmp_path / "policy.npz")
-    assert explorer.latent_mean.tolist() == [0.5, -1.0]
-    np.testing.assert_allclose(explorer.latent_std, np.exp([-0.25, 0.125]))
-    assert explorer.update == 3
-    play(explorer, 2, constant(1.0))
-    explorer.adapt()
-    assert explorer.update == 4
-    explorer.save(tmp_path / "saved.npz")
-    assert Explorer.load(tmp_path / "saved.npz").update == 4
-
-
-def test_an_adapted_latent_of_another_size_is_refused() -> None:
-    start = Latent(jnp.zeros(3), jnp.zeros(3))
-    with pytest.raises(ValueError, match="have 3 components, but the policy's z has 2"):
-        exported_policy(fast_learner(), Point(), {}, (start, 1))
 
 
 def test_the_smallest_standard_deviation_holds() -> None:

@@ -2,30 +2,26 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scripts import load_script
+from small_runs import create_tiny
 
 import maesn
 from maesn import api, cli
 from maesn.evaluation.running import Adapted
-from maesn.policies import GaussianMLP
-from maesn.runs.config import RunSettings
+from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.storage import RunError
-
-# As in `small_runs`, so that they share compiled programs.
-TINY: dict[str, Any] = {"meta_batch_size": 4, "policy": GaussianMLP(hidden_sizes=(8,))}
-SETTINGS = RunSettings(family="point", iterations=1, episodes_per_task=3)
 
 
 @pytest.fixture(scope="module")
 def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Adapted]:
     """A run, and what adapting it to the test tasks has written."""
     directory = tmp_path_factory.mktemp("adapted") / "run"
-    maesn.train(maesn.PRESETS["maesn"](**TINY), SETTINGS, directory)
+    create_tiny(directory)
     return directory, api.adapt(directory, episodes=6, episodes_per_update=3, reward="dense")
 
 
@@ -85,24 +81,18 @@ def test_the_settings_of_the_rule_are_exported(
 
 def test_what_cannot_be_a_start_is_refused(adapted: tuple[Path, Adapted], tmp_path: Path) -> None:
     run, done = adapted
-    assert done.latents is not None
     path = tmp_path / "policy.npz"
-    for words in ({"latents": done.latents}, {"task": 0}):
-        with pytest.raises(RunError, match="`latents` and `task` belong together"):
-            api.export(run, path, **words)
-    for task in (-1, 100):
-        with pytest.raises(RunError, match=f"`task` must be at (least 0|most 99), got {task}"):
-            api.export(run, path, latents=done.latents, task=task)
-    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(RunError, match=r"Expected arrays at `.*broken\.npz`"):
-        api.export(run, path, latents=tmp_path / "broken.npz", task=0)
-    np.savez(tmp_path / "goals.npz", goal=np.zeros((3, 2)))
-    with pytest.raises(RunError, match=r"holds other arrays than it should: .*latents"):
-        api.export(run, path, latents=tmp_path / "goals.npz", task=0)
-    three = {"mean": np.zeros((2, 1, 3)), "log_std": np.zeros((2, 1, 3)), "first_update": 0}
-    np.savez(tmp_path / "three.npz", **three)
-    with pytest.raises(RunError, match="have 3 components, but the policy's z has 2"):
-        api.export(run, path, latents=tmp_path / "three.npz", task=0)
+    broken, goals, three = (tmp_path / f"{name}.npz" for name in ("broken", "goals", "three"))
+    broken.write_bytes(b"PK\x03\x04 and no more")
+    np.savez(goals, goal=np.zeros((3, 2)))
+    np.savez(three, mean=np.zeros((2, 1, 3)), log_std=np.zeros((2, 1, 3)), first_update=0)
+    for latents, task, named in (
+        *((done.latents, None, "belong together"), (None, 0, "belong together")),
+        *((done.latents, -1, "least 0"), (done.latents, 100, "most 99")),
+        *((broken, 0, "broken"), (goals, 0, "other arrays"), (three, 0, "3 components")),
+    ):
+        with pytest.raises(RunError, match=named):
+            api.export(run, path, latents=latents, task=task)
     assert not path.exists()
 
 
@@ -110,7 +100,7 @@ def test_latents_of_other_weights_are_refused(
     adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, done = adapted
-    other = shutil.copytree(run, tmp_path / "run")
-    maesn.resume(other, iterations=2)
+    other = Run.open(shutil.copytree(run, tmp_path / "run"))
+    other.save_state(jax.tree.map(lambda x: x + 1, other.latest_state()))
     with pytest.raises(RunError, match="was adapted with other weights"):
         api.export(other, tmp_path / "policy.npz", latents=done.latents, task=0)

@@ -18,27 +18,6 @@ def rule(full_steps: int = 2, factor: float = 0.5) -> LearningRule:
     return LearningRule(ones, ones, full_steps, factor, discount=0.99, ridge=1e-5)
 
 
-def test_discounted_returns_are_those_of_a_filter() -> None:
-    reward = np.random.default_rng(0).standard_normal(50)
-    expected = scipy.signal.lfilter([1.0], [1.0, -0.9], reward[::-1])[::-1]
-    np.testing.assert_allclose(baseline.discounted_returns(reward, 0.9), expected, rtol=1e-12)
-
-
-def test_features_of_a_short_episode() -> None:
-    found = baseline.features(np.asarray([[3.0, -20.0], [-1.0, 11.0]]))
-    t = 0.01
-    np.testing.assert_allclose(
-        found, [[3, -10, 9, 100, 0, 0, 0, 1], [-1, 10, 1, 100, t, t**2, t**3, 1]], rtol=1e-14
-    )
-
-
-def test_ridge_regression_solves_the_normal_equations() -> None:
-    generator = np.random.default_rng(1)
-    rows, target = generator.standard_normal((40, 6)), generator.standard_normal(40)
-    expected = np.linalg.solve(rows.T @ rows + 0.3 * np.eye(6), rows.T @ target)
-    np.testing.assert_allclose(baseline.ridge_regression(rows, target, 0.3), expected, rtol=1e-10)
-
-
 def test_ridge_regression_gives_nothing_to_a_column_of_zeros() -> None:
     rows = np.zeros((5, 2))
     rows[:, 0] = 1.0
@@ -75,24 +54,6 @@ def test_a_step_follows_the_gradient_of_the_surrogate() -> None:
     slope = [(surrogate(at + nudge) - surrogate(at - nudge)) / 2e-5 for nudge in nudges]
     moved = rule().step(latent, drawn, advantage, update=0)
     np.testing.assert_allclose(np.concatenate([moved.mean, moved.log_std]) - at, slope, rtol=1e-7)
-
-
-def test_step_sizes_act_component_by_component() -> None:
-    generator = np.random.default_rng(4)
-    latent = Latent(np.zeros(2), np.zeros(2))
-    drawn, advantage = generator.standard_normal((9, 2)), generator.standard_normal(9)
-    sizes = LearningRule(np.asarray([2.0, 0.0]), np.asarray([-1.0, 3.0]), 2, 0.5, 0.99, 1e-5)
-    unit = rule().step(latent, drawn, advantage, 0)
-    moved = sizes.step(latent, drawn, advantage, update=2)
-    np.testing.assert_allclose(moved.mean, 0.5 * np.asarray([2.0, 0.0]) * unit.mean)
-    np.testing.assert_allclose(moved.log_std, 0.5 * np.asarray([-1.0, 3.0]) * unit.log_std)
-
-
-@pytest.mark.parametrize(
-    ("full_steps", "expected"), [(2, [1, 1, 0.5, 0.25]), (3, [1, 1, 1, 0.5]), (1, [1, 0.5, 0.25])]
-)
-def test_the_schedule(full_steps: int, expected: list[float]) -> None:
-    assert [rule(full_steps).scale(update) for update in range(len(expected))] == expected
 
 
 def test_a_latent_is_shortened_to_its_bound_and_keeps_its_direction() -> None:

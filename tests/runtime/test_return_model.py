@@ -215,13 +215,6 @@ def test_mean_and_std_are_those_of_the_mixture() -> None:
     assert posterior.std[0] == pytest.approx(drawn.std(), rel=0.02)
 
 
-def test_the_stationary_kernel_is_scikit_learns() -> None:
-    stream = np.random.default_rng(0)
-    first, second = stream.standard_normal((7, 3)), stream.standard_normal((5, 3))
-    expected = Matern(length_scale=0.7, nu=2.5)(first, second)
-    np.testing.assert_allclose(matern(first, second, 0.7), expected, rtol=1e-12)
-
-
 def test_the_offset_is_learned_as_a_common_shift() -> None:
     """With f known exactly, c has the posterior of a normal mean, in closed form."""
     prior = replace(random_prior(1), excess=np.ones((5, 12)))

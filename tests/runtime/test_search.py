@@ -117,22 +117,6 @@ def test_no_latent_beyond_the_bound_is_chosen() -> None:
     assert none.best == np.argmin(np.linalg.norm(none.points, axis=1))
 
 
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ({"exploration": -1.0}, "`exploration` must be at least 0"),
-        ({"draws": -1}, "`draws` must be at least 0"),
-        ({"draw_std": 0.0}, "`draw_std` must be positive"),
-        ({"length_scale": np.inf}, "`length_scale` must be positive"),
-    ],
-)
-def test_settings_that_mean_nothing_are_refused(
-    settings: dict[str, object], complaint: str
-) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        SearchSettings(**settings)  # type: ignore[arg-type]
-
-
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An exported policy that searches, with draws around the best."""

@@ -14,11 +14,10 @@ from maesn.context import Latent
 from maesn.envs import Point, point
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSchedule
-from maesn.inner.advantage import FEATURE_CLIP, FEATURE_TIME_SCALE
 from maesn.learners import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
 from maesn.runs.export import exported_policy
-from maesn.runtime import Episode, Explorer, ExplorerState, baseline
+from maesn.runtime import Episode, Explorer, ExplorerState
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
@@ -144,10 +143,3 @@ def test_the_step_sizes_matter() -> None:
         adapted(explorers(each)[0], recorded(episodes, 0)) for each in (learner, slower)
     )
     assert abs(first.latent_mean - second.latent_mean).max() > 100 * TOLERANCE
-
-
-def test_the_features_are_the_library_s() -> None:
-    assert (baseline.FEATURE_CLIP, baseline.FEATURE_TIME_SCALE) == (
-        FEATURE_CLIP,
-        FEATURE_TIME_SCALE,
-    )

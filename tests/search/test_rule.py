@@ -152,20 +152,18 @@ def test_an_exported_search_is_the_run_s(trained: Path, tmp_path: Path) -> None:
     assert (prior.latents == z).all(axis=1).any()
 
 
-def _changed_metadata(path: Path, name: str) -> None:
-    values, metadata = read_checkpoint(path)
-    save_checkpoint(path, values, metadata | {name: "another"})
-
-
-@pytest.mark.parametrize("what", ["checkpoint", "training task set", "reward"])
-def test_a_prior_of_something_else_is_refused(
+@pytest.mark.parametrize("what", ["checkpoint", "training task set", "reward", "damaged"])
+def test_a_prior_of_something_else_or_a_damaged_one_is_refused(
     what: str, trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = tmp_path / "run"
-    shutil.copytree(trained, run)
-    _changed_metadata(run / FILE, what)
-    assert adapted(run, few, "--episodes", "1") == 2
-    assert f"was made for another {what}" in capsys.readouterr().err
+    path = shutil.copytree(trained, tmp_path / "run") / FILE
+    if what == "damaged":
+        path.write_bytes(path.read_bytes()[:-9] + b"?" + path.read_bytes()[-8:])
+    else:
+        values, metadata = read_checkpoint(path)
+        save_checkpoint(path, values, metadata | {what: "another"})
+    assert adapted(tmp_path / "run", few, "--episodes", "1") == 2
+    assert what in capsys.readouterr().err
 
 
 def test_a_prior_for_another_radius_is_used_when_that_is_asked_for(
@@ -179,23 +177,11 @@ def test_a_prior_for_another_radius_is_used_when_that_is_asked_for(
     assert cli.run([*rule, f"prior={prior}", "any_reward=true", *wider]) == 0
 
 
-def test_a_damaged_prior_is_refused(
-    trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = tmp_path / "run"
-    shutil.copytree(trained, run)
-    content = bytearray((run / FILE).read_bytes())
-    content[-9] ^= 1
-    (run / FILE).write_bytes(content)
-    assert adapted(run, few, "--episodes", "1") == 2
-    assert "is damaged" in capsys.readouterr().err
-
-
 def test_what_makes_no_sense_is_one_sentence(
     trained: Path, few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert adapted(trained, few, "--episodes", "0") == 2
-    assert "a search needs `episodes` of at least 1, got 0" in capsys.readouterr().err
+    assert "`episodes`" in capsys.readouterr().err
     without = tmp_path / "without"
     Run.create(without, maml(policy=GaussianMLP((8,)), meta_batch_size=2), tiny_settings())
     assert adapted(without, few) == 2
@@ -206,39 +192,9 @@ def test_what_makes_no_sense_is_one_sentence(
     assert "acquisition" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"draws": -1}, "`draws` must be at least 0, got -1"),
-        ({"draws": 0, "adapted": False}, "`draws` must be at least 1, got 0"),
-        ({"episodes": 1}, "`episodes` must be at least 2, got 1"),
-        ({"spread": -1.0}, "`spread` must be positive"),
-        ({"seed": -1}, "`seed` must be at least 0, got -1"),
-        ({"simulations": 0}, "`simulations` must be at least 1"),
-    ],
-)
-def test_priors_that_cannot_be_made_are_refused(settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        PriorSettings(**settings)
-
-
 def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
     np.savez(tmp_path / "one.npz", goal=np.float32([[0.0, 2.0]]))
     settings = tiny_settings(tasks=str(tmp_path / "one.npz"))
     run = Run.create(tmp_path / "run", tiny_maesn(meta_batch_size=1), settings)
     with pytest.raises(RunError, match="trained on one task"):
         maesn.prior(run)
-
-
-def test_python_takes_the_rule_as_an_object(trained: Path, few: str, tmp_path: Path) -> None:
-    done = maesn.adapt(
-        trained, rule=SearchRule(), tasks=few, episodes=2, deploy_episodes=1, out=tmp_path / "t.csv"
-    )
-    assert done.curves.mean_return.shape == (3, 3)
-
-
-def test_a_prior_whose_numbers_are_nested_too_deeply_is_refused(tmp_path: Path) -> None:
-    path, names = tmp_path / "prior.safetensors", ("latents", "excess", "noise")
-    save_checkpoint(path, dict.fromkeys(names, np.zeros((2, 2))), {"numbers": "[" * 10**5})
-    with pytest.raises(RunError, match=r"is no prior that .* nested too deeply"):
-        read_prior(path)

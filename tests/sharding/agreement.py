@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from maesn.envs.sources import resolve_family
-from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.episodes import Episodes
 from maesn.learners import PRESETS, GradientMetaLearner, Problem
 from maesn.numerics.mesh import sharing_tasks
 from maesn.worlds import make_world
@@ -29,25 +29,18 @@ CG_STEPS = 5
 SMALLEST = 1e-9
 
 
-class Replay:
+class Replay(Collector):
     """Plays each batch once, and returns the same episodes when it is asked again."""
 
-    def __init__(self, collect: Collect) -> None:
-        self._collect = collect
+    position = 0
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._played: list[Episodes] = []
-        self.position = 0
-
-    @property
-    def num_tasks(self) -> int:
-        return self._collect.num_tasks
-
-    @property
-    def episodes_per_task(self) -> int:
-        return self._collect.episodes_per_task
 
     def __call__(self, *arguments: Any, **named: Any) -> Episodes:
         if self.position == len(self._played):
-            self._played.append(self._collect(*arguments, **named))
+            self._played.append(super().__call__(*arguments, **named))
         self.position += 1
         return self._played[self.position - 1]
 
@@ -83,17 +76,17 @@ def outcomes(method: str, family: str, iterations: int, *, same: bool) -> dict[i
     env = found.make_env(reward_kind="dense")
     world = make_world(env, found.task_set("training"), num_threads=1)
     # Five trials in each of eight tasks: minibatches of RL2 that four devices share unevenly.
-    learner, collect = small(method), Collector(world, 5)
-    replay = Replay(collect)
+    learner, collect = small(method), (Replay if same else Collector)(world, 5)
     results = {}
     for number in DEVICES:
-        replay.position = 0
+        if isinstance(collect, Replay):
+            collect.position = 0
         with sharing_tasks(jax.devices()[:number]):
             sizes = env.observation_size, env.action_size, collect.num_tasks
             state, info = learner.init(jax.random.key(0), Problem(*sizes)), None
             for iteration in range(iterations):
                 key = jax.random.key(iteration)
-                state, info = learner.step(key, state, replay if same else collect)
+                state, info = learner.step(key, state, collect)
         results[number] = state, info
     world.close()
     return results

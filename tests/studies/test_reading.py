@@ -140,7 +140,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
         ),
         (
             'family = "point"\n[runs.maesn]\n[[figures]]\nkind = "pie"',
-            "`figures.1.kind`: `kind` must be of type",
+            "`figures.1.kind`: `kind` must be 'curves' or 'dots' or",
         ),
         (
             'family = "point"\n[runs.maesn]\n[[figures]]\nlines = ["maesn-serch"]',
@@ -181,7 +181,7 @@ def test_shipped_studies_can_be_planned(name: str) -> None:
     assert isinstance(study, StudySpec)
     jobs, comparisons = make_plan(study)
     assert jobs
-    assert {one["family"] for one in comparisons} == set(study.families)
+    assert {one.world["family"] for one in comparisons} == set(study.families)
     done: set[str] = set()
     for job in jobs.values():
         assert set(job.needs) <= done  # each behind those that it needs

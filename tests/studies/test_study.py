@@ -7,6 +7,8 @@ import gzip
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -26,9 +28,12 @@ from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
-from maesn.reporting.report import report_study
+from maesn.reporting.report import write_report
+from maesn.reporting.sources import compare_study
+from maesn.reporting.tables import TextTable
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
-from maesn.studies.execution import AbstractExecutor, Execution, LocalPool, Ray
+from maesn.studies.execution import AbstractExecutor, Execution
+from maesn.studies.executors import LocalPool, Ray
 from maesn.studies.jobs import Job
 from maesn.studies.spec import (
     RECORDED,
@@ -39,7 +44,7 @@ from maesn.studies.spec import (
     ScratchSpec,
     StudySpec,
 )
-from maesn.studies.study import Study
+from maesn.studies.study import FailedJobsError, Results, Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
 
@@ -121,7 +126,6 @@ def test_a_study_is_trained_adapted_and_compared_once(
     # A run, its four tasks two at a time, and as many of each baseline.
     kinds = [name.partition("-")[0] for name in executor.started]
     assert sorted(kinds) == [*["adapt"] * 6, "train"]
-    assert done.failed == {}
     path = done.directory / "results.csv"
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -135,6 +139,11 @@ def test_a_study_is_trained_adapted_and_compared_once(
     Study(SMALL).run(tmp_path, executor=again)
     assert again.started == []
     assert files(done.directory) == before
+    # A training that was removed is done again, and nothing else.
+    (training,) = (tmp_path / "jobs").glob("train-*")
+    shutil.rmtree(training)
+    Study(SMALL).run(tmp_path, executor=again)
+    assert again.started == [training.name]
     assert cli.run(["study", "status", str(tmp_path)]) == 0
     assert "small: 7 of 7 jobs are done" in capsys.readouterr().out
     # Another study shares what it has in common, whatever it calls itself and its runs.
@@ -155,7 +164,6 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     recorded = [name for name in study.jobs if name.startswith("record-")]
     assert len(recorded) == 1  # of one run, whatever the number of figures
     done = study.run(tmp_path, executor=Here())
-    assert not done.failed
     drawn = done.directory / "point"
     assert {path.stem for path in drawn.glob("figure-*.pdf")} == {
         f"figure-{kind}-point" for kind in RECORDED
@@ -163,7 +171,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     # A report reads nothing but the study's own folder.
     before, jobs = files(drawn), tmp_path / "jobs"
     jobs.rename(tmp_path / "elsewhere")
-    report_study(done.directory, lambda path: None)
+    write_report(compare_study(done.directory), done.directory)
     assert files(drawn) == before
     # Another evaluation of the line may keep no latents: those of the one before do not stay.
     (tmp_path / "elsewhere").rename(jobs)
@@ -231,17 +239,12 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     lines, figures = (LineSpec(run="mine"),), (FigureSpec(kind="exploration"),)
     study = Study(dataclasses.replace(SMALL, runs=runs, lines=lines, figures=figures))
     assert not [name for name in study.jobs if "seed-7" in name]
-    assert [one["recorded"].keys() for one in study.comparisons] == [{"mine"}]
+    assert [one.recorded.keys() for one in study.comparisons] == [{"mine"}]
 
 
-def test_a_training_that_was_removed_is_done_again(tmp_path: Path) -> None:
-    study = Study(SMALL)
-    study.run(tmp_path, executor=Here())
-    (training,) = (tmp_path / "jobs").glob("train-*")
-    shutil.rmtree(training)
-    executor = Watched()
-    assert study.run(tmp_path, executor=executor).failed == {}
-    assert executor.started == [training.name]
+def test_a_study_made_in_python_names_only_what_there_is() -> None:
+    with pytest.raises(RunError, match=r"`study`, `lines\.1\.run`: there is no name `nine`"):
+        Study(dataclasses.replace(SMALL, lines=(LineSpec(run="nine"),)))
 
 
 def test_files_of_tasks_of_one_name_are_refused(
@@ -285,8 +288,7 @@ def test_a_job_whose_process_was_killed_does_not_run(tmp_path: Path) -> None:
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
     said: list[str] = []
     executor = Watched({"train": 2})
-    done = Study(SMALL).run(tmp_path, executor=executor, say=said.append)
-    assert done.failed == {}
+    Study(SMALL).run(tmp_path, executor=executor, say=said.append)
     assert sum(name.startswith("train") for name in executor.started) == 3
     assert sum("again: train" in sentence for sentence in said) == 2
 
@@ -294,14 +296,69 @@ def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
 def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     spec = dataclasses.replace(SMALL, scratch={"reinforce": ScratchSpec("reinforce")})
     study, executor = Study(spec), Watched({"train": 3})
-    done = study.run(tmp_path, executor=executor)
-    (name,) = done.failed
+    with pytest.raises(FailedJobsError, match="an accident") as raised:
+        study.run(tmp_path, executor=executor)
+    (name,), done = raised.value.failed, raised.value.results
     assert name.startswith("train")
+    assert done.tables
     assert sum("maesn" in name for name in executor.started) == 3
     states = status(study, tmp_path)
     assert {states[name] for name in states if "maesn" in name and "adapt" in name} == {"waiting"}
     assert (done.directory / "results.csv").exists()  # of the others
-    assert Study(spec).run(tmp_path, executor=Watched()).failed == {}
+    Study(spec).run(tmp_path, executor=Watched())
+
+
+def test_a_command_prints_what_there_is_and_fails_if_a_job_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(self: Study, out: Path, **options: Any) -> Results:
+        table = TextTable("Ends", ("method",), (("zero action",),))
+        failed = {"adapt-a": "an accident.", "adapt-b": "another"}
+        raise FailedJobsError(failed, Results(out, [table]))
+
+    monkeypatch.setattr(Study, "run", run)
+    assert cli.run(["study", "run", "quick", "--out", str(tmp_path)]) == cli.USAGE_ERROR
+    said = capsys.readouterr()
+    assert "zero action" in said.out
+    assert said.err.startswith("maesn study: the job `adapt-a` failed, and 1 more: an accident. ")
+
+
+def test_estimates_of_time_say_what_they_rest_on(tmp_path: Path) -> None:
+    quick = Study.load("quick").execution(tmp_path)
+    estimate = quick.left(workers=2)
+    # On two cores it takes 4 minutes and 20 seconds.
+    assert int(estimate.split()[1]) in range(3, 7)
+    assert "to begin a job" in estimate
+    jobs = {
+        name: Job(name, needs, 1000, lambda directory: {})
+        for name, needs in {"a-x-1": (), "a-x-2": (), "a-x-3": ("a-x-2",)}.items()
+    }
+    write_json(tmp_path / "a-x-1" / "done.json", {"steps": 10, "seconds": 6})
+    # The last waits for the one before it: more workers do not help.
+    for workers, minutes in {1: 20, 2: 20, 8: 20}.items():
+        said = Execution(jobs, tmp_path).left(workers)
+        assert said.startswith(f"About {minutes} min left with {workers} at a time")
+        assert "jobs of the same kind" in said
+
+
+SCRIPT = """
+import maesn
+
+evaluations = {"few": maesn.EvaluationSpec(maesn.Evaluation(num_tasks=1, episodes=0))}
+scratch = {"trpo": maesn.ScratchSpec("trpo")}
+spec = maesn.StudySpec("small", ("point",), scratch=scratch, evaluations=evaluations)
+maesn.Study(spec).run("studies", workers=1)
+"""
+
+
+@pytest.mark.long
+def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, "script.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("Traceback") == 1
+    assert '`if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
 def test_a_study_that_cannot_write_starts_no_workers(
@@ -383,7 +440,6 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     executor = Killing(pool)
     done = study.run(tmp_path / "killed", executor=executor)
     assert executor.killed
-    assert done.failed == {}
     assert files(done.directory) == files(whole.directory)
 
 

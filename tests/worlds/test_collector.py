@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import HiddenEnd
 from playing import LATENT_SIZE, agents, assert_same, keys, play
 from scipy import stats
 
-from maesn.envs import AnyEnv, HiddenEnd, Point, TaskSet, Wheeled, point, wheeled
+from maesn.envs import AnyEnv, Point, TaskSet, Wheeled, point, wheeled
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.policies import PolicyInput

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import RUNAWAY, CartTask, cart_on, pushed
+from learning_problems.probes import DelayedTarget, HiddenEnd
 from playing import agents, keys, play
 
-from maesn.envs import DelayedTarget, HiddenEnd, Reward, TaskSet, Wheeled, wheeled
+from maesn.envs import Reward, TaskSet, Wheeled, wheeled
 from maesn.worlds import EpisodeError
 
 EPISODES = 5

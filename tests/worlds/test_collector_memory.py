@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import MOTOR, CartTask, cart_on
+from learning_problems.probes import HiddenEnd
 from playing import agents, assert_same, keys
 
 from maesn.axes import RecurrentState
-from maesn.envs import HiddenEnd, Point, TaskSet, Wheeled, point, wheeled
+from maesn.envs import Point, TaskSet, Wheeled, point, wheeled
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.probes import DelayedTarget, HiddenSide
 from playing import agents, keys, play
 
 from maesn.axes import Readings
-from maesn.envs import AbstractPureEnv, DelayedTarget, HiddenSide, Point, TaskSet
+from maesn.envs import AbstractPureEnv, Point, TaskSet
 from maesn.experience.agent import Agents
 from maesn.worlds import DeviceWorld, make_world
 

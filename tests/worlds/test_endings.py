@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on
+from learning_problems.probes import HiddenEnd
 from playing import agents, keys, play
 
 from maesn.axes import RecurrentState
-from maesn.envs import HiddenEnd, TaskSet
+from maesn.envs import TaskSet
 from maesn.experience.agent import Agents
 from maesn.numerics import DiagonalGaussian
 from maesn.physics import NativeSimulator, PhysicsError

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bernoulli_bandit import bandit
 from jaxtyping import Array, Float, PRNGKeyArray
+from learning_problems.probes import HiddenEnd, hidden_end
 from playing import agents, play
 
 from maesn.context import Nothing
 from maesn.envs import FAMILIES, AnyEnv
-from maesn.envs.bandit import bandit
-from maesn.envs.probes import HiddenEnd, hidden_end
 from maesn.experience.agent import Agents
 from maesn.numerics import AbstractDistribution, DiagonalGaussian
 from maesn.policies import AbstractPolicy, CategoricalMLP, GaussianMLP, PolicyInput

@@ -1,4 +1,4 @@
-"""What there is: `maesn list` and `maesn doctor`."""
+"""The commands `maesn list` and `maesn doctor`."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import numpy as np
 
 from maesn._version import __version__
 from maesn.commands.options import command
-from maesn.envs import FAMILIES, PROBES
+from maesn.envs import FAMILIES
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
 from maesn.learners import PRESETS, SCRATCH
@@ -66,7 +66,6 @@ def list() -> None:  # noqa: A001
         "trained policies, for `maesn adapt NAME`",
         {name: f"{one.method}, {one.iterations} meta-iterations" for name, one in trained.items()},
     )
-    _show("probes, with known optimum", _first_lines({n: p.make_env for n, p in PROBES.items()}))
 
 
 def _show(title: str, texts: Mapping[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""How command lines are read: a command is a function, and tyro makes its parameters options."""
+"""Command lines: a command is a function, and tyro makes its parameters options."""
 
 import functools
 import inspect

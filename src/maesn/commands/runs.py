@@ -1,6 +1,7 @@
 """Commands that work on runs and studies, and the demo."""
 
-from functools import wraps
+from collections.abc import Callable
+from functools import partial, wraps
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
@@ -14,31 +15,33 @@ from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.learners import recommended
 from maesn.numerics.processes import is_lead
+from maesn.reporting.report import Reported
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
-from maesn.reporting.tables import TextTable, print_adaptation_summary, print_tables
+from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
-from maesn.studies.execution import Execution, ExecutorName
-from maesn.studies.study import JOBS, Results, Study
-from maesn.studies.study import compare as compare_runs
+from maesn.studies.comparison import compare as compare_runs
+from maesn.studies.execution import Execution
+from maesn.studies.executors import ExecutorName
+from maesn.studies.study import JOBS, FailedJobsError, Results, Study
 
 
 def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
     if is_lead():
-        print(f"trained: {run.directory}\nnext:    maesn adapt {run.directory}{run.own_options}")
+        print(f"trained: {run.directory}\nnext:    maesn adapt {run.typed}")
 
 
 def _say_adapted(done: Adapted) -> None:
-    print_adaptation_summary(done.table)
+    print_tables(adaptation_tables(done.table))
     print(f"table:   {done.table}")
     if done.latents is not None:
         print(f"latents: {done.latents}")
 
 
-def _say_reported(done: api.Reported) -> None:
+def _say_reported(done: Reported) -> None:
     print_tables(done.tables)
     _say_written(done.files)
 
@@ -79,7 +82,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     api.prior(run)
     search = api.adapt(run, rule=SearchRule())
     for done in (gradient, search):
-        print_adaptation_summary(done.table)
+        print_tables(adaptation_tables(done.table))
     print("3. figures")
     _say_reported(api.report([run]))
 
@@ -113,7 +116,7 @@ def study(
     asked = Study.load(file)
     if action == "run" and not dry_run:
         where = {"executor": executor, "workers": workers, "only": only}
-        _say_results(asked.run(out, **where, say=print))  # type: ignore[arg-type]
+        _say_results(partial(asked.run, out, **where, say=print))  # type: ignore[arg-type]
         return
     execution = asked.execution(out)
     jobs, left = execution.jobs.items(), (execution.left(asked.workers(workers)),)
@@ -140,15 +143,14 @@ def _jobs_of(study: Path) -> TextTable:
 @wraps(compare_runs)
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
-    _say_results(compare_runs(*runs, **options | {"say": print}))
+    _say_results(partial(compare_runs, *runs, **options | {"say": print}))
 
 
-def _say_results(done: Results) -> None:
-    """Print the tables; let the command fail if a job did."""
-    print_tables(done.tables)
-    if done.failed:
-        name, error = next(iter(done.failed.items()))
-        raise RunError(
-            f"{len(done.failed)} jobs failed, the first is `{name}`: {error} All that do not "
-            "need them are done; the same command tries them again."
-        )
+def _say_results(compute: Callable[[], Results]) -> None:
+    """Print the tables that a study leaves, also where some of its jobs fail."""
+    try:
+        tables = compute().tables
+    except FailedJobsError as error:
+        print_tables(error.results.tables)
+        raise
+    print_tables(tables)

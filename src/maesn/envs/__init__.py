@@ -2,8 +2,6 @@
 
 from maesn.envs.ant import Ant as Ant
 from maesn.envs.ant import ant as ant
-from maesn.envs.bandit import Bandit as Bandit
-from maesn.envs.bandit import bandit as bandit
 from maesn.envs.base import AbstractEnv as AbstractEnv
 from maesn.envs.base import AbstractMujocoEnv as AbstractMujocoEnv
 from maesn.envs.base import AbstractPureEnv as AbstractPureEnv
@@ -15,23 +13,12 @@ from maesn.envs.blockpush import BlockPush as BlockPush
 from maesn.envs.blockpush import BlockPushTask as BlockPushTask
 from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
-from maesn.envs.catalogue import PROBES as PROBES
 from maesn.envs.catalogue import find_family as find_family
-from maesn.envs.chain import Chain as Chain
-from maesn.envs.chain import chain as chain
 from maesn.envs.point import Point as Point
 from maesn.envs.point import point as point
-from maesn.envs.probes import HiddenEnd as HiddenEnd
-from maesn.envs.probes import HiddenSide as HiddenSide
-from maesn.envs.probes import hidden_end as hidden_end
-from maesn.envs.probes import hidden_side as hidden_side
 from maesn.envs.recorded import EnvRecord as EnvRecord
 from maesn.envs.recorded import describe_env as describe_env
 from maesn.envs.recorded import rebuild_env as rebuild_env
-from maesn.envs.target_probes import DelayedTarget as DelayedTarget
-from maesn.envs.target_probes import HiddenTarget as HiddenTarget
-from maesn.envs.target_probes import delayed_target as delayed_target
-from maesn.envs.target_probes import hidden_target as hidden_target
 from maesn.envs.tasks import NAMED_SETS as NAMED_SETS
 from maesn.envs.tasks import SETS as SETS
 from maesn.envs.tasks import SetName as SetName

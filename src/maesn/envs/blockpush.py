@@ -47,7 +47,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
-from maesn.envs.goals import goal_reward, within
+from maesn.envs.goals import goal_reward
 from maesn.envs.tasks import TaskFamily
 
 NUM_BLOCKS = 5
@@ -158,7 +158,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         return -self._scale * C_MAX
 
     def solved(self, readings: Readings, task: BlockPushTask) -> Bool[Array, ""]:
-        return within(_distance(readings, task), self.sparse_radius)
+        return _distance(readings, task) <= self.sparse_radius
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         """Return where the gripper is, which the paper's figures of exploration show."""

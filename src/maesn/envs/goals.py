@@ -5,7 +5,7 @@ from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.envs.base import AnyEnv, RewardKind
 from maesn.envs.tasks import TaskFamily
@@ -29,11 +29,6 @@ def goal_reward(
     if reward_kind == "dense":
         return -distance
     return jnp.where(distance > sparse_radius, outside, -distance)
-
-
-def within(distance: Float[Array, ""], radius: float) -> Bool[Array, ""]:
-    """Whether the goal region is reached."""
-    return distance <= radius
 
 
 def draw_half_circle(stream: np.random.Generator, size: int, radius: float) -> np.ndarray:

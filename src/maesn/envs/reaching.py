@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Readings
 from maesn.envs.base import AbstractEnv, Reward
-from maesn.envs.goals import goal_reward, within
+from maesn.envs.goals import goal_reward
 
 Goal: TypeAlias = Float[Array, " 2"]
 
@@ -21,7 +21,7 @@ class AbstractReaching(AbstractEnv[Goal]):
         return jnp.linalg.norm(self.judged_position(readings, task) - task)
 
     def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
-        return within(self.distance(readings, task), self.sparse_radius)
+        return self.distance(readings, task) <= self.sparse_radius
 
     def goal(self, task: Goal) -> Goal:
         return task

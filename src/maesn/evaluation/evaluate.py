@@ -44,12 +44,13 @@ class AdaptationOutcome(NamedTuple):
     """Outcome of adapting to a set of tasks."""
 
     explored: AdaptationCurves
-    """Of the episodes that were played after k updates and then learned from."""
+    """Curves of the episodes that were played after k updates and then learned from; NaN where
+    nothing is learned and fresh episodes judge the agent."""
     deployed: AdaptationCurves | None
-    """Of fresh episodes of the deployed agent after k updates, NaN where it was not judged; None if
-    none were asked for."""
+    """Curves of fresh episodes of the deployed agent after k updates, NaN where it was not judged;
+    None if none were asked for."""
     contexts: Any
-    """What was adapted, `[task, update, ...]`: `AbstractFastLearner.adapted`."""
+    """Adapted contexts, `[task, update, ...]`: `AbstractFastLearner.adapted`."""
     episodes_per_update: int
     """Number of episodes of a task that an update adds to what the agent has learned from."""
     trial_episodes: int | None = None
@@ -129,17 +130,18 @@ def _adapt_chunk(
     columns = []
     for update in updates:
         keys = _task_keys(seed, update, slots)
-        fresh = None
+        explored = fresh = None
         if deploy is not None and update in judged:
             others = jax.vmap(jax.random.fold_in, (0, None))(keys, np.uint32(_DEPLOYED))
             fresh = measure(play(deploy, "deploy", others, update))
-        explored = play(collect, "explore", keys, update)
-        column = measure(explored)
-        if deploy is not None and fresh is None:
-            fresh = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), column)
-        columns.append(jax.tree.map(np.asarray, (column, fresh, learner.adapted(state))))
+        if fresh is None or len(updates) > 1:  # else nothing learns from them or is judged by them
+            episodes = play(collect, "explore", keys, update)
+            explored = measure(episodes)
+        missing = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), explored or fresh)
+        curves = explored or missing, None if deploy is None else fresh or missing
+        columns.append(jax.tree.map(np.asarray, (*curves, learner.adapted(state))))
         if update < updates[-1]:
-            state = learner.update(state, explored)
+            state = learner.update(state, episodes)
     return jax.tree.map(lambda *xs: np.stack(xs, axis=1), *columns)
 
 

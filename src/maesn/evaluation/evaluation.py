@@ -35,15 +35,15 @@ class Evaluation:
     """What is added to the rule, such as fine-tuning or a bonus."""
     episodes: int | None = None
     """Episodes of each task that are learned from; None: as many as the rule usually has, 500, or
-    20 of a search."""
+    20 of a search, or 0 of `none`."""
     episodes_per_update: int | None = None
     """Episodes of each task that an update learns from; None: 50, or 1 of a search. A policy that
     remembers earlier episodes, as that of `rl2`, plays as many trials side by side, one episode of
     each between two updates."""
     deploy_episodes: int | None = None
     """Fresh episodes of each task that judge the deployed agent and are not learned from; None: 0,
-    or 5 of a search. 0: the paper's procedure, which judges by the episodes that are learned
-    from."""
+    or 5 of a search, or 50 of `none`. 0: the paper's procedure, which judges by the episodes that
+    are learned from."""
     deploy_after: tuple[int, ...] = ()
     """Numbers of episodes after which the deployed agent is judged; none: after every update."""
     action_noise: bool = False
@@ -99,9 +99,16 @@ class Evaluation:
     @property
     def budget(self) -> Budget:
         """The numbers of episodes, with those that the rule usually has where none are given."""
-        usual = (self.rule or AbstractRule).budget
         given = (self.episodes, self.episodes_per_update, self.deploy_episodes)
-        return Budget(*(u if g is None else g for u, g in zip(usual, given, strict=True)))
+        pairs = zip(self.usual_budget, given, strict=True)
+        return Budget(*(usual if one is None else one for usual, one in pairs))
+
+    @property
+    def usual_budget(self) -> Budget:
+        """The numbers of episodes that the rule usually has."""
+        usual = AbstractRule.budget if self.rule is None else self.rule.budget
+        # A wrapper may learn where the rule does not.
+        return AbstractRule.budget if self.wrappers and not usual.episodes else usual
 
     def count(self, tasks: Sized) -> int:
         """Return how many tasks of a set are adapted to: the first ones."""

@@ -100,8 +100,9 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
     """Return where a table of adaptation curves goes by default, `DIR/adaptation/TASKS-REWARD.csv`.
 
     TASKS is the name of a set, or `file-STEM-DIGEST` for a user's own file. Behind it stand number
-    of tasks, sparse radius and engine where they are not the usual ones, and behind the reward rule
-    and wrappers: what cannot be compared never shares a figure.
+    of tasks, sparse radius and engine where they are not the usual ones: those never share a
+    figure. Behind the reward stand rule and wrappers, then budgets and seed where they are not the
+    usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another name.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
@@ -113,7 +114,22 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
         name += f"-radius-{evaluation.sparse_radius}"
     if evaluation.engine:
         name += f"-on-{evaluation.engine}"
-    return TableName(name, evaluation.reward, evaluation.suffix).path(directory)
+    budget = "-with-" + "-".join(_unusual(evaluation))
+    named = TableName(name, evaluation.reward, evaluation.suffix, budget.removesuffix("-with-"))
+    return named.path(directory)
+
+
+def _unusual(evaluation: Evaluation) -> Iterator[str]:
+    """Yield in words what budgets and seed are not the usual ones."""
+    words = ("episodes", "per-update", "deployed")
+    usual = evaluation.usual_budget
+    for word, number, expected in zip(words, evaluation.budget, usual, strict=True):
+        if number != expected:
+            yield f"{number}-{word}"
+    if evaluation.deploy_after:
+        yield "-".join(map(str, ("after", *evaluation.deploy_after)))
+    if evaluation.seed:
+        yield f"seed-{evaluation.seed}"
 
 
 class Adapted(NamedTuple):

@@ -33,8 +33,6 @@ from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
 from maesn.learners.presets import with_curiosity as with_curiosity
-from maesn.learners.recommended import RECOMMENDED as RECOMMENDED
-from maesn.learners.recommended import RECOMMENDED_RUNS as RECOMMENDED_RUNS
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.recommended import recommended_settings as recommended_settings

@@ -19,6 +19,9 @@ Readings: TypeAlias = dict[str, Float64[np.ndarray, "simulation ..."]]
 # Values of fields of `mujoco.MjModel` by name, one row for each simulation.
 ModelFields: TypeAlias = Mapping[str, Shaped[np.ndarray, "simulation ..."]]
 
+# Which simulations rows belong to: indices, or all.
+Rows: TypeAlias = slice | np.ndarray
+
 # What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
 # describes the state one substep earlier unless it is computed again.
 CURRENT = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
@@ -69,6 +72,39 @@ def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
             f'"opt.<field>", got {name!r}'
         )
     return source, field
+
+
+def check_rows(name: str, values: np.ndarray, whole: np.ndarray, rows: Rows = slice(None)) -> None:
+    """Refuse values of a wrong shape, and numbers that MuJoCo would silently replace.
+
+    Args:
+        name: of what the values are.
+        values: one row for each of these simulations.
+        whole: an array like it for all simulations.
+        rows: the simulations.
+    """
+    shape = whole[rows].shape
+    if values.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {values.shape}")
+    if not is_sound(values):
+        failed = np.flatnonzero(~sound_rows(values))
+        raise PhysicsError(
+            np.arange(whole.shape[0])[rows][failed].tolist(),
+            f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed[0]]}: "
+            "look for what computed it, because MuJoCo would go on without it",
+        )
+
+
+def is_sound(values: np.ndarray) -> bool:
+    """Whether all numbers are finite and below `LARGEST` in size."""
+    # False for NaN too. No product: large ones wake threads that the engine then has to wait for.
+    return bool(values.max(initial=0.0) <= LARGEST and values.min(initial=0.0) >= -LARGEST)
+
+
+def sound_rows(values: np.ndarray) -> Bool[np.ndarray, " simulation"]:
+    """Return which rows are sound."""
+    size = np.abs(values.reshape(values.shape[0], -1))
+    return size.max(axis=1, initial=0.0) <= LARGEST
 
 
 class AbstractSimulator(ABC):

@@ -30,7 +30,7 @@ from maesn.physics.mjx_margins import MarginError, margins_as_sizes
 # What follows from the forces between bodies.
 _BODY_FORCES = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 # Fields that MJX has but never fills would read as zeros, so what can be read is what was compared
-# with MuJoCo: see `tests/long/physics/test_mjx_readings.py`.
+# with MuJoCo: see `tests/long/physics/test_mjx.py`.
 READABLE = (
     *("time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat", "qacc", "sensordata"),
     *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "subtree_com", "cvel"),
@@ -38,20 +38,6 @@ READABLE = (
     *("actuator_velocity", "qfrc_bias", "qfrc_passive", "qfrc_actuator", "qfrc_constraint"),
     *("cacc", "cfrc_ext", "cfrc_int"),
 )
-
-
-class MjxLimits(NamedTuple):
-    """Computations to leave out for speed; `benchmarks/mjx.py` measures each of them."""
-
-    iterations: int | None = None
-    """Steps of the constraint solver at most; None: as the model says."""
-    line_search_iterations: int | None = None
-    """Steps of each line search of the solver at most; None: as the model says."""
-    untouched: tuple[str, ...] = ()
-    """Names of geoms that nothing touches: their contacts are not looked for."""
-
-
-NO_LIMITS = MjxLimits()
 
 
 class MjxState(NamedTuple):
@@ -69,7 +55,6 @@ class MjxEngine:
         model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
         readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
         frame_skip: physics steps per control step.
-        limits: computations to leave out for speed.
 
     Raises:
         EngineError: MJX is not installed.
@@ -83,14 +68,26 @@ class MjxEngine:
         model: str | os.PathLike[str],
         readings: tuple[str, ...] = ("qpos", "qvel"),
         frame_skip: int = 1,
-        limits: MjxLimits = NO_LIMITS,
     ) -> None:
-        _check_settings(readings, frame_skip, limits)
+        unknown = [name for name in readings if name not in READABLE]
+        if unknown:
+            raise ValueError(
+                f"`readings` of the engine `mjx` must be among {', '.join(READABLE)}, got "
+                f"{unknown[0]!r}: play this family on the engine `native`"
+            )
+        if frame_skip < 1:
+            raise ValueError(f"`frame_skip` must be at least 1, got {frame_skip}")
         self._mjx, self._frame_skip = import_mjx(), frame_skip
         compiled = load_model(model)
-        with _own_rules(), _explained(label(model)):
-            self._variants = ModelVariants(compiled, lambda m: self._put(m, limits))
-            self._blank = self._mjx.make_data(self._prepared(compiled, limits))
+        try:
+            with _own_rules():
+                self._variants = ModelVariants(compiled, self._put)
+                self._blank = self._mjx.make_data(margins_as_sizes(compiled))
+        except (NotImplementedError, MarginError) as error:  # the first is MJX's own
+            raise ValueError(
+                f"model {label(model)!r} cannot be moved by the engine `mjx`, which lacks "
+                f"something that it needs: {error}; play it on the engine `native`"
+            ) from error
         self._readers = {name: self._reader(name, compiled) for name in readings}
         self._derives = not CURRENT.issuperset(readings)
         self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
@@ -163,19 +160,8 @@ class MjxEngine:
         readings = {name: read(data) for name, read in self._readers.items()}
         return MjxState(data, dynamics), readings
 
-    def _put(self, compiled: mujoco.MjModel, limits: MjxLimits) -> Any:
-        return self._mjx.put_model(self._prepared(compiled, limits))
-
-    def _prepared(self, compiled: mujoco.MjModel, limits: MjxLimits) -> mujoco.MjModel:
-        prepared = margins_as_sizes(compiled)
-        for name in limits.untouched:
-            geom = _geom(prepared, name)
-            prepared.geom_contype[geom] = prepared.geom_conaffinity[geom] = 0
-        if limits.iterations is not None:
-            prepared.opt.iterations = limits.iterations
-        if limits.line_search_iterations is not None:
-            prepared.opt.ls_iterations = limits.line_search_iterations
-        return prepared
+    def _put(self, compiled: mujoco.MjModel) -> Any:
+        return self._mjx.put_model(margins_as_sizes(compiled))
 
     def _reader(self, name: str, compiled: mujoco.MjModel) -> Callable[[Any], Array]:
         """Return a function that reads a quantity in the layout of `mujoco.MjData`."""
@@ -214,33 +200,3 @@ def _own_rules() -> Iterator[None]:
         jax.default_matmul_precision("highest"),
     ):
         yield
-
-
-@contextlib.contextmanager
-def _explained(model: str) -> Iterator[None]:
-    try:
-        yield
-    except (NotImplementedError, MarginError) as error:  # the first is MJX's own
-        raise ValueError(
-            f"model {model!r} cannot be moved by the engine `mjx`, which lacks something that it "
-            f"needs: {error}; play it on the engine `native`"
-        ) from error
-
-
-def _check_settings(readings: tuple[str, ...], frame_skip: int, limits: MjxLimits) -> None:
-    unknown = [name for name in readings if name not in READABLE]
-    if unknown:
-        raise ValueError(
-            f"`readings` of the engine `mjx` must be among {', '.join(READABLE)}, got "
-            f"{unknown[0]!r}: play this family on the engine `native`"
-        )
-    for name, value in (("frame_skip", frame_skip), *limits._asdict().items()):
-        if isinstance(value, int) and value < 1:
-            raise ValueError(f"`{name}` must be at least 1, got {value}")
-
-
-def _geom(model: mujoco.MjModel, name: str) -> int:
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
-    if index < 0:
-        raise ValueError(f"`untouched` must name geoms of the model, got {name!r}")
-    return int(index)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array
 
-from maesn.physics.base import ModelFields, PhysicsError, find_field
+from maesn.physics.base import ModelFields, check_rows, find_field
 
 # Leaves of MJX's model by their path in it, where a simulation has its own.
 Dynamics: TypeAlias = dict[str, Array]
@@ -35,80 +35,54 @@ class ModelVariants:
         self._put = put
         self._own = put(compiled)
         self._known: dict[bytes, _Row] = {}
-        # Names that some variant so far differs in. They only grow, so that programs are compiled
-        # again when something new varies, and not whenever a value happens to be the model's own.
-        self._varied: set[str] = set()
 
     def model(self, dynamics: Dynamics) -> Any:
         """Return the model of one simulation."""
-        if not dynamics:
-            return self._own
         leaves = _named_leaves(self._own) | dynamics
         return jax.tree.unflatten(_structure(self._own), list(leaves.values()))
 
     def rows(self, fields: ModelFields) -> Dynamics:
         """Return the parts that depend on each simulation's fields; see `MjxEngine.dynamics`."""
-        if not fields:
-            return {}
+        count = len(next(iter(fields.values()), ()))
         for name, values in fields.items():
-            self._check(name, values)
-        count = len(next(iter(fields.values())))
+            own = np.asarray(getattr(*find_field(self._compiled, name)))
+            check_rows(name, values, np.broadcast_to(own, (count, *own.shape)))
         variants = [
             self._variant({name: np.asarray(values[row]) for name, values in fields.items()})
             for row in range(count)
         ]
-        self._varied.update(*variants)
-        own = {name: np.asarray(leaf) for name, leaf in _named_leaves(self._own).items()}
+        leaves = {name: np.asarray(leaf) for name, leaf in _named_leaves(self._own).items()}
         return {
-            name: jnp.asarray(np.stack([variant.get(name, own[name]) for variant in variants]))
-            for name in sorted(self._varied)
+            name: jnp.asarray(np.stack([variant.get(name, leaves[name]) for variant in variants]))
+            for name in sorted({name for variant in variants for name in variant})
         }
 
-    def _check(self, name: str, values: np.ndarray) -> None:
-        shape = np.shape(getattr(*find_field(self._compiled, name)))
-        if values.shape[1:] != shape:
-            raise ValueError(
-                f"`{name}` must have the shape {('simulation', *shape)}, got {values.shape}"
-            )
-        failed = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
-        if failed.size:
-            raise PhysicsError(
-                failed.tolist(),
-                f"`{name}` must be finite, got {values[failed[0]]}: look for what computed it",
-            )
-
     def _variant(self, fields: _Row) -> _Row:
+        """Return the leaves in which the model with these fields differs."""
         key = b"".join(name.encode() + value.tobytes() for name, value in sorted(fields.items()))
         if key not in self._known:
             self._known[key] = self._differences(fields)
         return self._known[key]
 
     def _differences(self, fields: _Row) -> _Row:
-        varied, own = self._with(fields), self._own
-        if _structure(varied) != _structure(own):
-            fixed = [name for name in fields if not self._may_vary(name, fields[name])]
+        compiled = copy.copy(self._compiled)
+        for name, value in fields.items():
+            setattr(*find_field(compiled, name), value)
+        mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
+        varied = self._put(compiled)
+        if _structure(varied) != _structure(self._own):
             raise ValueError(
-                f"`model_fields` cannot hold {', '.join(fixed or fields)} on the engine `mjx`, "
-                "which compiles it, or something that follows from it, into the program: play "
+                f"`model_fields` cannot hold {', '.join(fields)} on the engine `mjx`, which "
+                "compiles one of them, or something that follows from it, into the program: play "
                 "this family on the engine `native`"
             )
+        own = _named_leaves(self._own)
         leaves = {name: np.asarray(leaf) for name, leaf in _named_leaves(varied).items()}
         return {
-            name: leaves[name]
-            for name, leaf in _named_leaves(own).items()
-            if not np.array_equal(leaves[name], np.asarray(leaf), equal_nan=True)
+            name: leaf
+            for name, leaf in leaves.items()
+            if not np.array_equal(leaf, np.asarray(own[name]), equal_nan=True)
         }
-
-    def _may_vary(self, name: str, value: np.ndarray) -> bool:
-        return _structure(self._with({name: value})) == _structure(self._own)
-
-    def _with(self, fields: _Row) -> Any:
-        """Return the model on the device with other fields, and all that follows from them."""
-        varied = copy.copy(self._compiled)
-        for name, value in fields.items():
-            setattr(*find_field(varied, name), value)
-        mujoco.mj_setConst(varied, mujoco.MjData(varied))
-        return self._put(varied)
 
 
 def _named_leaves(model: Any) -> dict[str, Any]:

@@ -6,8 +6,6 @@ overlap; then the contact is suddenly as deep as the margin.
 """
 
 import copy
-from collections.abc import Iterator
-from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -15,7 +13,6 @@ import numpy as np
 _PLANE, _SPHERE, _CAPSULE, _BOX = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("PLANE", "SPHERE", "CAPSULE", "BOX")
 )
-_GROWABLE = {_SPHERE, _CAPSULE, _BOX}
 
 
 class MarginError(ValueError):
@@ -23,7 +20,7 @@ class MarginError(ValueError):
 
 
 def margins_as_sizes(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy in which geoms that can touch a box are larger by their margin and have none.
+    """Return a copy in which geoms are larger by their margin, if the model needs that.
 
     Growing a sphere, a capsule or a box by its margin moves its whole surface outwards by the
     margin. So the distance in MJX is MuJoCo's distance minus the margin, and a contact's force
@@ -31,38 +28,18 @@ def margins_as_sizes(model: mujoco.MjModel) -> mujoco.MjModel:
     is rounded in MuJoCo, and has sharp edges here.
 
     Raises:
-        MarginError: MJX ignores the margin of two geoms, and they cannot both be grown.
+        MarginError: MJX ignores the margin of a geom that cannot be grown.
     """
     model = copy.copy(model)
-    to_grow: set[int] = set()
-    for first, second in _possible_contacts(model):
-        types = {int(model.geom_type[first]), int(model.geom_type[second])}
-        margins = model.geom_margin[[first, second]]
-        if not margins.any() or _PLANE in types or types <= {_SPHERE, _CAPSULE}:
-            continue
-        if not types <= _GROWABLE or model.geom_gap[[first, second]].any():
-            names = " and ".join(repr(model.geom(geom).name) for geom in (first, second))
-            raise MarginError(f"a margin between the geoms {names}")
-        to_grow |= {first, second}
-    if to_grow and model.npair:
-        raise MarginError("explicit pairs beside margins at boxes")
-    for geom in to_grow:
-        _grow(model, geom)
+    touches = (model.geom_contype | model.geom_conaffinity) != 0
+    if np.isin(model.geom_type[touches], (_PLANE, _SPHERE, _CAPSULE)).all():
+        return model
+    for geom in np.flatnonzero(touches & (model.geom_margin > 0) & (model.geom_type != _PLANE)):
+        growable = model.geom_type[geom] in (_SPHERE, _CAPSULE, _BOX)
+        if not growable or model.geom_gap[geom] or model.npair:
+            raise MarginError(f"a margin of the geom {model.geom(geom).name!r}")
+        _grow(model, int(geom))
     return model
-
-
-def _possible_contacts(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
-    """Yield the pairs of geoms that may touch.
-
-    Some of them MuJoCo may exclude as parent and child.
-    """
-    for first, second in combinations(range(model.ngeom), 2):
-        collide = (
-            model.geom_contype[first] & model.geom_conaffinity[second]
-            or model.geom_contype[second] & model.geom_conaffinity[first]
-        )
-        if collide and model.geom_bodyid[first] != model.geom_bodyid[second]:
-            yield first, second
 
 
 def _grow(model: mujoco.MjModel, geom: int) -> None:

@@ -21,12 +21,15 @@ from maesn.physics.base import (
     ModelFields,
     PhysicsError,
     Readings,
+    Rows,
+    check_rows,
     find_field,
+    is_sound,
+    sound_rows,
 )
 from maesn.physics.loading import load_model
 
 _Mask: TypeAlias = Bool[np.ndarray, " simulation"]
-_Rows: TypeAlias = slice | np.ndarray
 
 
 class NativeSimulator(AbstractSimulator):
@@ -89,8 +92,8 @@ class NativeSimulator(AbstractSimulator):
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
         batch, rows = self._open(), slice(None) if simulations is None else simulations
-        _check_rows("qpos", qpos, self._qpos, rows)
-        _check_rows("qvel", qvel, self._qvel, rows)
+        check_rows("qpos", qpos, self._qpos, rows)
+        check_rows("qvel", qvel, self._qvel, rows)
         batch.reset(simulations, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._write_model_fields(model_fields or {}, rows)
         self._qpos[rows] = qpos
@@ -107,7 +110,7 @@ class NativeSimulator(AbstractSimulator):
         abandoned: _Mask | None = None,
     ) -> Readings:
         batch = self._open()
-        _check_rows("control", control, self._control)
+        check_rows("control", control, self._control)
         self._control[...] = control
         self._run(batch.step, abandoned, nstep=self._frame_skip, stage=self._stage)
         return self._read()
@@ -137,11 +140,11 @@ class NativeSimulator(AbstractSimulator):
     def _check_physics(self, watched: _Mask) -> None:
         # Copies, since the engine's own arrays are strided, and slow to read twice.
         states = np.array(self._qpos), np.array(self._qvel)
-        if all(map(_is_sound, states)) and not self._batch.warning.any():
+        if all(map(is_sound, states)) and not self._batch.warning.any():
             return
         # A reset clears the counters, so whatever they hold happened since then.
         count = self._batch.warning[:, :, 1]
-        failed = ~(_sound_rows(self._qpos) & _sound_rows(self._qvel)) | count.any(axis=1)
+        failed = ~(sound_rows(self._qpos) & sound_rows(self._qvel)) | count.any(axis=1)
         simulations = np.flatnonzero(failed & watched).tolist()
         if simulations:
             raise PhysicsError(simulations, self._reason(simulations[0]))
@@ -162,13 +165,13 @@ class NativeSimulator(AbstractSimulator):
         # The engine's arrays are live: the next step writes over them.
         return {name: np.array(value, np.float64) for name, value in self._readings.items()}
 
-    def _write_model_fields(self, fields: ModelFields, rows: _Rows) -> None:
+    def _write_model_fields(self, fields: ModelFields, rows: Rows) -> None:
         """Give simulations their own dynamics, and the model's own to fields not named."""
         for name in self._expanded - fields.keys():
             self._batch.expand(name)[rows] = getattr(*find_field(self._model, name))
         for name, value in fields.items():
             expanded = self._batch.expand(name)
-            _check_rows(name, value, expanded, rows)
+            check_rows(name, value, expanded, rows)
             expanded[rows] = value
         if fields or self._expanded:
             # Inertia weights and the like follow from the fields: the solver reads those.
@@ -198,29 +201,3 @@ def _check_settings(
             raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
     if nonfinite not in ("raise", "report"):
         raise ValueError(f'`nonfinite` must be "raise" or "report", got {nonfinite!r}')
-
-
-def _check_rows(
-    name: str, values: np.ndarray, whole: np.ndarray, rows: _Rows = slice(None)
-) -> None:
-    """Refuse values of a wrong shape, and numbers that MuJoCo would silently replace."""
-    shape = whole[rows].shape
-    if values.shape != shape:
-        raise ValueError(f"`{name}` must have the shape {shape}, got {values.shape}")
-    if not _is_sound(values):
-        failed = np.flatnonzero(~_sound_rows(values))
-        raise PhysicsError(
-            np.arange(whole.shape[0])[rows][failed].tolist(),
-            f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed[0]]}: "
-            "look for what computed it, because MuJoCo would go on without it",
-        )
-
-
-def _is_sound(values: np.ndarray) -> bool:
-    # False for NaN too. No product: large ones wake threads that the engine then has to wait for.
-    return bool(values.max(initial=0.0) <= LARGEST and values.min(initial=0.0) >= -LARGEST)
-
-
-def _sound_rows(values: np.ndarray) -> Bool[np.ndarray, " simulation"]:
-    size = np.abs(values.reshape(values.shape[0], -1))
-    return size.max(axis=1, initial=0.0) <= LARGEST

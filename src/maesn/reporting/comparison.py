@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from maesn.reporting.published import PublishedCurve
-from maesn.reporting.reading import DEPLOY, EXPLORE, AdaptationTable
+from maesn.reporting.reading import DEPLOY, EXPLORE, AdaptationTable, latents_beside
 from maesn.reporting.style import MethodStyle
 
 _JUDGED = {
@@ -22,20 +22,25 @@ _JUDGED = {
 class Line:
     """One method, adapted to the same tasks with every seed."""
 
-    name: str  # for file names
+    name: str  # in names of files
     style: MethodStyle
     seeds: tuple[int, ...]
-    table: AdaptationTable  # of all seeds: curves are `[seed, task, update]`
-    source: str = ""  # name of the run or method, which lines by other rules share
+    table: AdaptationTable  # all seeds: curves are `[seed, task, update]`
+    source: str = ""  # the run or method, which lines by other rules share
     training_steps: int | None = None  # environment steps of meta-training; None without any
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of run or method, by their path
-    published: PublishedCurve | None = None  # what the paper shows, if that is comparable
-    recorded: Path | None = None  # where the exploration of the first seed may be recorded
-    latents: Path | None = None  # where its adapted latents are, if only a latent adapts
+    settings: Mapping[str, Any] = field(default_factory=dict)  # by their path
+    published: PublishedCurve | None = None  # the paper's curve, if it is comparable
+    recorded: Path | None = None  # the first seed's exploration, if this file exists
+    files: tuple[Path, ...] = ()  # one table for each seed
+
+    @property
+    def latents(self) -> Path | None:
+        """The file of the first seed's adapted latents, which exists if only a latent adapts."""
+        return latents_beside(self.files[0]) if self.files else None
 
     @property
     def label(self) -> str:
-        """How figures and tables call the method."""
+        """The method's name in figures and tables."""
         return self.style.label
 
     @property
@@ -74,7 +79,7 @@ class Comparison:
     """Methods on the same tasks, and the references below and above them, if there are any."""
 
     lines: tuple[Line, ...]
-    name: str = ""  # for file names
+    name: str = ""  # in names of files
     family: str = ""
     sparse_radius: float | None = None  # metres; None where titles do not say it
     horizon: int = 0  # steps of an episode that runs its full time
@@ -99,7 +104,7 @@ class Comparison:
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
-        """Which tasks some episode starts in the goal region of."""
+        """Whether some episode of a task starts in its goal region."""
         solved = [line.table.is_solved_at_reset for line in self.baselines or self.lines]
         return np.asarray(np.any(solved, axis=0))
 
@@ -123,7 +128,7 @@ class Comparison:
         with the means of baseline and oracle over the same tasks.
         """
         references = self.references(num_tasks)
-        baseline, oracle = references["baseline"], references.get("oracle", np.nan)
+        baseline, oracle = (references.get(name, np.nan) for name in ("baseline", "oracle"))
         return (returns - baseline) / (oracle - baseline if oracle > baseline else np.nan)
 
     def of_tasks(self, chosen: Bool[np.ndarray, " task"]) -> "Comparison":
@@ -149,17 +154,14 @@ class Comparison:
         return found
 
 
-def by_line(texts: Mapping[str, str]) -> str:
-    """Join what is said of lines by their label: each text once, with names if texts differ."""
-    named = {text: [name for name in texts if texts[name] == text] for text in texts.values()}
+def note_on_judging(lines: Sequence[Line]) -> str:
+    """Say which episodes the lines are judged on; with their labels if they differ in it."""
+    named: dict[str, list[str]] = {}
+    for line in lines:
+        named.setdefault(_JUDGED[line.table.purpose], []).append(line.label)
     if len(named) == 1:
         return next(iter(named))
-    return "; or ".join(f"{text} ({', '.join(names)})" for text, names in named.items())
-
-
-def note_on_judging(lines: Sequence[Line]) -> str:
-    """Say which episodes the lines are judged on."""
-    return by_line({line.label: _JUDGED[line.table.purpose] for line in lines})
+    return "; or ".join(f"{text} ({', '.join(labels)})" for text, labels in named.items())
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:

@@ -30,7 +30,11 @@ function quiet(text) { // what stands between backticks is code
   return make("p", { class: "quiet" }, ...parts);
 }
 
-function number(value, digits = 1) { return value === null ? "–" : value.toFixed(digits).replace("-", "−"); }
+function number(value, digits = 1) {
+  if (value === null) return "–";
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
+}
 
 function colour(share) { // of the viridis scale
   const place = Math.min(Math.max(share, 0), 1) * (VIRIDIS.length - 1);
@@ -90,7 +94,7 @@ function bounds(points, margin) {
 }
 
 function worldPlane(paths, label) {
-  const { goals, radius } = data.world;
+  const { goals, radius } = data.plane;
   const corners = goals.flatMap(([x, y]) => [[x - radius, y - radius], [x + radius, y + radius]]);
   const [low, high] = bounds(corners.concat(paths.flat().filter((point) => point[0] !== null)), 0);
   const margin = 0.04 * Math.max(high[0] - low[0], high[1] - low[1]);
@@ -99,7 +103,7 @@ function worldPlane(paths, label) {
 
 function drawGoals(plane, chosen) { // all of them, or one with its region and objects
   const layer = plane.layer("goals");
-  const { goals, radius, landmarks } = data.world;
+  const { goals, radius, landmarks } = data.plane;
   if (chosen === null) {
     for (const goal of goals) layer.append(plane.circle(goal, 2.5, { class: "goal" }));
     return;
@@ -113,7 +117,7 @@ function drawGoals(plane, chosen) { // all of them, or one with its region and o
 }
 
 function direction([x, y]) { // as a share of the directions in which goals lie
-  const angles = data.world.goals.map((goal) => Math.atan2(goal[1], goal[0]));
+  const angles = data.plane.goals.map((goal) => Math.atan2(goal[1], goal[0]));
   const [low, high] = [Math.min(...angles), Math.max(...angles)];
   return (Math.atan2(y, x) - low) / (high - low || 1);
 }
@@ -128,7 +132,7 @@ const NO_SEARCH = "There is no prior over returns yet: `maesn prior DIR` makes i
 // ---- latent explorer --------------------------------------------------------------------------
 
 function explorer(found) {
-  if (!found) return section("Latent explorer", quiet(data.world ? NO_LATENTS : NO_PLANE));
+  if (!found) return section("Latent explorer", quiet(NO_LATENTS));
   const size = found.latents[0].length;
   const edge = Math.max(...found.latents.flat().map(Math.abs));
   const latents = new Plane([-edge * 1.06, -edge * 1.06], [edge * 1.06, edge * 1.06], "Plane of latents");
@@ -144,7 +148,7 @@ function explorer(found) {
   });
   latents.svg.append(latents.circle([0, 0], latents.scale, { class: "prior" }));
   const rings = found.adapted.map((one, index) => {
-    const stroke = colour(direction(data.world.goals[index]));
+    const stroke = colour(direction(data.plane.goals[index]));
     const ring = latents.circle([one[0], one[1] ?? 0], 5, { class: "ring", stroke });
     ring.addEventListener("pointerdown", (event) => { event.stopPropagation(); choose(index); });
     latents.svg.append(ring);
@@ -196,7 +200,7 @@ function explorer(found) {
     const end = found.paths[nearest].at(-1);
     ways.append(world.circle(end, 5.5, { class: "end" }));
     const words = `z = (${z.map((value) => number(value)).join(", ")}) leads to (${number(end[0])} m, ${number(end[1])} m)` +
-      (task === null ? "." : `, ${number(distance(end, data.world.goals[task]))} m from the goal of task ${task}.`);
+      (task === null ? "." : `, ${number(distance(end, data.plane.goals[task]))} m from the goal of task ${task}.`);
     said.textContent = words;
     handle.setAttribute("aria-valuetext", words);
   }
@@ -227,7 +231,7 @@ function explorer(found) {
 // ---- searches ---------------------------------------------------------------------------------
 
 function searches(found) {
-  if (!found) return section("Watch a search", quiet(!data.world ? NO_PLANE : !data.explorer ? NO_LATENTS : NO_SEARCH));
+  if (!found) return section("Watch a search", quiet(NO_SEARCH));
   const episodes = found.returns[0].length;
   const edge = found.edge;
   const beliefs = new Plane([-edge, -edge], [edge, edge], "What the search believes of each latent");
@@ -303,17 +307,29 @@ function searches(found) {
 // ---- charts and tables ------------------------------------------------------------------------
 
 function chart(found) {
-  const box = make("div", { class: "chart" });
+  if (found.title) return make("div", {}, make("h3", {}, found.title), chart({ ...found, title: "" }));
+  const named = found.lines.filter((line) => line.dash).length;
+  const box = make("div", { class: "chart", style: `height: ${296 + 34 * Math.ceil(named / 2)}px` });
+  const shift = found.log ? 1 : 0; // a logarithmic axis has no place for 0
   redraws.push(() => {
     const traces = found.lines.flatMap((line) => {
-      const band = line.low.some((value) => value !== null) ? [
-        { x: line.x, y: line.high, mode: "lines", line: { width: 0 }, showlegend: false, hoverinfo: "skip", legendgroup: line.label },
-        { x: line.x, y: line.low, mode: "lines", line: { width: 0 }, fill: "tonexty", fillcolor: faint(line.colour), showlegend: false, hoverinfo: "skip", legendgroup: line.label },
-      ] : [];
-      return [...band, { x: line.x, y: line.mean, name: plain(line.label), mode: "lines", legendgroup: line.label,
-        line: { color: visible(line.colour), dash: line.dash, width: 2.2 } }];
+      const common = { x: line.x.map((x) => x + shift), legendgroup: line.label };
+      const edge = { ...common, mode: "lines", line: { width: 0 }, showlegend: false, hoverinfo: "skip" };
+      const band = line.low && line.low.some((value) => value !== null) ?
+        [{ ...edge, y: line.high }, { ...edge, y: line.low, fill: "tonexty", fillcolor: faint(line.colour) }] : [];
+      const colour = visible(line.colour); // published curves are circles
+      const look = line.dash ? { mode: "lines", line: { color: colour, dash: line.dash, width: 2.2 } } :
+        { mode: "markers", marker: { color: colour, symbol: "circle-open", size: 6 }, showlegend: false };
+      const hover = found.log ? { customdata: line.x, hovertemplate: `%{y}<br>${plain(found.x)}: %{customdata}` } : {};
+      return [...band, { ...common, y: line.mean, name: plain(line.label), ...look, ...hover }];
     });
-    Plotly.react(box, traces, layout(found.x, found.y), { responsive: true, displaylogo: false, displayModeBar: false });
+    const drawn = layout(found.x, found.y);
+    if (found.log) {
+      const ticks = [0, 1, 10, 100, 1000, 10000];
+      Object.assign(drawn.xaxis, { type: "log", tickvals: ticks.map((x) => x + shift), ticktext: ticks });
+      drawn.hovermode = "closest";
+    }
+    Plotly.react(box, traces, drawn, { responsive: true, displaylogo: false, displayModeBar: false });
   });
   return box;
 }
@@ -365,7 +381,7 @@ function table(columns, rows, isDifferent = () => false) {
 
 function details(title, content) { return make("details", {}, make("summary", {}, title), content); }
 
-// ---- studies ----------------------------------------------------------------------------------
+// ---- comparisons ------------------------------------------------------------------------------
 
 function scatter(lines) {
   const box = make("div", { class: "chart" });
@@ -391,11 +407,13 @@ function scatter(lines) {
 }
 
 function comparison(one) {
-  section(one.name, quiet(one.about), make("div", { class: "many" }, ...one.charts.slice(0, 2).map(chart)),
+  const ends = [make("div", {}, make("h3", {}, "Performance profiles"), chart(one.profiles))];
+  if (one.scatter.length > 1) {
+    ends.push(make("div", {}, make("h3", {}, "Task by task: mean return of two lines"), ...scatter(one.scatter)));
+  }
+  section(one.name, quiet(one.about), make("div", { class: "many" }, ...one.charts.map(chart)),
     ...one.tables.flatMap((found) => [make("h3", {}, found.title), table(found.headings, found.rows), quiet(found.notes.join(" "))]),
-    make("div", { class: "many" },
-      make("div", {}, make("h3", {}, "Performance profiles"), chart(one.charts[2])),
-      make("div", {}, make("h3", {}, "Task by task: mean return of two lines"), ...scatter(one.scatter))),
+    make("div", { class: "many" }, ...ends),
     details("Settings of each line; those that differ come first", settings(one.settings)));
 }
 
@@ -407,10 +425,9 @@ function settings(found) { // first those that differ
 
 // ---- runs -------------------------------------------------------------------------------------
 
-function exploration(found) {
-  if (!found) return section("Before any adaptation", quiet(NO_PLANE));
-  const paths = found.panels.flatMap((panel) => panel.paths);
-  const panels = found.panels.map((panel) => {
+function exploration(panels) {
+  const paths = panels.flatMap((panel) => panel.paths);
+  const planes = panels.map((panel) => {
     const plane = worldPlane(paths, panel.title);
     drawGoals(plane, null);
     const ways = plane.layer("ways");
@@ -418,26 +435,7 @@ function exploration(found) {
     for (const path of panel.paths) ways.append(plane.circle(path.at(-1), 2.5, { class: "end" }));
     return make("div", {}, make("h3", {}, panel.title), plane.svg);
   });
-  section("Before any adaptation", quiet("Paths of episodes; dots are the goals of the test tasks."), make("div", { class: "many" }, ...panels));
-}
-
-function runPage() {
-  explorer(data.explorer);
-  searches(data.search);
-  for (const one of data.adaptation) {
-    section(`Adaptation: ${one.name}`, make("div", { class: "many" }, ...one.charts.map(chart)));
-  }
-  if (!data.adaptation.length) section("Adaptation", quiet("No table of an adaptation yet: `maesn adapt DIR` writes one."));
-  if (data.learning.length) section("Meta-training", make("div", { class: "many" }, ...data.learning.map(chart)));
-  else section("Meta-training", quiet("The run has no metrics."));
-  exploration(data.exploration);
-  section("Settings and provenance", details("All of them", settings(data.settings)));
-}
-
-function studyPage() {
-  if (!data.comparisons.length) section("Nothing compared yet", quiet("`maesn study run` goes on with the study."));
-  data.comparisons.forEach(comparison);
-  section("Provenance", details("Versions, and the jobs with their digests", table(["", "value"], data.provenance)));
+  section("Before any adaptation", quiet("Paths of episodes; dots are the goals of the test tasks."), make("div", { class: "many" }, ...planes));
 }
 
 // ---- the page ---------------------------------------------------------------------------------
@@ -451,6 +449,13 @@ document.title = data.title;
 document.getElementById("title").textContent = data.title;
 document.getElementById("subtitle").textContent = data.subtitle;
 document.getElementById("theme").addEventListener("click", () => setTheme(isDark() ? "light" : "dark"));
-if (data.comparisons) studyPage();
-else runPage();
+if (data.plane) {
+  explorer(data.plane.explorer);
+  if (data.plane.explorer) searches(data.plane.search);
+} else if (data.plane === null) section("Latent explorer", quiet(NO_PLANE));
+data.comparisons.forEach(comparison);
+if (!data.comparisons.length) section("Nothing compared yet", quiet("`maesn study run` goes on with a study, `maesn adapt DIR` tries a run in new tasks."));
+if (data.learning?.length) section("Meta-training", make("div", { class: "many" }, ...data.learning.map(chart)));
+if (data.plane) exploration(data.plane.panels);
+section("Provenance", details("Versions and settings, or jobs with their digests", settings(data.provenance)));
 setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from maesn.reporting import runs as records
-from maesn.reporting import statistics
+from maesn.reporting.charts import Chart, Curve, adaptation_charts, learning_charts, profile_chart
 from maesn.reporting.comparison import Comparison
-from maesn.reporting.figures.curves import moving_mean, window_of
-from maesn.reporting.reading import TableName, latents_beside
+from maesn.reporting.reading import latents_beside, usual_table
 from maesn.reporting.runs import RecordedRun, read_recorded
-from maesn.reporting.sources import Series, compare_runs, compare_study, read_series
-from maesn.reporting.style import LineStyle, MethodStyle
+from maesn.reporting.sources import Compared, Series
+from maesn.reporting.style import LineStyle
 from maesn.reporting.tables import summary_tables
 from maesn.settings import leaves
 from maesn.storage import read_json, write_whole
@@ -31,7 +30,7 @@ _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
 def write_page(path: Path, document: Document) -> list[Path]:
-    """Write a document of `run_page` or `study_page` as one HTML file, and return what was written.
+    """Write a document of `page_of` as one HTML file, and return what was written.
 
     Without plotly that is nothing, and a warning says so.
     """
@@ -53,55 +52,48 @@ def write_page(path: Path, document: Document) -> list[Path]:
     return [path]
 
 
-def run_page(directories: Sequence[Path]) -> Document:
-    """Return the document of the page of one run or several.
+def page_of(study: Compared) -> Document:
+    """Return the document of the page of a study, or of one or several runs.
 
-    What the latents do is shown of the first run that has recorded it. A `RunError` says which file
-    is missing or broken, or why the runs cannot be compared.
+    The latents and paths of runs are those of the first run that has recorded them. A `RunError`
+    says which file is missing or broken.
     """
-    series = read_series(directories)
+    document = {"comparisons": [_comparison(one, study.series) for one in study.comparisons]}
+    if study.series:
+        return document | _of_runs(study.series)
+    names = ", ".join(one.name for one in study.comparisons) or "nothing compared yet"
+    rows = [*map(list, study.study["versions"].items())]
+    rows += [["job", job] for job in study.study["jobs"]]
+    provenance = {"columns": ["", "value"], "rows": rows}
+    title = f"Study {study.study['study']}"
+    return document | {"title": title, "subtitle": names, "provenance": provenance}
+
+
+def _of_runs(series: Sequence[Series]) -> Document:
     runs = [run for one in series for run in one.runs]
     shown = next((run for run in runs if (run.path / records.LATENT_PATHS).exists()), runs[0])
     names = [run.path.resolve().name for run in runs]
+    learning = [_chart(one) for charts in learning_charts(series).values() for one in charts]
     return {
         "title": f"{' and '.join(one.style.label for one in series)} on {shown.family}",
         "subtitle": ", ".join(names),
-        **_plane(shown),
-        "learning": _learning(series),
-        "adaptation": [
-            {"name": one.tasks, "charts": _adaptation(one)} for one in compare_runs(series)
-        ],
-        "settings": _settings(names, [leaves(read_json(run.path / "config.json")) for run in runs]),
+        "plane": _plane(shown),
+        "learning": [chart for chart in learning if chart["lines"]],
+        "provenance": _settings(names, [leaves(read_json(x.path / "config.json")) for x in runs]),
     }
 
 
-def study_page(directory: Path) -> Document:
-    """Return the document of a study's page; a `RunError` says which file is missing or damaged."""
-    study, comparisons = compare_study(directory)
-    return {
-        "title": f"Study {study['study']}",
-        "subtitle": ", ".join(one.name for one in comparisons) or "nothing compared yet",
-        "comparisons": [_comparison(one) for one in comparisons],
-        "provenance": [
-            *map(list, study["versions"].items()),
-            *(["job", job] for job in study["jobs"]),
-        ],
-    }
-
-
-def _comparison(comparison: Comparison) -> Document:
+def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
     """Return charts, tables, the tasks' returns and settings."""
-    lines = comparison.lines
-    thresholds, profiles = statistics.profiles([line.column(-1) for line in lines])
-    pairs = zip(lines, profiles, strict=True)
-    above = [_curve(line.style, thresholds, *profile.band) for line, profile in pairs]
+    lines, about = comparison.lines, f"{comparison.family}, {comparison.tasks}"
+    if series:
+        tables = ["/".join(file.parts[-3:]) for line in lines for file in line.files]
+        about += f"; from {', '.join(tables)}"
     return {
         "name": comparison.name,
-        "about": f"{comparison.family}, {comparison.tasks}",
-        "charts": [
-            *_adaptation(comparison),
-            _chart("return τ", "share of tasks that end above τ", above),
-        ],
+        "about": about,
+        "charts": [_chart(one) for one in adaptation_charts(comparison)],
+        "profiles": _chart(profile_chart(comparison)),
         "tables": [table._asdict() for table in summary_tables(comparison)],
         "scatter": [
             {"label": line.label, "returns": rounded(line.column(-1).mean(axis=0))}
@@ -111,80 +103,54 @@ def _comparison(comparison: Comparison) -> Document:
     }
 
 
-def _adaptation(comparison: Comparison) -> list[Document]:
-    """Return the charts of return and success over the episodes in the new task."""
-    reward, charts = comparison.lines[0].table.reward, []
-    for measure, y in {
-        "mean_return": f"mean {reward} return",
-        "success_rate": "success rate",
-    }.items():
-        found = ((line, statistics.curve(line.measure(measure)).band) for line in comparison.lines)
-        curves = [_curve(line.style, line.table.episodes, *band) for line, band in found]
-        charts.append(_chart("episodes in the new task", y, curves))
-    return charts
+def _chart(chart: Chart) -> Document:
+    shown = [curve for curve in chart.curves if np.isfinite(np.asarray(curve.mean, float)).any()]
+    lines = [_line(curve) for curve in shown]
+    about = {"title": chart.title, "x": chart.x, "y": chart.y, "log": chart.linear_to is not None}
+    return about | {"lines": lines}
 
 
-def _learning(series: Sequence[Series]) -> list[Document]:
-    """Return the charts of meta-training; every seed has a line of its own."""
-    found = [(one.style, vars(curve)) for one in series for curve in one.learning_curves()]
-    charts = []
-    for metric in ("return_after", "return_before", "success_after"):
-        known = [(style, one["iteration"], one[metric]) for style, one in found]
-        lines = [
-            _curve(style, x, moving_mean(y[None], window_of(len(x)))[0])
-            for style, x, y in known
-            if np.isfinite(y).any()
-        ]
-        text = f"{metric.replace('_', ' ')} the inner update"
-        charts += [_chart("meta-iteration", text, lines)] if lines else []
-    return charts
-
-
-def _chart(x: str, y: str, curves: Sequence[Document]) -> Document:
-    return {"title": y, "x": x, "y": y, "lines": curves}
-
-
-def _curve(style: MethodStyle, x: Any, mean: Any, low: Any = (), high: Any = ()) -> Document:
-    """Return a line; with a band between `low` and `high` if they are given."""
-    columns = {"x": x, "mean": mean, "low": low, "high": high}
+def _line(curve: Curve) -> Document:
+    style = curve.style
     look = {"label": style.label, "colour": style.colour, "dash": _dash(style.line)}
+    columns = {name: getattr(curve, name) for name in ("x", "mean", "low", "high")}
     return look | {name: rounded(column) for name, column in columns.items()}
 
 
 def _dash(line: LineStyle) -> str:
-    """Return Matplotlib's dash in plotly's words."""
+    """Return Matplotlib's dash in plotly's words; nothing for circles without a line."""
     if isinstance(line, str):
-        return {":": "dot", "--": "dash", "-.": "dashdot"}.get(line, "solid")
+        return {":": "dot", "--": "dash", "-.": "dashdot", "-": "solid"}.get(line, "")
     return ",".join(f"{3 * length:g}px" for length in line[1])
 
 
-def _plane(run: RecordedRun) -> Document:
+def _plane(run: RecordedRun) -> Document | None:
     """Return what is drawn in the plane of the world; None for what was not recorded."""
     explored = read_recorded(records.RecordedExploration, run.path / records.EXPLORATION)
     if explored is None:
-        return dict.fromkeys(("world", "explorer", "search", "exploration"))
+        return None
     times = np.linspace(0, explored.prior_paths.shape[1] - 1, _SHOWN_POINTS).round().astype(int)
     panels = {
         "trained, z drawn": explored.prior_paths,
         "trained, z fixed": explored.fixed_paths,
         "untrained": explored.untrained_paths,
     }
-    shown = [
-        {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
-        for title, paths in panels.items()
-        if paths is not None
-    ]
-    goals, landmarks = rounded(explored.goals), rounded(explored.landmarks)
-    table = TableName(records.RECORDED_TASKS, "sparse").path(run.path)
-    adapted = read_recorded(records.Latents, latents_beside(table))
-    ends = [] if adapted is None else rounded(adapted.mean[:, -1])
+    table = usual_table(run.path)
+    adapted = table and read_recorded(records.Latents, latents_beside(table))
+    ends = rounded(adapted.mean[:, -1]) if adapted else []
     paths = read_recorded(records.LatentPaths, run.path / records.LATENT_PATHS)
     searches = read_recorded(records.RecordedSearches, run.path / records.SEARCHES)
     return {
-        "world": {"goals": goals, "radius": explored.sparse_radius, "landmarks": landmarks},
+        "goals": rounded(explored.goals),
+        "radius": explored.sparse_radius,
+        "landmarks": rounded(explored.landmarks),
         "explorer": paths and {"adapted": ends, **_numbers(paths)},
         "search": searches and _numbers(searches),
-        "exploration": {"panels": shown},
+        "panels": [
+            {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
+            for title, paths in panels.items()
+            if paths is not None
+        ],
     }
 
 

@@ -9,9 +9,8 @@ from jaxtyping import Float
 
 from maesn.reporting.reading import AdaptationTable
 
-# What the published returns depend on, beside the rewards of the reference code and tasks as in
-# training: the sparse radius in metres (also the family's own, that of a run without one) and the
-# episodes per update.
+# The published returns depend on the rewards of the reference code, on tasks as in training, and on
+# these: the sparse radius in metres, which is the family's own, and the episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
 
 
@@ -26,7 +25,7 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    if family not in _PROTOCOLS or "ood" in table.tasks.split("-"):
+    if family not in _PROTOCOLS or {"ood", "radius"} & {*table.tasks.split("-")}:
         return None
     radius, episodes = _PROTOCOLS[family]
     protocol = (variant, table.reward, table.episodes_per_update)

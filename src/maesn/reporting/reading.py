@@ -5,18 +5,21 @@ import gzip
 import re
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from maesn.reporting.runs import RECORDED_TASKS
 from maesn.runtime import archive
 from maesn.storage import RunError, read_json
 
-# TASKS-REWARD, and behind it the rule, as in `-then-trpo`, if it is not the method's own.
-_NAME = re.compile(r"(.+)-(dense|sparse)(-.+)?")
+# TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
+# `-search-ee78bb-with-10-episodes`.
+_NUMBERS = r"(?:-\d+-(?:episodes|per-update|deployed)|-after(?:-\d+)+|-seed-\d+)+"
+_NAME = re.compile(rf"(.+)-(dense|sparse)(-.+?)??(-with{_NUMBERS})?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
 LATENTS, RECORD = ".latents.npz", ".settings.json"
@@ -25,23 +28,43 @@ _REMEDY = "write it again with `maesn adapt`"
 
 
 class TableName(NamedTuple):
-    """What the name of a table says."""
+    """The parts of a table's name."""
 
-    # Name of the task set; before it `from-UPDATE-` if an earlier adaptation went on, behind it
-    # radius, engine and number of tasks where they are not the usual ones.
+    # The task set; behind it number of tasks, radius and engine where they are not the usual ones.
     tasks: str
-    reward: str  # of the adaptation; empty if the file is called otherwise
-    changed: str = ""  # rule and wrappers, with a hyphen before them; empty for the method as it is
+    reward: str  # empty if the file has another kind of name
+    rule: str = ""  # rule, wrappers and digest, after a hyphen; empty for the method as it is
+    budget: str = ""  # budgets and seed, as in `-with-10-episodes`; empty for the usual ones
 
-    def path(self, directory: Path) -> Path:
+    @classmethod
+    def of(cls, table: Path) -> "TableName":
+        """Return the name of a file."""
+        found = _NAME.fullmatch(table.stem)
+        return cls(table.stem, "") if found is None else cls(*found.groups(default=""))
+
+    def path(self, run: Path) -> Path:
         """Return where such a table of a run goes by default."""
-        return directory / "adaptation" / f"{self.tasks}-{self.reward}{self.changed}.csv"
+        name = f"{self.tasks}-{self.reward}{self.rule}{self.budget}.csv"
+        return run / "adaptation" / name
+
+    @property
+    def label(self) -> str:
+        """Rule and budget in words, for figures; empty for the usual ones."""
+        return " ".join([*self.rule.split("-")[1:-1], *self.budget.split("-")[1:]])
 
 
-def table_name(path: Path) -> TableName:
-    """Return what the name of a table says."""
-    found = _NAME.fullmatch(path.stem)
-    return TableName(path.stem, "") if found is None else TableName(*found.groups(default=""))
+def tables_of(run: Path) -> dict[TableName, Path]:
+    """Return the tables in a run directory, those with the shortest names first."""
+    files = sorted((run / "adaptation").glob("*.csv"))
+    named = {TableName.of(file): file for file in files}
+    return {name: named[name] for name in sorted(named) if name.reward}
+
+
+def usual_table(run: Path) -> Path | None:
+    """Return the table of the test tasks on sparse reward by the method's own rule, if any."""
+    tables = tables_of(run).items()
+    found = (path for name, path in tables if name[:3] == (RECORDED_TASKS, "sparse", ""))
+    return next(found, None)
 
 
 def latents_beside(table: Path) -> Path:
@@ -65,7 +88,7 @@ Curves = Float[np.ndarray, "*seed task update"]
 MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
 COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset")
 
-# Which episodes a row judges.
+# The purposes of episodes: a row judges those of one.
 EXPLORE, DEPLOY = "explore", "deploy"
 
 
@@ -90,7 +113,7 @@ class AdaptationTable:
 
     tasks: str  # name of the task set
     reward: str
-    purpose: str  # what the measures judge: `EXPLORE` or `DEPLOY`
+    purpose: str  # of the episodes that are judged: `EXPLORE` or `DEPLOY`
     # Updates that lie before each column, and the episodes per task that they have learned from.
     updates: Int[np.ndarray, " update"]
     episodes: Int[np.ndarray, " update"]
@@ -100,12 +123,12 @@ class AdaptationTable:
     final_success_rate: Curves
     time_in_region: Curves
     solved_at_reset: Curves
-    # `success_rate` of the episodes that were learned from, after every update.
+    # `success_rate` of the episodes that were learned from, after every update; of those that judge
+    # where nothing is learned.
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
-    # Episodes of each task that were played for an update, and those of a trial that meta-training
-    # has prepared for; None if no record says so.
-    explored_episodes: int | None = None
+    # Episodes of a trial that meta-training has prepared for; None if no record says so.
     trial_episodes: int | None = None
+    about: Mapping[str, Any] = field(default_factory=dict)  # the record beside the table, if any
 
     @property
     def num_tasks(self) -> int:
@@ -126,15 +149,15 @@ class AdaptationTable:
 
     @property
     def is_solved_at_reset(self) -> Bool[np.ndarray, " task"]:
-        """Which tasks some episode starts in the goal region of."""
+        """Whether some episode of a task starts in its goal region."""
         solved = (self.solved_at_reset > 0).any(axis=-1)
         return np.asarray(solved.reshape(-1, self.num_tasks).any(axis=0))
 
     @property
     def prior_reach(self) -> str:
-        """What the prior of a run, the first seed, reaches; empty if the table does not tell."""
-        episodes = self.explored_episodes or self.episodes_per_update
-        if self.updates[0] or episodes is None:
+        """The share of goals that the first seed reaches from the prior; empty if unknown."""
+        episodes = self.about.get("episodes_per_update", self.episodes_per_update)
+        if episodes is None:
             return ""
         of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
         return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
@@ -167,11 +190,15 @@ def read_adaptation(path: Path) -> AdaptationTable:
     rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
     about = read_json(record, _REMEDY) if record.exists() else {}
     try:
-        purpose = DEPLOY if any(row["purpose"] == DEPLOY for row in rows) else EXPLORE
-        explored, judged = (_grids(rows, one) for one in (EXPLORE, purpose))
+        purposes = {row["purpose"] for row in rows}
+        purpose = DEPLOY if DEPLOY in purposes else EXPLORE
+        first = EXPLORE if EXPLORE in purposes else purpose  # where nothing is learned
+        if about and first != EXPLORE:
+            about |= {"episodes_per_update": about["deploy_episodes"]}
+        explored, judged = (_grids(rows, one) for one in (first, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error
-    name = table_name(path)
+    name = TableName.of(path)
     return AdaptationTable(
         tasks=name.tasks,
         reward=name.reward,
@@ -180,8 +207,8 @@ def read_adaptation(path: Path) -> AdaptationTable:
         episodes=judged["episodes"][0].astype(int),
         **{measure: judged[measure] for measure in (*MEASURES, "solved_at_reset")},
         explored_success_rate=explored["success_rate"],
-        explored_episodes=about.get("episodes_per_update"),
         trial_episodes=about.get("trial_episodes"),
+        about=about,
     )
 
 

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from maesn.reporting.charts import learning_charts
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures import exploration
 from maesn.reporting.figures.curves import (
@@ -14,69 +15,66 @@ from maesn.reporting.figures.curves import (
     plot_profiles,
 )
 from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
-from maesn.reporting.sources import compare_runs, compare_study, read_series
+from maesn.reporting.sources import RUN_FIGURES, Compared
 from maesn.reporting.style import Drawn, save_figure
 from maesn.reporting.tables import TextTable, summary_tables, to_page
 from maesn.storage import write_rows, write_whole
 
 RESULTS, SUMMARY = "results.csv", "summary.md"
 
-_OF_RUNS = ("curves", "tasks", "exploration", "noise", "latents")
-_EVERYTHING = {"name": "comparison", "kind": "curves", "lines": [], "families": []}
+_EVERYTHING = {"name": "comparison", "kind": "curves"}
 
 
-def report_runs(directories: Sequence[Path], out: Path, say: Callable[[str], None]) -> list[Path]:
-    """Draw every figure that runs have data for, each as a PNG and a PDF, and return these.
+class Reported(NamedTuple):
+    """The files and tables of a report."""
 
-    Runs that differ in their seed alone become one line. `say` receives a sentence about figures
-    without data. A `RunError` says which file is broken, or why the runs cannot be compared.
+    files: list[Path]
+    """Figures, and the page."""
+    tables: list[TextTable]
+    """For each comparison: the ends of all methods, the way there, and who beats whom."""
+
+
+def write_report(study: Compared, out: Path) -> Reported:
+    """Draw every figure that there is data for, each as a PNG and a PDF, and make the tables.
+
+    The figures of runs go into `out`. Those of a study go into a folder for each comparison, beside
+    a summary; all results of a study go into one table. A `RunError` says which file is broken.
     """
-    written, series = [], read_series(directories)
-    for reward in ("dense", "sparse"):  # their returns have no common axis
-        trained = [one for one in series if one.runs[0].settings["reward"] == reward]
-        lines = {one.style: curves for one in trained if (curves := one.learning_curves())}
-        if lines:
-            written += save_figure(plot_learning_curves(lines, reward), out, f"learning-{reward}")
-    for comparison in compare_runs(series):
-        for kind in _OF_RUNS:
-            written += _draw(comparison, {**_EVERYTHING, "name": kind, "kind": kind}, out)
-    drawn = {file.name.partition("-")[0] for file in written}
-    if missing := [kind for kind in _OF_RUNS if kind not in drawn]:
+    files: list[Path] = []
+    tables: list[TextTable] = []
+    for reward, charts in learning_charts(study.series).items():
+        files += save_figure(plot_learning_curves(charts), out, f"learning-{reward}")
+    rows = ({"comparison": x.name, **row} for x in study.comparisons for row in tidy_rows(x))
+    if study.comparisons and not study.series:
+        write_rows(out / RESULTS, rows)
+    has_curves = any(one["kind"] == "curves" for one in study.figures)
+    figures = study.figures if has_curves else [_EVERYTHING, *study.figures]
+    for one in study.comparisons:
+        found, folder = summary_tables(one), out
+        if not study.series:
+            folder = out / one.name
+            write_whole(folder / SUMMARY, to_page(found).encode())
+        for figure in figures:
+            files += _draw(one, figure, folder)
+        tables += found
+    return Reported(files, tables)
+
+
+def say_missing(files: Sequence[Path], say: Callable[[str], None]) -> None:
+    """Say which figures of runs there was no data for."""
+    drawn = {file.name.partition("-")[0] for file in files}
+    if missing := [kind for kind in RUN_FIGURES if kind not in drawn]:
         say(
             f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
             "says where things are in a plane."
         )
-    return written
-
-
-def report_study(directory: Path, wrote: Callable[[Path], None]) -> list[TextTable]:
-    """Draw figures and write tables of one study: all results in one, a summary per comparison."""
-    study, comparisons = compare_study(directory)
-    rows = ({"comparison": one.name, **row} for one in comparisons for row in tidy_rows(one))
-    if comparisons:
-        write_rows(directory / RESULTS, rows)
-    found: list[TextTable] = []
-    for one in comparisons:
-        tables = summary_tables(one)
-        write_whole(directory / one.name / SUMMARY, to_page(tables).encode())
-        for figure in _figures(study):
-            for path in _draw(one, figure, directory / one.name):
-                wrote(path)
-        found += tables
-    return found
-
-
-def _figures(study: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the figures that a study asks for, with one of curves among them."""
-    asked: list[Mapping[str, Any]] = study["figures"]
-    return asked if any(one["kind"] == "curves" for one in asked) else [_EVERYTHING, *asked]
 
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
     """Draw a figure, as the file of a study describes it, if there is something to draw."""
-    chosen = {*figure["lines"]}
+    chosen = {*figure.get("lines", ())}
     lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
-    if not lines or comparison.family not in (figure["families"] or [comparison.family]):
+    if not lines or comparison.family not in (figure.get("families") or [comparison.family]):
         return []
     drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
     return save_figure(drawn, out, f"{figure['name']}-{comparison.name}") if drawn else []
@@ -92,11 +90,11 @@ def plot_paths(comparison: Comparison) -> Drawn | None:
     """Draw what each run explores before adaptation; None if nothing was recorded."""
     panels = []
     for line, record in _recorded(comparison):
-        # Only of the goals that are drawn, and within the regions that are drawn.
+        # The share is over the goals and regions that are drawn.
         has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
         has_regions = comparison.sparse_radius in (None, record.sparse_radius)
         reach = line.table.prior_reach if has_goals and has_regions else ""
-        panels.append(exploration.ExplorationPanel(line.style, record, reach))
+        panels.append((line.style, record, reach))
     return exploration.plot_exploration(panels) if panels else None
 
 
@@ -119,7 +117,7 @@ def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
 
 
 def _recorded(comparison: Comparison) -> list[tuple[Line, RecordedExploration]]:
-    """Return the first line of each run that something was recorded of, and that."""
+    """Return each run that something was recorded of: its first line, and the record."""
     found: dict[str, tuple[Line, RecordedExploration]] = {}
     for line in comparison.lines:
         record = line.recorded and read_recorded(RecordedExploration, line.recorded)

@@ -10,11 +10,11 @@ from jaxtyping import Float
 
 from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
-# Where a run directory has what `maesn report` has recorded: records of the classes below.
+# The files of a run directory in which `maesn report` records the classes below.
 EXPLORATION = Path("figures") / "exploration.npz"
 LATENT_PATHS = Path("figures") / "latent-paths.npz"
 SEARCHES = Path("figures") / "searches.npz"
-RECORDED_TASKS = "test"  # in all three
+RECORDED_TASKS = "test"  # the task set of all three
 
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -72,7 +72,7 @@ class Latents:
 
     mean: Float[np.ndarray, "task update z"]
     log_std: Float[np.ndarray, "task update z"]
-    first_update: int  # number of updates that lie before the first column
+    first_update: int  # updates before the first column: 0
 
     def __post_init__(self) -> None:
         """Refuse arrays that somebody else made."""
@@ -82,20 +82,20 @@ class Latents:
 
 @dataclass(frozen=True)
 class RecordedExploration:
-    """Where episodes go in a world of goals; positions in metres."""
+    """Paths of episodes in a world of goals; positions in metres."""
 
     training_goals: Float[np.ndarray, "row 2"]
-    goals: Float[np.ndarray, "task 2"]  # of the tasks that the run was adapted to
-    sparse_radius: float  # of a goal region
-    prior_paths: Positions  # episodes of the trained policy before any adaptation
-    untrained_paths: Positions  # of a policy that was just initialised
+    goals: Float[np.ndarray, "task 2"]  # goals of the tasks that the run was adapted to
+    sparse_radius: float  # radius of a goal region
+    prior_paths: Positions  # the trained policy before any adaptation
+    untrained_paths: Positions  # a policy that was just initialised
     untrained_success_rate: Float[np.ndarray, " task"]  # share of its episodes that reach each goal
     solved_at_reset: Float[np.ndarray, " task"]  # share of them that start there
     episodes_per_task: int  # number of those episodes per task
-    # None for methods without latents: episodes with one latent, and the latents of `prior_paths`.
+    # Episodes with one latent, and the latents of `prior_paths`; None for methods without latents.
     fixed_paths: Positions | None = None
     prior_latents: Float[np.ndarray, "episode z"] | None = None
-    # What tasks lay out beside their goals; None in a world of goals alone.
+    # Objects that tasks lay out beside their goals; None in a world of goals alone.
     training_landmarks: Float[np.ndarray, "row landmark 2"] | None = None
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
 
@@ -112,8 +112,8 @@ class LatentPaths:
 class RecordedSearches:
     """Latent search in some new tasks, one episode after the other.
 
-    Beliefs are of the part of the return that depends on the latent, over a square of the first two
-    components, from -edge to edge; the others are those of the deployed latent.
+    Beliefs are about the part of the return that depends on the latent. They cover a square of the
+    first two components, from -edge to edge; the others are those of the deployed latent.
     """
 
     task: Float[np.ndarray, " task"]  # indices of the tasks
@@ -124,7 +124,7 @@ class RecordedSearches:
     paths: Float[np.ndarray, "task episode point 2"]  # positions in metres, thinned out
     # The latent of the highest posterior mean, before each episode and after the last.
     deployed: Float[np.ndarray, "task episode_plus_1 z"]
-    # Of the posterior; rows are the second component.
+    # The posterior's mean and standard deviation; rows are the second component.
     mean: Float[np.ndarray, "task episode_plus_1 row column"]
     std: Float[np.ndarray, "task episode_plus_1 row column"]
 

@@ -1,26 +1,28 @@
-"""Where comparisons come from: runs, and the tables that a study has left."""
+"""Sources of comparisons: the files of a study, or runs, which are a study in memory."""
 
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from maesn.reporting import reading
 from maesn.reporting import runs as records
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.published import comparable_curve
+from maesn.reporting.reading import TableName
 from maesn.reporting.runs import LearningCurve, RecordedRun
 from maesn.reporting.style import MethodStyle, series_styles
 from maesn.settings import leaves
 from maesn.storage import RunError, read_json
 
 MANIFEST = "study.json"
+RUN_FIGURES = ("curves", "tasks", "exploration", "noise", "latents")
 
-# What decides whether returns can be compared at all.
+# Returns can be compared only if these are the same.
 _WORLD = ("family", "variant", "sparse_radius", "engine")
-# What two seeds of one experiment may differ in: it changes nothing, or chance alone.
+# Two seeds of one experiment may differ in these: they change nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 
 Document = Mapping[str, Any]
@@ -38,6 +40,18 @@ class Series:
         """Return the metrics of meta-training of those runs that have any."""
         found = (records.read_learning_curve(run.path) for run in self.runs)
         return [curve for curve in found if curve is not None]
+
+
+class Compared(NamedTuple):
+    """Everything that a report shows: a study in files, or one in memory of runs."""
+
+    comparisons: list[Comparison]
+    figures: Sequence[Document]
+    """As the file of a study describes them."""
+    study: Document
+    """`study.json`; empty for runs."""
+    series: Sequence[Series]
+    """Runs; none for a study."""
 
 
 def read_series(directories: Sequence[Path]) -> list[Series]:
@@ -82,43 +96,50 @@ def group_series(runs: Sequence[RecordedRun]) -> list[Series]:
     return series
 
 
-def compare_runs(series: Sequence[Series]) -> list[Comparison]:
-    """Return a comparison for each task set and reward that some run was adapted to."""
-    found: defaultdict[tuple[str, str], list[Line]] = defaultdict(list)
+def compare_runs(directories: Sequence[Path]) -> Compared:
+    """Compare runs in each task set and on each reward that some run was adapted to.
+
+    A `RunError` says which file is broken, or why the runs cannot be compared.
+    """
+    series, found = read_series(directories), defaultdict[str, list[Line]](list)
     for one in series:
-        files: defaultdict[reading.TableName, dict[int, Path]] = defaultdict(dict)
+        files: defaultdict[TableName, dict[int, Path]] = defaultdict(dict)
         for run in one.runs:
-            for file in (run.path / "adaptation").glob("*.csv"):
-                files[reading.table_name(file)][run.seed] = file
-        for name in sorted(name for name in files if name.reward):
-            lines = found[name.tasks, name.reward]
-            number = sum(line.source == one.name for line in lines)
-            lines.append(_line_of_runs(one, name, number, files[name]))
+            for name, table in reading.tables_of(run.path).items():
+                files[name][run.seed] = table
+        for name in sorted(files):
+            lines = found[f"{name.tasks}-{name.reward}"]
+            lines.append(_line_of_runs(one, name, files[name], lines))
     family = series[0].runs[0].family
-    return [
-        Comparison(tuple(lines), f"{tasks}-{reward}", family)
-        for (tasks, reward), lines in found.items()
-    ]
+    comparisons = []
+    for title, lines in found.items():
+        world = lines[0].table.about.get("world", {})
+        horizon = world.get("horizon", 0)
+        comparisons.append(Comparison(tuple(lines), title, family, horizon=horizon))
+    figures = [{"name": kind, "kind": kind} for kind in RUN_FIGURES]
+    return Compared(comparisons, figures, {}, series)
 
 
 def _line_of_runs(
-    one: Series, name: reading.TableName, number: int, files: Mapping[int, Path]
+    one: Series, name: TableName, files: Mapping[int, Path], others: Sequence[Line]
 ) -> Line:
-    """Return what one rule has left; it is the series' line of that number, from 0."""
+    """Return the adaptations of that name; `others` are the lines before it in the comparison."""
     run, tables = one.runs[0], [reading.read_adaptation(file) for file in files.values()]
     table = reading.stack_seeds(tables)
-    rule = " ".join(name.changed.split("-")[1:-1])  # without the digest of its settings
+    number = sum(line.source == one.name for line in others)
+    label = f"{one.style.label} ({name.label})" if name.label else one.style.label
     world = (run.family, run.settings["variant"], run.settings.get("sparse_radius"))
-    is_recorded = name[:2] == (records.RECORDED_TASKS, "sparse")
+    is_recorded = (name.tasks, name.reward) == (records.RECORDED_TASKS, "sparse")
     return Line(
-        one.name + name.changed,
-        one.style.variant(number, f"{one.style.label} ({rule})" if rule else one.style.label),
+        one.name + name.rule + name.budget,
+        one.style.variant(number, label),
         tuple(files),
         table,
         source=one.name,
-        published=None if rule else comparable_curve(*world, run.method, table),
+        settings=leaves({"evaluation": table.about, **run.settings}),
+        published=None if name.rule else comparable_curve(*world, run.method, table),
         recorded=run.path / records.EXPLORATION if is_recorded else None,
-        latents=reading.latents_beside(next(iter(files.values()))),
+        files=tuple(files.values()),
     )
 
 
@@ -135,12 +156,13 @@ def joined_files(directory: Path) -> dict[str, list[str]]:
     return {name: jobs for name, jobs in files.items() if (directory / name).exists()}
 
 
-def compare_study(directory: Path) -> tuple[Document, list[Comparison]]:
+def compare_study(directory: Path) -> Compared:
     """Read a study's manifest, and its comparisons; a `RunError` says which file is damaged."""
-    document = read_json(directory / MANIFEST, "run the study again")
+    study = read_json(directory / MANIFEST, "run the study again")
     try:
-        worlds = [one for one in document["comparisons"] if one["lines"] and one["baselines"]]
-        return document, [_comparison(world, directory) for world in worlds]
+        worlds = [one for one in study["comparisons"] if one["lines"] and one["baselines"]]
+        comparisons = [_comparison(world, directory) for world in worlds]
+        return Compared(comparisons, study["figures"], study, ())
     except (KeyError, TypeError) as error:
         raise RunError(
             f"`{directory / MANIFEST}` is not what a study writes ({error!r}): run the study again."
@@ -160,29 +182,24 @@ def _comparison(world: Document, directory: Path) -> Comparison:
         tuple(_line_of_study(x, MethodStyle(x["label"]), world, directory) for x in world[group])
         for group in ("baselines", "oracle")
     )
-    return Comparison(
-        lines=tuple(lines),
-        baselines=baselines,
-        oracle=oracle,
-        **{name: world[name] for name in ("name", "family", "sparse_radius", "horizon")},
-    )
+    about = {name: world[name] for name in ("name", "family", "sparse_radius", "horizon")}
+    return Comparison(tuple(lines), baselines=baselines, oracle=oracle, **about)
 
 
 def _line_of_study(line: Document, style: MethodStyle, world: Document, directory: Path) -> Line:
-    files = [directory / seed["table"] for seed in line["seeds"]]
+    files = tuple(directory / seed["table"] for seed in line["seeds"])
     steps = [seed["training_steps"] for seed in line["seeds"]]
     about = (world["family"], world["variant"], world["sparse_radius"], line["method"])
-    # What was published of a method stands beside its first run by its own rule, and no variant.
+    # A published curve stands beside its method's first run by its own rule, and no variant.
     same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
     shown = line["source"] in same[:1] and not (line["addition"] or line["evaluation"]["rule"])
+    told = {name: world[name] for name in ("tasks", "reward")}
     table = replace(
-        reading.stack_seeds([reading.read_adaptation(file) for file in files]),
-        tasks=world["tasks"],
-        reward=world["reward"],
+        reading.stack_seeds([*map(reading.read_adaptation, files)]),
         trial_episodes=line["trial_episodes"],
+        **told,
     )
     recorded = world["recorded"].get(line["source"])
-    evaluation = {f"evaluation.{name}": value for name, value in line["evaluation"].items()}
     return Line(
         line["name"],
         style,
@@ -190,8 +207,8 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
         table,
         source=line["source"],
         training_steps=max((count for count in steps if count is not None), default=None),
-        settings={**evaluation, **line["settings"]},
+        settings=leaves({"evaluation": line["evaluation"], **line["settings"]}),
         published=comparable_curve(*about, table) if shown else None,
         recorded=directory / recorded if recorded else None,
-        latents=reading.latents_beside(files[0]),
+        files=files,
     )

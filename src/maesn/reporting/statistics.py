@@ -15,7 +15,7 @@ import scipy.stats
 from jaxtyping import Float
 
 CONFIDENCE = 0.95
-FEWEST_SEEDS = 3  # that tell how seeds differ
+FEWEST_SEEDS = 3  # fewer do not tell how seeds differ
 INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over seeds if three or more"
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
@@ -45,7 +45,7 @@ class Interval(NamedTuple):
 
     @property
     def band(self) -> tuple[Any, Any, Any]:
-        """What a curve and its band are drawn from."""
+        """A curve and the ends of its band."""
         return self[:3]
 
     @property
@@ -123,7 +123,7 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interv
         tasks, *seeds = (generator.integers(size, size=(_BATCH, size)) for size in sizes)
         for few in (one for one in seeds if one.shape[1] < FEWEST_SEEDS):
             few[:] = np.arange(few.shape[1])
-        # Of the flattened values: much faster than two indices.
+        # Places in the flattened values: much faster than two indices.
         chosen = [rows[:, :, None] * sizes[0] + tasks[:, None, :] for rows in seeds]
         for point, values in enumerate(zip(*points, strict=True)):
             drawn = map(np.take, values, chosen)

@@ -1,4 +1,4 @@
-"""How every figure looks: colours, sizes, files.
+"""The look of all figures: colours, sizes, files.
 
 Figures are drawn at the width at which they are printed. Methods differ in colour (Okabe and Ito,
 "Color universal design", 2008: distinguishable with every common colour blindness), in lightness,
@@ -39,7 +39,7 @@ _DASHES = ("-", "--", ":", "-.", _LONG_DASH, _DASH_DOT_DOT)
 
 @dataclass(frozen=True)
 class MethodStyle:
-    """How one method is drawn."""
+    """The look of one method's lines."""
 
     label: str
     colour: str = DARK_GREY

@@ -27,7 +27,7 @@ _NO_SCORE = (
 
 
 class Unit(NamedTuple):
-    """How one measure is printed."""
+    """The heading and the format of one measure."""
 
     heading: str
     scale: float = 1.0
@@ -97,22 +97,28 @@ def print_tables(tables: Sequence[TextTable], console: Console | None = None) ->
         console.print(table.to_rich(), width=max(console.width, _MAX_WIDTH), crop=False)
 
 
-def update_tables(table: AdaptationTable, title: str) -> list[TextTable]:
-    """Summarise adaptation, update by update, in 80 columns.
+def adaptation_tables(path: Path) -> list[TextTable]:
+    """Summarise a table of `maesn adapt`, update by update, in 80 columns.
 
-    A second summary leaves out the tasks that are solved at reset, where there are some.
+    A second summary leaves out the tasks that are solved at reset, where there are some. Of ten
+    tasks or fewer, each has a row. A `RunError` says if the file is missing or broken.
     """
-    comparison = Comparison((Line("", MethodStyle("the method"), (0,), stack_seeds([table])),))
-    parts = comparison.parts().items()
-    return [_update_table(part.lines[0], title + addition) for addition, part in parts]
+    table = stack_seeds([read_adaptation(path)])
+    parts = Comparison((Line("", MethodStyle("the method"), (0,), table),)).parts().items()
+    tables = [_by_update(part.lines[0], f"Adaptation: {path.stem}{more}") for more, part in parts]
+    if table.num_tasks <= _FEW_TASKS:
+        tables.append(_by_task(table))
+    return tables
 
 
-def _update_table(line: Line, title: str) -> TextTable:
+def _by_update(line: Line, title: str) -> TextTable:
     table = line.table
     columns = [
         [unit.text(one, brief=True) for one in curve(line.measure(name)).points]
         for name, unit in UNITS.items()
     ]
+    failed = int((table.explored_success_rate == 0).all(axis=(0, -1)).sum())
+    is_blind = failed and table.reward == "sparse" and len(table.updates) > 1
     return TextTable(
         title,
         ("update", "episodes", *(unit.heading for unit in UNITS.values())),
@@ -122,35 +128,18 @@ def _update_table(line: Line, title: str) -> TextTable:
             line.beyond,
             f"± half the {INTERVAL}",
             note_on_judging([line]),
+            f"no episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
+            "adaptation had nothing to learn from"
+            if is_blind
+            else "",
         ),
     )
 
 
-def print_adaptation_summary(path: Path, console: Console | None = None) -> None:
-    """Show one table of `maesn adapt` in the terminal.
-
-    Where there are ten tasks or fewer, each has a row. On sparse reward, it is said in how many
-    tasks no episode reached the goal. A `RunError` says if the file is missing or broken.
-    """
-    console = console or Console()
-    table = read_adaptation(path)
-    shown = update_tables(table, f"Adaptation: {path.stem}")
-    if table.num_tasks <= _FEW_TASKS:
-        shown.append(_task_table(table))
-    print_tables(shown, console)
-    failed = int((table.explored_success_rate == 0).all(axis=1).sum())
-    if failed and table.reward == "sparse" and len(table.updates) > 1:
-        console.print(
-            f"No episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
-            "adaptation had nothing to learn from.",
-            highlight=False,
-        )
-
-
-def _task_table(table: AdaptationTable) -> TextTable:
+def _by_task(table: AdaptationTable) -> TextTable:
     """Return one row per task: before the first update, and after the last."""
     columns = [
-        [UNITS[name].number(value) for value in getattr(table, name)[:, column]]
+        [UNITS[name].number(value) for value in getattr(table, name)[0, :, column]]
         for name in ("mean_return", "success_rate")
         for column in (0, -1)
     ]
@@ -182,15 +171,16 @@ def _ends(comparison: Comparison, addition: str) -> TextTable:
     first = comparison.lines[0].table
     rows = [_end(comparison, line) for line in comparison.everyone]
     methods = rows[: len(comparison.lines)]
+    headings = tuple(name for name in rows[0] if name == "score" or any(row[name] for row in rows))
     return TextTable(
         f"After each method's last update, in {first.tasks} tasks{addition}",
-        tuple(rows[0]),
-        tuple(tuple(row.values()) for row in rows),
+        headings,
+        tuple(tuple(row[name] for name in headings) for row in rows),
         sentences(
             f"mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points",
             note_on_judging(comparison.lines),
             f"in brackets: {INTERVAL}",
-            "trained on: environment steps of meta-training",
+            "trained on: environment steps of meta-training" if "trained on" in headings else "",
             note_on_solved(comparison.is_solved_at_reset),
             *(line.beyond for line in comparison.lines),
             "" if all(row["score"] for row in methods) else _NO_SCORE,
@@ -213,7 +203,7 @@ def _end(comparison: Comparison, line: Line) -> dict[str, str]:
         "seeds": str(len(line.seeds)),
         "tasks": str(line.num_tasks),
         "updates": str(line.table.updates[-1]),
-        "steps": f"{line.table.episodes[-1] * comparison.horizon:,}",
+        "steps": f"{line.table.episodes[-1] * comparison.horizon:,}" if comparison.horizon else "",
         "return": returns.text(bootstrap(statistics.mean, last)),
         "IQM": returns.text(bootstrap(statistics.interquartile_mean, last)),
         success.heading: success.text(bootstrap(statistics.mean, line.column(-1, "success_rate"))),

@@ -8,7 +8,7 @@ from maesn.envs import AnyEnv
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, Capabilities, Purpose
-from maesn.rules.base import AbstractRule, Trained
+from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.settings import check_number, check_positive
 
 
@@ -75,7 +75,9 @@ class MemoryRule(AbstractRule):
 
 
 class NoAdaptation(AbstractRule):
-    """Learn nothing: the agents stay as they started."""
+    """Learn nothing: fresh episodes judge the agents as they started."""
+
+    budget = Budget(episodes=0, per_update=50, deploy=50)
 
     @property
     def label(self) -> str:

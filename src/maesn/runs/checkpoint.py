@@ -32,7 +32,7 @@ class CheckpointError(RunError):
 
 
 class Checkpoint(NamedTuple):
-    """A moment between two iterations, which training can go on from."""
+    """The state between two iterations, from which training can go on."""
 
     state: Any
     iteration: int  # iterations so far
@@ -57,7 +57,7 @@ def digest_of_arrays(tree: Any) -> str:
 
 
 def save_checkpoint(path: Path, tree: Any, metadata: Mapping[str, str]) -> None:
-    """Write a pytree of arrays; at any moment `path` is the old file, the new one, or none."""
+    """Write a pytree of arrays as a whole: a crash leaves the old file, or none."""
     values = _named_arrays(tree)
     signed = {**metadata, CHECKSUM: _checksum(values, metadata)}
     write_whole(path, safetensors.numpy.save(values, metadata=signed))

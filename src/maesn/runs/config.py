@@ -58,7 +58,7 @@ _ENGINE_PACKAGES = {"mujoco.mjx": ("mujoco-mjx",), "gymnasium": ("gymnasium",)}
 
 @dataclasses.dataclass(frozen=True)
 class RunSettings:
-    """What a run does beside learning: where, on what, how long."""
+    """Settings of a run besides those of the learner."""
 
     method: Annotated[str, tyro.conf.Suppress] = ""
     """Name of the method: a preset, or `module:name` of your own. `Run.create` sets the former."""
@@ -110,7 +110,7 @@ class Change:
 
     iteration: int  # iterations that were done before it
     changed: dict[str, Any]  # name of a setting -> its new value
-    digest: str  # of the configuration before it, which earlier checkpoints state
+    digest: str  # digest of the configuration before it, which earlier checkpoints state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,10 +120,10 @@ class RunConfig:
     settings: RunSettings
     learner: AbstractMetaLearner[Any, Any]
     family: str  # the family's own name, by which it is found again
-    world: EnvRecord  # of training
-    task_digest: str  # of the training tasks
-    engine: str  # what moves the world
-    versions: dict[str, str]  # of Python and of the packages that took part
+    world: EnvRecord  # the environment of training
+    task_digest: str  # digest of the training tasks
+    engine: str  # the engine that moves the world
+    versions: dict[str, str]  # versions of Python and of the packages that took part
     changes: tuple[Change, ...] = ()  # since the run began, the earliest first
     # `init_from`: learner and weights that the run began with. `command` and `commit`: how a policy
     # that comes with the library was trained.

@@ -1,4 +1,4 @@
-"""What a run writes down of every iteration: JSON lines, and events for TensorBoard."""
+"""The log of a run: JSON lines and events for TensorBoard, one of each per iteration."""
 
 import contextlib
 import json
@@ -29,8 +29,8 @@ class Progress(NamedTuple):
     environment_steps: int  # control steps so far
     seconds: float  # wall time of the iteration
     steps_per_second: float  # control steps per second
-    devices: int  # that shared the tasks
-    info: dict[str, float]  # what the learner reports: `return_after`, `outer/kl`, ...
+    devices: int  # number of devices that shared the tasks
+    info: dict[str, float]  # metrics of the learner: `return_after`, `outer/kl`, ...
 
     def find(self, name: str) -> float | None:
         """Return the number in `info` whose path ends so; None if there is none."""
@@ -46,7 +46,7 @@ class RunLog(NamedTuple):
 
     @classmethod
     def begin(cls, directory: Path, iterations: int) -> "RunLog":
-        """Go on with a log after so many iterations; what it has of later ones is forgotten."""
+        """Go on with a log after a number of iterations; lines of later ones are removed."""
         events = directory / "tensorboard" / f"events.out.tfevents.{int(time.time())}"
         log = cls(directory / METRICS, directory / TIMING, events)
         append(events, _event(file_version="brain.Event:2"))

@@ -1,4 +1,4 @@
-"""What a process sets once: where compiled programs are kept, and how signals end it."""
+"""Process-wide settings: the cache of compiled programs, and an orderly end on signals."""
 
 import contextlib
 import os

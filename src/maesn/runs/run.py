@@ -5,6 +5,7 @@
 
 import dataclasses
 import logging
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -42,18 +43,18 @@ from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_po
 logger = logging.getLogger(__name__)
 
 CHECKPOINTS = "checkpoints"
-# Beginnings of names there: of a checkpoint, and of the replay that belongs to the newest one.
+# Names of checkpoints begin like this, and the name of the replay of the newest one.
 ITERATION, REPLAY = "iteration-", "replay-"
 LARGEST_REPLAY = 200  # megabytes, in memory and on disk
 
-# An "iteration" that no run reaches: its key makes the untrained state. A split of the seed's key
-# would yield those of iterations 0 and 1 again.
+# No run reaches this iteration, so its key is free for the untrained state. (A split of the seed's
+# key would give the keys of iterations 0 and 1 again.)
 _UNTRAINED = 0xFFFFFFFF
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """What `config.json` says, and the checkpoints beside it; made by `create` or `open`."""
+    """A run directory: its `config.json` and its checkpoints. Made by `create` or `open`."""
 
     directory: Path
     config: RunConfig
@@ -63,10 +64,11 @@ class Run:
     own_method: str | None = None  # likewise of a user's own method
 
     @property
-    def own_options(self) -> str:
-        """The options that commands need which go on with a run of the user's own modules."""
+    def typed(self) -> str:
+        """The run as commands take it: its directory, and the user's own modules that it needs."""
         own = {"method": self.own_method, "family": self.own_family}
-        return "".join(f" --{option} {name}" for option, name in own.items() if name)
+        options = (f" --{option} {name}" for option, name in own.items() if name)
+        return shlex.quote(str(self.directory)) + "".join(options)
 
     @property
     def settings(self) -> RunSettings:
@@ -121,10 +123,10 @@ class Run:
             what_to_do = f"at most {LARGEST_REPLAY} MB are kept: let it hold fewer episodes"
             raise RunError(f"the replay of `{method}` takes {megabytes:.0f} MB; {what_to_do}.")
         with storage.locked(run.directory):
-            # Of a process that was killed here the first checkpoint may be left.
+            # A process that was killed here may have left its first checkpoint.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
-                what_to_do = f"choose another directory, or go on with it: maesn resume {directory}"
-                raise RunError(f"`{directory}` holds a run; {what_to_do}")
+                what_to_do = "choose another directory, or go on with it: maesn resume"
+                raise RunError(f"`{directory}` holds a run; {what_to_do} {run.typed}")
             if settings.tasks not in NAMED_SETS:
                 save_tasks(run.directory / sources.TASKS_FILE, tasks, family)
             run.save_state(state)
@@ -214,7 +216,7 @@ class Run:
         return {"learner": learner, "weights": checkpoint.digest_of_arrays(weights)}
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Return what training has logged per iteration: name -> number, None if not finite."""
+        """Return the metrics of each iteration: name -> number, None if it is not finite."""
         return storage.read_json_lines(self.directory / METRICS)
 
     def checkpoints(self) -> list[Path]:
@@ -223,7 +225,7 @@ class Run:
         return sorted(found, key=lambda path: (len(path.name), path.name))
 
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
-        """Write a state, and how many control steps were played for it, and return the path."""
+        """Write a state with the number of control steps played so far, and return the path."""
         iteration = int(self.learner.iteration(state))
         folder, file = self.directory / CHECKPOINTS, f"{iteration:06d}.safetensors"
         metadata = {

@@ -20,7 +20,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 
-from maesn.settings import leaves
+from maesn.settings import check_choice, leaves
 from maesn.storage import RunError
 
 Settings = TypeVar("Settings")
@@ -168,7 +168,9 @@ def decode(value: Any, hint: Any, where: str) -> Any:
         # Settings have a tag; of another dataclass the field tells the class.
         tagged = issubclass(origin, eqx.Module)
         return from_json(value, origin) if tagged else fields_from_json(origin, value)
-    if (origin is Literal and value in arguments) or type(value) is origin:
+    if origin is Literal:
+        check_choice(where, value, wanted)
+    if origin is Literal or type(value) is origin:
         return value  # `type`, not `isinstance`: True is no number of tasks
     if origin is float and type(value) is int:
         return float(value)

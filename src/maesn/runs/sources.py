@@ -1,4 +1,4 @@
-"""Where runs are, and with what family and tasks they were made.
+"""Finding runs, and the methods, families and tasks that they were made with.
 
 A policy that comes with the library is a run directory of its last checkpoint alone.
 """

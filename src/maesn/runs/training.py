@@ -1,4 +1,4 @@
-"""The training loop, which ends well however it is stopped, and changes between two sessions."""
+"""The training loop, which saves its state however it is stopped, and changes of its settings."""
 
 import contextlib
 import dataclasses
@@ -38,10 +38,10 @@ logger = logging.getLogger(__name__)
 # Every draw of an iteration is fresh, so one bad step is bad luck. Five in a row are not.
 MAX_NONFINITE = 5
 
-# The latest checkpoints that stay: others than the last one in case that it is damaged.
+# Number of checkpoints that stay. The last one alone could be damaged.
 KEEP = 3
 
-# Settings that may change between two sessions: without the others what was learned is of no use.
+# Settings that cannot change between two sessions, because what was learned depends on them.
 _FIXED = ("method", "family", "variant", "tasks")
 CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not in _FIXED)
 
@@ -52,8 +52,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
     n iterations, an end of any kind, and m more are n + m iterations bit for bit, `metrics.jsonl`
     included, on the same machine with the same versions and number of threads. A checkpoint is
     written every `checkpoint_every` iterations and at any end but that of the process.
-    `iterations` is the total; None for that of the run's settings. Beside the first checkpoint stay
-    the latest `keep`; 0: all.
+    `iterations` is the total; None for that of the run's settings. The first checkpoint and the
+    latest `keep` stay; 0: all stay.
 
     Raises:
         RunError: the run cannot be read or written, another process trains it, or steps were not
@@ -69,7 +69,7 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         if is_lead():
             stack.enter_context(locked(run.directory))
             for folder in (run.directory, run.directory / CHECKPOINTS):
-                for partial in folder.glob(f"*{PARTIAL}"):  # of processes that were killed
+                for partial in folder.glob(f"*{PARTIAL}"):  # left by processes that were killed
                     partial.unlink(missing_ok=True)
         if read_config(run.directory).digest() != run.config.digest():
             raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
@@ -83,7 +83,7 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
             logger.warning("`%s` was begun with other versions: %s.", run.directory, begun)
         world = stack.enter_context(contextlib.closing(run.world()))
         training = _Training(run, log, keep, start, saved=start.iteration)
-        # Again if the first time is interrupted: there is nothing left to do otherwise.
+        # Twice: if a signal interrupts the first call, the second one saves.
         stack.callback(training.save)
         stack.callback(training.save)
         collect = Collector(world, run.settings.episodes_per_task, watch=training.count)
@@ -184,9 +184,8 @@ def train_live(
                 show(f"{last.iteration}/{total}: {describe(last)}, {left} left")
     except (KeyboardInterrupt, SystemExit):
         more = "" if total == run.settings.iterations else f" --iterations {total}"
-        more += run.own_options
         with contextlib.suppress(OSError):  # the terminal may be gone
-            say(f"Stopped, and saved. To go on: maesn resume {run.directory}{more}")
+            say(f"Stopped, and saved. To go on: maesn resume {run.typed}{more}")
         raise
     if last is None:
         say(f"{run.directory} has done {total} iterations: nothing is left.")

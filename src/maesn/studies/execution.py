@@ -1,35 +1,30 @@
-"""Computing the jobs of a plan: in an order that suits, here or on a cluster, again where lost.
+"""The jobs of a plan, each computed once: in a good order, and again where a process was lost.
 
-What is done is on disk; nothing else is remembered. So a study that was killed goes on.
+The disk holds all that is done, and nothing else does. So a study that was killed goes on.
 """
 
 import dataclasses
-import multiprocessing
-import os
-import signal
-import sys
-import tempfile
-import threading
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Set
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.connection import Connection
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
-from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import RunError, is_locked, read_json, write_json
-from maesn.studies.jobs import DONE, Job, computed
-from maesn.worlds.budget import STEPS_PER_SECOND
+from maesn.studies.jobs import DONE, Job
 
-ExecutorName = Literal["local", "ray"]
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
-ATTEMPTS = 3  # at a job, which may have failed because its process was killed
+ATTEMPTS = 3  # a job may fail because its process was killed
+
+# A guess for jobs of a kind that has not been computed yet: the start, with compilation, and then
+# the speed of one thread.
+SECONDS_TO_BEGIN = 10
+STEPS_PER_SECOND = 50_000
 
 
 class AbstractExecutor(ABC):
@@ -40,10 +35,14 @@ class AbstractExecutor(ABC):
 
     @abstractmethod
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
-        """Begin a job in the directory of all jobs. There is a slot for it.
+        """Begin a job, for which there is a slot, in the directory of all jobs.
 
         The future returns its error, or None. It raises if the process or the machine is lost.
         """
+
+    def describe(self, lost: BaseException) -> str:
+        """Say why a process or machine was lost; raise a `RunError` if no process can work."""
+        return f"it ended with {lost!r}."
 
     def close(self) -> None:
         """Stop all jobs; the same jobs go on later."""
@@ -52,17 +51,17 @@ class AbstractExecutor(ABC):
 
 @dataclasses.dataclass
 class Execution:
-    """The jobs of a plan, in the directory in which they are computed."""
+    """The jobs of a plan, and the directory in which they are computed."""
 
     jobs: Mapping[str, Job]
     directory: Path
     joined: Set[str] = frozenset()
-    """Jobs whose results a table of the study has: their own directories may be gone."""
+    """Jobs whose results are in a table of the study. Their own directories may be gone."""
     failed: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Job -> its error."""
+    """Name of a failed job -> its error."""
 
     def run(self, executor: AbstractExecutor, say: Say) -> None:
-        """Compute all that can be computed; what fails is in `failed` then."""
+        """Compute all jobs except those that need a failed one, and note those that fail."""
         waiting = [job for job in self.jobs.values() if not self.is_done(job.name)]
         waiting.sort(key=lambda job: -job.steps)  # the longest decide when all is done
         total, done = len(self.jobs), len(self.jobs) - len(waiting)
@@ -78,11 +77,11 @@ class Execution:
                 running[executor.submit(job, self.directory)] = job
             if not running:
                 time.sleep(1.0)  # another study computes what is left
-            # What others compute may be done before a job of ours is.
+            # Another process may finish a job that ours wait for.
             timeout = 10.0 if waiting and len(running) < executor.slots else None
             for future in wait(running, timeout, FIRST_COMPLETED).done:
                 job, lost = running.pop(future), future.exception()
-                error = f"it ended with {lost!r}" if lost else future.result()
+                error = executor.describe(lost) if lost else future.result()
                 if error is None:
                     done += 1
                     (self.directory / job.name / FAILED).unlink(missing_ok=True)
@@ -97,7 +96,7 @@ class Execution:
                     waiting = [one for one in waiting if not self._needs_failed(one)]
 
     def only(self, name: str) -> None:
-        """Leave one job, of which those that it needs must be done; else it is a `RunError`."""
+        """Drop all jobs but one; `RunError` if a job that it needs is not done."""
         if name not in self.jobs:
             raise RunError(f"the study has no job `{name}`: `--dry-run` lists them.")
         missing = [need for need in self.jobs[name].needs if not self.is_done(need)]
@@ -106,14 +105,14 @@ class Execution:
         self.jobs = {name: self.jobs[name]}
 
     def done(self, name: str) -> dict[str, Any] | None:
-        """Return what a job has written down at its end; None if it is not done."""
+        """Return the content of a job's `done.json`; None if it is not done."""
         path = self.directory / name / DONE
         if path.exists():
             return read_json(path)
         return {} if name in self.joined else None
 
     def is_done(self, name: str) -> bool:
-        """Whether the result of a job is there, or has become part of a table."""
+        """Whether a job's directory or a table holds its result."""
         return self.done(name) is not None
 
     def _can_begin(self, job: Job) -> bool:
@@ -124,7 +123,7 @@ class Execution:
         return any(name in self.failed or self._needs_failed(self.jobs[name]) for name in job.needs)
 
     def status(self, job: Job) -> tuple[str, str]:
-        """Return whether a job is done, running, failed or waiting, and a remark."""
+        """Return `done`, `running`, `failed` or `waiting`, and a remark."""
         folder = self.directory / job.name
         if (done := self.done(job.name)) is not None:
             return "done", f"{done['seconds']:.0f} s" if done else ""
@@ -135,117 +134,34 @@ class Execution:
         return "waiting", ""
 
     def left(self, workers: int) -> str:
-        """Return a sentence on the time until all is done, by the speed of what is done."""
-        done = [one for one in map(self.done, self.jobs) if one]
-        steps, seconds = (sum(float(one[key]) for one in done) for key in ("steps", "seconds"))
-        speed = steps / seconds if steps and seconds else STEPS_PER_SECOND / 2
-        missing = sum(
-            job.steps * (1 - job.progress(self.directory / job.name))
-            for job in self.jobs.values()
-            if not self.is_done(job.name)
-        )
-        minutes = missing / speed / workers / 60
-        return f"About {minutes:,.0f} minutes left with {workers} at a time."
+        """Return a sentence with an estimate of the time left, and what it rests on."""
+        done = {name: found for name in self.jobs if (found := self.done(name)) is not None}
+        seconds, ends = 0.0, dict.fromkeys(done, 0.0)
+        rests_on = dict[str, None]()
+        for job in self.jobs.values():
+            if job.name not in done:
+                share = 1 - job.progress(self.directory / job.name)
+                takes, basis = _estimate(job, done)
+                rests_on[basis] = None
+                seconds += share * takes
+                before = (ends.get(name, 0.0) for name in job.needs)
+                ends[job.name] = share * takes + max(before, default=0.0)
+        if not rests_on:
+            return "All jobs are done."
+        minutes = math.ceil(max(seconds / workers, *ends.values()) / 60)
+        left = f"{minutes / 60:,.0f} hours" if minutes > 180 else f"{minutes} min"
+        return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
 
-class LocalPool(AbstractExecutor):
-    """Processes of this machine. Each is a pool of its own: one that dies costs its job alone."""
-
-    def __init__(self, workers: int, threads: int) -> None:
-        self.slots = workers
-        self._before = dict(os.environ)
-        os.environ.update(thread_variables(threads))  # of the processes that begin from now on
-        self._context = multiprocessing.get_context("spawn")
-        # Workers wait until its end here is closed, by `close` or because this process ends.
-        self._parent, self._alive = self._context.Pipe(duplex=False)
-        self._last: dict[ProcessPoolExecutor, Future[str | None]] = {}
-
-    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
-        idle = [pool for pool, last in self._last.items() if last.done()]
-        pool = idle[0] if idle else ProcessPoolExecutor(1, self._context, _begin, (self._parent,))
-        try:
-            self._last[pool] = pool.submit(_compute, job, jobs)
-        except BrokenProcessPool:
-            pool.shutdown()
-            del self._last[pool]
-            return self.submit(job, jobs)
-        return self._last[pool]
-
-    def close(self) -> None:
-        self._alive.close()
-        for pool in self._last:
-            pool.shutdown()
-        self._parent.close()
-        os.environ.clear()
-        os.environ.update(self._before)
-
-
-def _begin(parent: Connection) -> None:
-    """Prepare a worker: it has SIGTERM when the parent has closed its end of a pipe, or is gone."""
-
-    def end() -> None:
-        parent.poll(None)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    # Ctrl-C in a terminal reaches all processes; what it means is the parent's to say.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    enable_compilation_cache()
-    threading.Thread(target=end, daemon=True).start()
-
-
-def _compute(job: Job, jobs: Path) -> str | None:
-    """Compute a job in a worker, which ends by SIGTERM when it has saved what there is."""
-    try:
-        with ending_by_signals():
-            return computed(job, jobs)
-    except SystemExit:
-        os._exit(1)  # the pool would catch it, and wait for jobs of a parent that may be gone
-
-
-class Ray(AbstractExecutor):
-    """A Ray cluster, all of which sees `jobs`: that of `RAY_ADDRESS`, else this machine.
-
-    Each job takes as many CPUs as it has threads, and `gpus`, which may be a part of one.
-    """
-
-    def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
-        try:
-            self._ray: Any = __import__("ray")
-        except ImportError as error:
-            raise RunError("the executor `ray` needs Ray: pip install -e '.[ray]'.") from error
-        local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
-        self._ray.init(
-            log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local
-        )
-        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        variables = path | thread_variables(threads)
-        self._remote = self._ray.remote(_on_cluster).options(
-            num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
-        )
-        self.slots = workers  # what the cluster has no CPUs for waits there
-        with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
-            if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
-                raise RunError(f"the cluster must see `{jobs.resolve()}`: give a shared --out.")
-
-    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
-        future: Future[str | None] = self._remote.remote(computed, job, jobs.resolve()).future()
-        return future
-
-    def close(self) -> None:
-        self._ray.shutdown()
-
-
-def _on_cluster(function: Any, *arguments: Any) -> Any:
-    enable_compilation_cache()
-    return function(*arguments)
-
-
-def thread_variables(threads: int) -> dict[str, str]:
-    """Return variables with which a process computes in so many threads, XLA's included."""
-    eigen = "" if threads > 1 else " --xla_cpu_multi_thread_eigen=false"
-    return {
-        "OMP_NUM_THREADS": str(threads),
-        "OPENBLAS_NUM_THREADS": str(threads),
-        "NPROC": str(threads),  # of XLA's pool
-        "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + eigen,
-    }
+def _estimate(job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+    """Return the seconds that a job takes, and what says so: jobs of its kind and family if any."""
+    kind = job.name.split("-")[:2]
+    like = [found for name, found in done.items() if found and name.split("-")[:2] == kind]
+    steps, seconds = (sum(float(one[key]) for one in like) for key in ("steps", "seconds"))
+    if steps:
+        return job.steps * seconds / steps, "what jobs of the same kind took"
+    return (
+        SECONDS_TO_BEGIN + job.steps / STEPS_PER_SECOND,
+        f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, as "
+        "on `point` and `wheeled`",
+    )

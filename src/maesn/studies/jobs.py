@@ -1,7 +1,7 @@
 """Jobs: the parts of a study that are computed separately, each once.
 
-A job is a directory in `DIR/jobs`, named by a digest of all that decides its numbers. It is done
-when `done.json` stands in it, which is written last.
+Each job has a directory in `DIR/jobs`, named by a digest of everything that decides its numbers. It
+is done when the directory holds `done.json`, which is written last.
 """
 
 import dataclasses
@@ -31,21 +31,21 @@ DONE, ROWS, LATENTS, EXPLORATION = "done.json", "rows.csv", "latents.npz", "expl
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What is computed separately."""
+    """A part of a study that is computed separately."""
 
     name: str
-    """Of its directory: what it is, and the digest."""
+    """Name of its directory: kind, family, method and seed, and the digest."""
     needs: tuple[str, ...]
     """Names of the jobs that must be done before."""
     steps: int
-    """Environment steps that it plays, about: for estimates of time."""
+    """Approximate number of environment steps, for estimates of time."""
     compute: Callable[[Path], dict[str, Any]]
-    """Writes into the job's directory, and returns what else is to be known of the result."""
+    """Writes results into the job's directory, and returns more entries for `done.json`."""
     iterations: int = 0
-    """Of training."""
+    """Meta-iterations of a training."""
 
     def progress(self, directory: Path) -> float:
-        """Return which share is done of a job that is being computed."""
+        """Return the share of a training that is done, from 0 to 1; 0 for other jobs."""
         log = directory / RUN / METRICS
         done = log.read_bytes().count(b"\n") if log.exists() else 0
         return done / max(self.iterations, 1)
@@ -70,7 +70,7 @@ def computed(job: Job, jobs: Path) -> str | None:
 def train_run(
     learner: AbstractMetaLearner[Any, Any], settings: RunSettings, init_from: str, directory: Path
 ) -> dict[str, Any]:
-    """Train a run, which goes on where it was interrupted."""
+    """Train a run, from its latest checkpoint if there is one."""
     path = directory / RUN
     if (path / CONFIG).exists():
         run = Run.open(path, settings.own_family)

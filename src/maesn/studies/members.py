@@ -27,29 +27,28 @@ from maesn.runs.sources import own_method
 from maesn.search import latent_of
 from maesn.settings import leaves, suggestion
 from maesn.storage import refusals
-from maesn.studies.reading import Place
-from maesn.studies.spec import ScratchSpec, StudySpec
+from maesn.studies.spec import Place, ScratchSpec, StudySpec, is_for
 from maesn.worlds import check_policy, make_world
 from maesn.worlds.collector import Collector
 
 RUN = "run"  # in the directory of a job that trains
 
-# What all runs of a study have in common, or what each has of its own, is not a run's to say.
+# Settings that the study decides, or that differ from run to run: `[runs.NAME]` cannot have them.
 _NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AbstractMember(ABC):
-    """What adapts to new tasks, with one seed. Jobs take it with them to other processes."""
+    """An agent with one seed that adapts to new tasks. Jobs take it to other processes."""
 
     seed: int
     method: str = ""
-    """By which it is drawn; empty for a baseline."""
+    """Name of the method, which decides its colour; empty for a baseline."""
     label: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """By their path."""
+    """Settings by their path."""
     identity: str
-    """What decides how it acts, besides the seed."""
+    """Text that is equal for agents that act alike, seeds apart."""
     needs: tuple[str, ...] = ()
     """The job that trains it, if there is one."""
     training_steps: int | None = None
@@ -61,11 +60,11 @@ class AbstractMember(ABC):
 
     @abstractmethod
     def trial_episodes(self, asked: Evaluation) -> int | None:
-        """Return the length of its trials, if any; `RunError` if it cannot be evaluated so."""
+        """Return the episodes of a trial, None without trials; `RunError` if they do not fit."""
 
     @abstractmethod
     def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
-        """Adapt to some tasks, with what is done in the directory of jobs."""
+        """Adapt to some tasks. `jobs` is the directory of all jobs, where a trained run is."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -73,15 +72,15 @@ class TrainedRun(AbstractMember):
     """A run: one that a job trains, or one that exists."""
 
     run: Run = dataclasses.field(compare=False, repr=False)
-    """Read, or as it will be created: for plans alone. Jobs open it."""
+    """The run as it is or will be, for plans. Jobs open it themselves."""
     init_from: str = ""
-    """What its training starts from."""
+    """Directory of the run that its training starts from, if any."""
     directory: str = ""
-    """Of one that exists."""
+    """Directory of a run that exists."""
     family: str | None = None
     """`module:name`, if it is the user's own."""
     own_method: str | None = None
-    """`module:name` likewise of the method."""
+    """`module:name`, if it is the user's own."""
 
     def __getstate__(self) -> dict[str, Any]:
         # A family of the user's own need not be anything that can be pickled.
@@ -113,7 +112,7 @@ class Untrained(AbstractMember):
     """A learner that was not trained: a method from scratch, or a baseline."""
 
     world: RunSettings
-    """Of these settings, those of the environment count."""
+    """Settings of the environment and the engine; the others have no meaning here."""
     learner: AbstractFastLearner[Any]
 
     def env(self, asked: Evaluation) -> AnyEnv:
@@ -171,7 +170,7 @@ def _untrained(
 def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]:
     """Return the seeds of a run on one family; none if it is not to be on that one."""
     spec = study.runs[name]
-    if family not in (spec.families or [family]):
+    if not is_for(family, spec):
         return []
     with (Place(study.file) / "runs" / name).refusing():
         members = [_existing(one, study, family) for one in spec.directories] or [
@@ -181,7 +180,7 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
-    """Return a run as a member; of one that exists, its learner and weights are its identity."""
+    """Return a run as a member. Without an `identity`, learner and weights are."""
     config = run.config.document()
     return TrainedRun(
         seed=run.settings.seed,
@@ -204,7 +203,7 @@ def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
 
 
 def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
-    """Return a run that is to be trained; all is checked that can be before."""
+    """Return a run that is to be trained, after all checks that are possible before training."""
     resolved = resolve_family(family)
     learner, settings = _settings(study, name, family, seed)
     learner = learner.for_actions(make_env(resolved, settings).action_kind)

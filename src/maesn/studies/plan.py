@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from maesn.envs import AnyEnv, describe_env
+from maesn.envs import AnyEnv, TaskSet, describe_env
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
@@ -27,23 +27,71 @@ from maesn.studies.members import (
     members_from_scratch,
     members_of_run,
 )
-from maesn.studies.reading import Place
-from maesn.studies.spec import RECORDED, LineSpec, StudySpec
+from maesn.studies.reading import check_names
+from maesn.studies.spec import RECORDED, LineSpec, Place, StudySpec, is_for
 from maesn.worlds import engine_of
 
-Entry: TypeAlias = dict[str, Any]
-"""Of the manifest: a comparison, or one of its lines, whose `seeds` are members and their jobs."""
+
+@dataclasses.dataclass(frozen=True)
+class PlannedLine:
+    """A run, a method from scratch or a baseline under one evaluation, with every seed."""
+
+    name: str
+    source: str
+    """Name of the run or method, which lines under other evaluations share."""
+    asked: Evaluation
+    num_tasks: int
+    trial_episodes: int | None
+    seeds: Sequence[tuple[AbstractMember, Sequence[str]]]
+    """Members that differ in their seed alone, each with the jobs that evaluate it."""
+    label: str = ""
+    """Name in figures and tables."""
+
+    @property
+    def first(self) -> AbstractMember:
+        """The member with the first seed."""
+        return self.seeds[0][0]
+
+    def document(self, seeds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return the line as the manifest has it, with these seeds."""
+        asked, first = self.asked, self.first
+        budget = {**asked.budget._asdict(), "num_tasks": self.num_tasks, "seed": asked.seed}
+        return {
+            "name": self.name,
+            "source": self.source,
+            "method": first.method,
+            "label": self.label,
+            "addition": bool(asked.wrappers),
+            "settings": first.settings,
+            "evaluation": {"rule": asked.rule_text, **budget},
+            "trial_episodes": self.trial_episodes,
+            "seeds": seeds,
+        }
 
 
-def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[Entry]]:
-    """Return what a study computes and what for: jobs by name, and comparisons.
+@dataclasses.dataclass(frozen=True)
+class PlannedComparison:
+    """Lines in the same tasks, under the same reward."""
 
-    Each job is behind those that it needs. `RunError` with the place in its file of what cannot be.
+    name: str
+    world: Mapping[str, Any]
+    """Family, variant, tasks, reward, radius and horizon, as the manifest has them."""
+    lines: Mapping[str, Sequence[PlannedLine]]
+    """The `lines` of the study; `baselines`, which learn nothing; the `oracle`, if there is one."""
+    recorded: Mapping[str, str]
+    """Name of a run -> the job that records its paths."""
+
+
+def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[PlannedComparison]]:
+    """Return the jobs of a study by name, each behind those that it needs, and its comparisons.
+
+    It is a `RunError` with the place in the study's file if something cannot be.
     """
+    check_names(study)
     jobs: dict[str, Job] = {}
     planned = [_Planner(study, family, jobs).compare() for family in study.families]
     found = [one for comparisons in planned for one in comparisons]
-    if len({one["name"] for one in found}) < len(found):
+    if len({one.name for one in found}) < len(found):
         wrong = "two families, or two files of tasks, have the same name: rename one"
         raise RunError(f"`{study.file}`: {wrong}.")
     return jobs, found
@@ -56,21 +104,21 @@ class _Planner:
     study: StudySpec
     family: str
     jobs: dict[str, Job]
-    """Those of the families before, and what is planned here."""
+    """All planned jobs, those of earlier families included."""
     runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
 
-    def compare(self) -> Iterator[Entry]:
-        """Yield what is compared: lines in the same tasks, under the same reward."""
+    def compare(self) -> Iterator[PlannedComparison]:
+        """Yield a comparison for each set of tasks, reward and radius that lines have."""
         worlds = defaultdict(list)
         for number, spec in enumerate(self.study.all_lines, start=1):
-            if self.family in (spec.families or [self.family]):
+            if is_for(self.family, spec):
                 members: Sequence[AbstractMember] = self.run(spec.run) if spec.run else ()
                 if spec.scratch:
                     members = members_from_scratch(self.study, spec.scratch, self.family)
                 with (Place(self.study.file) / "lines" / number).refusing():
-                    for asked, line in self.lines(spec, members):
-                        world = asked.tasks, asked.reward, asked.sparse_radius
-                        worlds[world].append((asked, line))
+                    for line in self.evaluations(spec, members):
+                        asked = line.asked
+                        worlds[asked.tasks, asked.reward, asked.sparse_radius].append(line)
         # The name of a comparison is that of the family, and what tells it from others there.
         differs = [len(set(values)) > 1 for values in zip(*worlds, strict=True)]
         for world, lines in worlds.items():
@@ -80,7 +128,7 @@ class _Planner:
             yield self.comparison(name, lines)
 
     def run(self, name: str) -> Sequence[TrainedRun]:
-        """Return the seeds of a run, none if it is not of this family, and plan their training."""
+        """Return the seeds of a run, none if it is not for this family, and plan their training."""
         if name not in self.runs:
             self.runs[name] = members_of_run(self.study, name, self.family)
             for one in self.runs[name]:
@@ -90,10 +138,10 @@ class _Planner:
                     self.add(job, (), _steps_of_training(one.run), work, settings.iterations)
         return self.runs[name]
 
-    def lines(
+    def evaluations(
         self, spec: LineSpec, members: Sequence[AbstractMember]
-    ) -> Iterator[tuple[Evaluation, Entry]]:
-        """Yield a line with each of its evaluations."""
+    ) -> Iterator[PlannedLine]:
+        """Yield a line for each evaluation of a run or a method from scratch."""
         study, source = self.study, spec.run or spec.scratch
         for evaluation, name in study.names_of(spec).items() if members else ():
             chosen = study.evaluations[evaluation]
@@ -110,72 +158,60 @@ class _Planner:
 
     def line(
         self, name: str, source: str, members: Sequence[AbstractMember], asked: Evaluation
-    ) -> tuple[Evaluation, Entry]:
-        """Return a line of members that adapt alike, with its evaluation in full."""
-        study, first = self.study, members[0]
+    ) -> PlannedLine:
+        """Return a line with its evaluation in full, and plan its jobs."""
         asked = dataclasses.replace(
             asked,
             # It is said because runs may have been trained with another one.
-            sparse_radius=first.env(asked).sparse_radius or None,
-            seed=study.evaluation_seed,
-            engine=study.engine,
-            num_threads=study.threads,
+            sparse_radius=members[0].env(asked).sparse_radius or None,
+            seed=self.study.evaluation_seed,
+            engine=self.study.engine,
+            num_threads=self.study.threads,
         )
         trials = [member.trial_episodes(asked) for member in members]
-        num_tasks = asked.count(find_tasks(asked.tasks, resolve_family(self.family)))
-        budget = {**asked.budget._asdict(), "num_tasks": num_tasks, "seed": asked.seed}
-        return asked, {
-            "name": name,
-            "source": source,
-            "method": first.method,
-            "label": first.label,
-            "addition": bool(asked.wrappers),
-            "settings": first.settings,
-            "evaluation": {"rule": asked.rule_text, **budget},
-            "trial_episodes": trials[0],
-            "seeds": [(one, list(self.evaluate(name, one, asked))) for one in members],
-        }
+        seeds = [(one, [*self.evaluate(name, one, asked)]) for one in members]
+        return PlannedLine(name, source, asked, asked.count(self.tasks(asked)), trials[0], seeds)
 
-    def comparison(self, name: str, planned: Sequence[tuple[Evaluation, Entry]]) -> Entry:
+    def comparison(self, name: str, lines: Sequence[PlannedLine]) -> PlannedComparison:
         """Return a comparison, with agents that learn nothing below, and the oracle above."""
-        first, lines = planned[0][0], [line for _, line in planned]
+        study, first = self.study, lines[0].asked
         asked = Evaluation(
             tasks=first.tasks,
-            num_tasks=max(line["evaluation"]["num_tasks"] for line in lines),
+            num_tasks=max(line.num_tasks for line in lines),
             reward=first.reward,
             episodes=0,
             sparse_radius=first.sparse_radius,
             tasks_at_once=first.tasks_at_once,
         )
-        study, still = self.study, baselines(self.study.world(self.family))
+        still = baselines(study.world(self.family))
         below = [self.line(name, name, [one], asked) for name, one in still.items()]
         best = self.run(study.oracle) if study.oracle else ()
         above = [self.line("oracle", study.oracle, best, asked)] if best else []
-        return {
-            "name": name,
+        world = {
             "family": self.family,
             "variant": study.variant,
             "tasks": first.tasks,
             "reward": first.reward,
             "sparse_radius": first.sparse_radius,
-            "horizon": next(iter(still.values())).env(asked).horizon,
-            "lines": _labelled(planned),
-            "baselines": _labelled(below),
-            "oracle": _labelled(above),
-            "recorded": dict(self.record(dict.fromkeys(line["source"] for line in lines))),
+            "horizon": below[0].first.env(asked).horizon,
         }
+        groups = {"lines": lines, "baselines": below, "oracle": above}
+        labelled = {group: _labelled(found) for group, found in groups.items()}
+        recorded = dict(self.record(dict.fromkeys(line.source for line in lines)))
+        return PlannedComparison(name, world, labelled, recorded)
 
     def record(self, sources: Iterable[str]) -> Iterator[tuple[str, str]]:
-        """Plan what figures of runs need to have recorded; yield names of runs and jobs.
+        """Plan the recordings that figures need; yield names of runs and jobs.
 
         `sources` are the runs and methods that the comparison has lines of.
         """
-        figures = [one for one in self.study.figures if one.kind in RECORDED]
-        here = [one for one in figures if self.family in (one.families or [self.family])]
+        figures = [
+            one for one in self.study.figures if one.kind in RECORDED and is_for(self.family, one)
+        ]
         for name in sources:
             lines = [line for line in self.study.all_lines if name == line.run]
             names = {name, *(one for line in lines for one in self.study.names_of(line).values())}
-            drawn = any(not one.lines or names & {*one.lines} for one in here)
+            drawn = any(not one.lines or names & {*one.lines} for one in figures)
             for member in self.runs.get(name, ())[:1]:
                 env = member.run.env()
                 if drawn and env.planar:
@@ -186,9 +222,7 @@ class _Planner:
 
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
-        tasks = find_tasks(asked.tasks, resolve_family(self.family))
-        budget, env = asked.budget, member.env(asked)
-        needs = member.needs
+        tasks, budget, env, needs = self.tasks(asked), asked.budget, member.env(asked), member.needs
         who = f"{env.name}-{member.method or name}"
         without_noise = {} if asked.action_noise else {"action_noise": False}
         is_search = asked.rule is not None and asked.rule.needs_return_prior
@@ -221,6 +255,10 @@ class _Planner:
             work = partial(adapt_member, member, asked, range(first, first + count))
             yield self.add(job, needs, of_task * count, work)
 
+    def tasks(self, asked: Evaluation) -> TaskSet:
+        """Return the set of tasks that an evaluation names."""
+        return find_tasks(asked.tasks, resolve_family(self.family))
+
     def add(self, name: str, *fields: Any) -> str:
         """Plan a job, unless it is planned already; return its name."""
         self.jobs.setdefault(name, Job(name, *fields))
@@ -239,16 +277,19 @@ def _steps_of_training(run: Run) -> int:
     return episodes * run.env().horizon
 
 
-def _labelled(planned: Sequence[tuple[Evaluation, Entry]]) -> list[Entry]:
+def _labelled(lines: Sequence[PlannedLine]) -> list[PlannedLine]:
     """Return lines as figures call them: by their methods, and what makes them differ."""
     labels = []
-    for asked, line in planned:
-        rivals = {one["source"] for _, one in planned if one["method"] == line["method"]}
-        usual = line["source"].replace("_", " ")
-        if line["method"] in METHOD_STYLES and len(rivals) == 1:
-            usual = METHOD_STYLES[line["method"]].label
-        labels.append((line["label"] or usual) + (f" ({asked.label})" if asked.label else ""))
+    for line in lines:
+        method, usual = line.first.method, line.source.replace("_", " ")
+        rivals = {one.source for one in lines if one.first.method == method}
+        if method in METHOD_STYLES and len(rivals) == 1:
+            usual = METHOD_STYLES[method].label
+        added = f" ({line.asked.label})" if line.asked.label else ""
+        labels.append((line.first.label or usual) + added)
     return [
-        line | {"label": label if labels.count(label) == 1 else f"{label} [{line['name']}]"}
-        for (_, line), label in zip(planned, labels, strict=True)
+        dataclasses.replace(
+            line, label=label if labels.count(label) == 1 else f"{label} [{line.name}]"
+        )
+        for line, label in zip(lines, labels, strict=True)
     ]

@@ -3,46 +3,18 @@
 import dataclasses
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from maesn import learners
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
-from maesn.settings import suggestion
 from maesn.storage import RunError, explained
-from maesn.studies.spec import EvaluationSpec, RunSpec, StudySpec
-
-
-class Place(NamedTuple):
-    """A place in a study's file."""
-
-    file: str
-    key: str = ""
-
-    def __truediv__(self, key: object) -> "Place":
-        return Place(self.file, f"{self.key}.{key}".lstrip("."))
-
-    @contextmanager
-    def refusing(self) -> Iterator[None]:
-        """Name the place in what the block refuses."""
-        try:
-            yield
-        except (RunError, ValueError) as error:
-            at = f", `{self.key}`" if self.key else ""
-            raise RunError(f"`{self.file}`{at}: {error}") from error
-
-    def check(self, names: str | Iterable[str], known: Iterable[str], what: str = "name") -> None:
-        """Refuse names, or one, that are not known; an empty one stands for none."""
-        with self.refusing():
-            for name in [names] if isinstance(names, str) else names:
-                if name and name not in known:
-                    raise ValueError(f"there is no {what} `{name}`.{suggestion(name, known)}")
+from maesn.studies.spec import EvaluationSpec, Place, RunSpec, StudySpec, is_for
 
 
 def shipped_studies() -> dict[str, Path]:
@@ -54,7 +26,7 @@ def shipped_studies() -> dict[str, Path]:
 def read_study(source: str | Path) -> StudySpec:
     """Read a study: a path, else the name of one that comes with the library.
 
-    It is a `RunError` if there is none, or if something in it cannot be, with its key.
+    A `RunError` says that there is none, or which key is wrong.
     """
     path = Path(source)
     path = path if path.is_file() else shipped_studies().get(str(source), path)
@@ -71,38 +43,31 @@ def read_study(source: str | Path) -> StudySpec:
         table["families"] = table.pop("family", [])
     place = Place(str(source))
     study: StudySpec = _object(StudySpec, table, place, name=path.stem, file=place.file)
-    with place.refusing():
-        if not study.families:
-            raise ValueError('a study needs families, as in `family = "wheeled"`.')
-        if not study.all_lines:
-            raise ValueError("nothing is compared: add `[runs.NAME]` or `[scratch.NAME]`.")
-    _check_names(study, place)
     return study
 
 
 def _read(hint: Any, value: Any, place: Place) -> Any:
-    """Return what a value of a file is as a field of this type."""
+    """Convert a value of a file to the type of its field."""
     kind, arguments = get_origin(hint), get_args(hint)
-    if dataclasses.is_dataclass(hint) or kind is Mapping:
-        with place.refusing():
-            if not isinstance(value, dict):
-                raise ValueError(f"expected a table, got {value!r}.")
-    if kind is Mapping:
-        return {name: _read(arguments[1], one, place / name) for name, one in value.items()}
-    if dataclasses.is_dataclass(hint):
-        own = {RunSpec: _run, EvaluationSpec: _evaluations, Evaluation: _evaluation}
-        return own[hint](value, place) if hint in own else _object(hint, value, place)
     if kind is tuple and not isinstance(value, list):
         value = [value]  # one for a list of one
     if kind is tuple and dataclasses.is_dataclass(arguments[0]):
         numbered = enumerate(value, start=1)
         return tuple(_read(arguments[0], one, place / number) for number, one in numbered)
+    if not (kind is Mapping or dataclasses.is_dataclass(hint)):
+        with place.refusing():
+            return decode(value, hint, place.key.rpartition(".")[2])
     with place.refusing():
-        return decode(value, hint, place.key.rpartition(".")[2])
+        if not isinstance(value, dict):
+            raise ValueError(f"expected a table, got {value!r}.")
+    if kind is Mapping:
+        return {name: _read(arguments[1], one, place / name) for name, one in value.items()}
+    own = {RunSpec: _run, EvaluationSpec: _evaluations, Evaluation: _evaluation}
+    return own[hint](value, place) if hint in own else _object(hint, value, place)
 
 
 def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> Any:
-    """Return a dataclass with what a table gives, and what is given here, which is no key there."""
+    """Build a dataclass from a table; the fields in `given` are no keys of the table."""
     hints = get_type_hints(kind)
     place.check(table, [name for name in hints if name not in given], "key")
     values = {name: _read(hints[name], value, place / name) for name, value in table.items()}
@@ -111,7 +76,7 @@ def _object(kind: Any, table: Mapping[str, Any], place: Place, **given: Any) -> 
 
 
 def _run(table: Mapping[str, Any], place: Place) -> Any:
-    """Read a run, of which all other keys are settings."""
+    """Read a run; keys that are not its own are settings of the learner or the run."""
     own = get_type_hints(RunSpec).keys() - {"changes"}
     plain = {name: value for name, value in table.items() if name in own}
     changes = {name: value for name, value in table.items() if name not in own}
@@ -119,7 +84,7 @@ def _run(table: Mapping[str, Any], place: Place) -> Any:
 
 
 def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
-    """Read an evaluation, and those on single families, which have its settings as well."""
+    """Read an evaluation, and the changes to it on single families."""
     usual = {name: value for name, value in table.items() if name != "on"}
     own = _read(Mapping[str, Mapping[str, Any]], table.get("on", {}), place / "on")
     on = {name: _evaluation(usual | own[name], place / "on" / name) for name in own}
@@ -127,7 +92,7 @@ def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
 
 
 def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
-    """Read an evaluation, whose rule and wrappers are texts. Its seed and so on are the study's."""
+    """Read an evaluation: rule and wrappers are texts; the study gives seed, engine and threads."""
     chosen = {}
     for option in (one for one in KNOWN if one in table):
         with (place / option).refusing():
@@ -137,8 +102,9 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
     return _object(Evaluation, plain, place, **given, engine=None, num_threads=None, seed=0)
 
 
-def _check_names(study: StudySpec, place: Place) -> None:
-    """Refuse names that nothing has."""
+def check_names(study: StudySpec) -> None:
+    """Refuse names of families, runs, evaluations and lines that do not exist."""
+    place = Place(study.file)
     with (place / "families").refusing():
         for family in study.families:
             resolve_family(family)
@@ -165,7 +131,7 @@ def _check_names(study: StudySpec, place: Place) -> None:
             for field in known.keys() & vars(spec):
                 (place / key / which / field).check(getattr(spec, field), known[field])
     for family in study.families:
-        lines = [line for line in study.all_lines if family in (line.families or [family])]
+        lines = [line for line in study.all_lines if is_for(family, line)]
         count = Counter(name for line in lines for name in study.names_of(line).values())
         with (place / "lines").refusing():
             if twice := [name for name in count if count[name] > 1]:

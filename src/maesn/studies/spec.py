@@ -4,13 +4,15 @@ A file says it in TOML (`maesn.studies.reading`); `maesn compare` says it in Pyt
 """
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from maesn.envs import Variant
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.runs.config import RunSettings
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_number, check_positive, suggestion
+from maesn.storage import RunError
 from maesn.worlds import EngineName
 
 FigureKind: TypeAlias = Literal[
@@ -20,9 +22,36 @@ FigureKind: TypeAlias = Literal[
 RECORDED: tuple[FigureKind, ...] = ("tasks", "exploration", "noise", "latents")
 
 
+class Place(NamedTuple):
+    """A place in a study's file."""
+
+    file: str
+    key: str = ""
+
+    def __truediv__(self, key: object) -> "Place":
+        return Place(self.file, f"{self.key}.{key}".lstrip("."))
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """Name the place in what the block refuses."""
+        try:
+            yield
+        except (RunError, ValueError) as error:
+            at = f", `{self.key}`" if self.key else ""
+            raise RunError(f"`{self.file}`{at}: {error}") from error
+
+    def check(self, names: str | Iterable[str], known: Iterable[str], what: str = "name") -> None:
+        """Refuse names, or one, that are not known; an empty one stands for none."""
+        for name in [names] if isinstance(names, str) else names:
+            if name and name not in known:
+                hint = suggestion(name, known) or f" Known are: {', '.join(known)}."
+                with self.refusing():
+                    raise ValueError(f"there is no {what} `{name}`.{hint}")
+
+
 @dataclasses.dataclass(frozen=True)
 class RunSpec:
-    """`[runs.NAME]`: what is trained, on each family with each seed; none: on those of the study.
+    """`[runs.NAME]`: a method that is trained on each family with each seed.
 
     All other keys are settings of the run or of the learner, as in `maesn train`. Those in
     `[runs.NAME.on.FAMILY]` hold on one family.
@@ -31,19 +60,21 @@ class RunSpec:
     preset: str = ""
     """Method, or `module:name` of your own; empty: NAME."""
     label: str = ""
-    """In figures and tables; empty: that of the method."""
+    """Name in figures and tables; empty: that of the method."""
     source: Literal["recommended", "reference"] = "recommended"
     """Defaults: what was found to work on the family, or the published settings."""
     seeds: tuple[int, ...] = ()
+    """Seeds of training; none: those of the study."""
     families: tuple[str, ...] = ()
+    """Families to train on; none: those of the study."""
     init_from: str = ""
     """Directory of a run, or name of a policy that comes with the library, to start from."""
     directories: tuple[str, ...] = ()
     """Runs that exist, of one family; they take part as they are, and nothing is trained."""
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Path of a setting, or nested settings -> value."""
+    """Settings by their path, or nested."""
     on: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
-    """Family -> the same for it alone."""
+    """Family -> settings that hold there alone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,21 +87,23 @@ class EvaluationSpec:
 
 @dataclasses.dataclass(frozen=True)
 class ScratchSpec:
-    """`[scratch.NAME]`: a method that begins anew in every task; `label` is as of a run."""
+    """`[scratch.NAME]`: a method that begins anew in every task."""
 
     method: str = ""
     """trpo, reinforce (alias vpg) or vime; empty: NAME."""
     label: str = ""
+    """Name in figures and tables; empty: that of the method."""
     seeds: tuple[int, ...] = ()
-    """Of fresh policies and of the episodes. None: those of the study."""
+    """Seeds of fresh policies and of the episodes; none: those of the study."""
     num_tasks: int | None = None
-    """The first so many tasks alone; None: those of the evaluation."""
+    """Number of tasks, the first ones; None: all of the evaluation."""
     max_kl: float | None = None
-    """Of trpo and vime: bound on the mean KL divergence of an update. None: 0.01, as published."""
+    """Bound on the mean KL divergence of an update of trpo or vime. None: 0.01, as published."""
     step_size: float | None = None
-    """Of reinforce. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`. None: the usual."""
+    """Step size of reinforce. Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`. None: the
+    usual."""
     curiosity_weight: float | None = None
-    """Of vime: the bonus for a transition of typical information gain. None: 1e-4, as published."""
+    """Bonus of vime for a transition of typical information gain. None: 1e-4, as published."""
 
     def __post_init__(self) -> None:
         check_number("num_tasks", self.num_tasks, 1)
@@ -96,18 +129,19 @@ class LineSpec:
 
 @dataclasses.dataclass(frozen=True)
 class FigureSpec:
-    """`[[figures]]`: some lines in a figure of their own, for some families, or for each."""
+    """`[[figures]]`: a figure of some lines, for each family."""
 
     name: str = "figure"
-    """Of the file; that of the family is added."""
+    """Beginning of the file's name; that of the family is added."""
     kind: FigureKind = "curves"
-    """curves, over episodes in the new task; dots, where each line ends, with its interval;
-    profiles, in which share of the tasks it ends above each return. Of runs: tasks, the goals;
+    """curves: returns over episodes in the new task. dots: where each line ends, with its interval.
+    profiles: the share of tasks in which a line ends above each return. Of runs: tasks, the goals;
     exploration, paths before any adaptation; noise, the same with z held; latents, before and after
     adaptation."""
     lines: tuple[str, ...] = ()
     """Names of runs and methods, or of one evaluation of these: `maesn-search`. None: all."""
     families: tuple[str, ...] = ()
+    """Families that have the figure; none: all."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,19 +149,19 @@ class StudySpec:
     """All that a study's file says."""
 
     name: str
-    """Of its directory."""
+    """Name of the study's directory."""
     families: tuple[str, ...]
     """Names, or `module:name` of your own."""
     file: str = "study"
-    """What messages call it."""
+    """Name of the study in messages."""
     seeds: tuple[int, ...] = (0,)
-    """Of everything that is trained or begins anew; see `evaluation_seed`."""
+    """Seeds of everything that is trained or begins anew; see `evaluation_seed`."""
     variant: Variant = "reference"
     engine: EngineName = "native"
     evaluation_seed: int = 0
-    """Of the episodes in which runs adapt."""
+    """Seed of the episodes in which runs adapt."""
     threads: int = 1
-    """Of each job. Numbers depend on it in their last digits."""
+    """Threads of each job. The last digits of numbers depend on it."""
     oracle: str = ""
     """Name of the run that is given the task, the upper end of the score."""
     runs: Mapping[str, RunSpec] = dataclasses.field(default_factory=dict)
@@ -136,13 +170,17 @@ class StudySpec:
     )
     scratch: Mapping[str, ScratchSpec] = dataclasses.field(default_factory=dict)
     lines: tuple[LineSpec, ...] = ()
-    """None: each run and each method from scratch, with all evaluations."""
+    """Lines to compare; none: each run and method from scratch, with all evaluations."""
     figures: tuple[FigureSpec, ...] = ()
-    """None: the curves of all lines."""
+    """Figures to draw; none: the curves of all lines."""
 
     def __post_init__(self) -> None:
         check_number("threads", self.threads, 1)
         check_number("evaluation_seed", self.evaluation_seed, 0, 2**32 - 1)
+        if not self.families:
+            raise ValueError('a study needs families, as in `family = "wheeled"`.')
+        if not self.all_lines:
+            raise ValueError("nothing is compared: add `[runs.NAME]` or `[scratch.NAME]`.")
 
     def names_of(self, line: LineSpec) -> dict[str, str]:
         """Return the name of a line with each of its evaluations: that of its source if alone."""
@@ -164,3 +202,8 @@ class StudySpec:
             *(LineSpec(run=name) for name in self.runs if name != self.oracle),
             *(LineSpec(scratch=name) for name in self.scratch),
         )
+
+
+def is_for(family: str, part: RunSpec | LineSpec | FigureSpec) -> bool:
+    """Whether a part of a study is for a family: for this one among others, or for all."""
+    return family in (part.families or [family])

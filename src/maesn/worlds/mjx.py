@@ -12,7 +12,7 @@ from maesn.envs.base import AbstractMujocoEnv, Start
 from maesn.envs.tasks import TaskSet
 from maesn.physics import PhysicsError
 from maesn.physics.base import LARGEST
-from maesn.physics.mjx import NO_LIMITS, MjxEngine, MjxLimits, MjxState
+from maesn.physics.mjx import MjxEngine, MjxState
 from maesn.worlds.base import AbstractWorld, Act, Actors, SimulationFailure, Trajectory
 from maesn.worlds.device import scan_episodes
 
@@ -27,7 +27,6 @@ class MjxWorld(AbstractWorld):
         env: the environment.
         tasks: the tasks that can be played.
         num_threads: has no effect.
-        limits: what the engine may leave out for speed.
 
     Raises:
         EngineError: MJX is not installed.
@@ -36,17 +35,11 @@ class MjxWorld(AbstractWorld):
 
     env: AbstractMujocoEnv[Any]
 
-    def __init__(
-        self,
-        env: AbstractMujocoEnv[Any],
-        tasks: TaskSet,
-        num_threads: int = 0,
-        limits: MjxLimits = NO_LIMITS,
-    ) -> None:
+    def __init__(self, env: AbstractMujocoEnv[Any], tasks: TaskSet, num_threads: int = 0) -> None:
         self.env = env
         self.tasks = tasks
         readings = tuple(dict.fromkeys((*env.readings, *_STATE)))
-        self._engine = MjxEngine(env.model, readings, env.frame_skip, limits)
+        self._engine = MjxEngine(env.model, readings, env.frame_skip)
         self._initial = jax.jit(jax.vmap(self._engine.initial))
 
     def play(self, act: Act, actors: Actors, start: Start) -> Trajectory:
@@ -54,7 +47,14 @@ class MjxWorld(AbstractWorld):
         advance = _MjxAdvance(self._engine)
         trajectory, ended = scan_episodes(self.env, advance, act, actors, state, first)
         if self.env.nonfinite == "raise":
-            _refuse(*jax.device_get(_first_failure(trajectory.readings, ended)))
+            failed, step, simulation = jax.device_get(_first_failure(trajectory.readings, ended))
+            if failed:
+                raise SimulationFailure(
+                    int(simulation),
+                    int(step),
+                    f"control and state must stay finite and below {LARGEST:.0e} in size, and do "
+                    "not: shorten the model's time step, or bound what drives it",
+                )
         return trajectory
 
     def close(self) -> None:
@@ -97,13 +97,3 @@ def _first_failure(
     by_step = failed[1:].at[0].set(failed[0] | failed[1]) & alive
     step, simulation = jnp.divmod(jnp.argmax(by_step), by_step.shape[1])
     return by_step.any(), step, simulation
-
-
-def _refuse(failed: np.ndarray, step: np.ndarray, simulation: np.ndarray) -> None:
-    if failed:
-        raise SimulationFailure(
-            int(simulation),
-            int(step),
-            f"control and state must stay finite and below {LARGEST:.0e} in size, and do not: "
-            "shorten the model's time step, or bound what drives it",
-        )

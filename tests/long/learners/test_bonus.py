@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from chain import chain
 from playing import keys
 
-from maesn.envs import chain
 from maesn.learners import (
     SCRATCH,
 )

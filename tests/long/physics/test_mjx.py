@@ -5,7 +5,6 @@ Tolerances state what was measured, with a margin of about ten.
 
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -15,7 +14,7 @@ from physics.robots import ants_near_the_ground
 from physics.test_native import masses
 
 from maesn.physics import load_model
-from maesn.physics.mjx import MjxEngine, MjxLimits
+from maesn.physics.mjx import READABLE, MjxEngine
 
 READINGS = ("qpos", "qvel", "subtree_com")
 WHEELED = (start()[0][:4], start()[1][:4], controls()[:20, :4])
@@ -88,15 +87,6 @@ def test_fields_change_the_dynamics_and_what_follows_from_them(x64: None) -> Non
     assert {name for name in engine.dynamics(fields) if "invweight0" in name}
 
 
-def test_limits_leave_contacts_out_that_nothing_needs(x64: None) -> None:
-    # The car never reaches the floor: its wheels hold it up. Newton's method needs few steps.
-    engine = MjxEngine("wheeled", limits=MjxLimits(20, 20, untouched=("car",)))
-    errors = one_step_errors(engine, "wheeled", *WHEELED)
-    assert errors["qvel"].max() < 1e-4
-    state, _ = jax.eval_shape(engine.initial, *(jnp.zeros(6),) * 2, {})
-    assert len(state.data._impl.contact.dist) == 6
-
-
 def push(model: Path | str, distances: np.ndarray) -> dict[str, np.ndarray]:
     """Push a rod into a block's face from these distances, for three steps."""
     qpos = np.stack([distances, np.full(len(distances), 0.01), np.zeros(len(distances))], axis=1)
@@ -111,3 +101,26 @@ def test_margins_count_at_boxes(tmp_path: Path, x64: None) -> None:
     # From a gap of 22 mm to an overlap of 1 mm; the two margins of 10 mm begin to count at 20 mm.
     distances = np.array([-0.002, 0.001, 0.01, 0.019, 0.021])
     assert push(path, distances)["qvel"].max() < 1e-9
+
+
+def test_readings_are_those_of_mujoco(x64: None) -> None:
+    qpos, qvel = ants_near_the_ground()
+    engine = MjxEngine("ant", READABLE)
+    _, got = quickly(engine.initial)(jnp.asarray(qpos), jnp.asarray(qvel), {})
+    model = load_model("ant")
+    assert set(got) == set(READABLE)
+    touched = 0
+    for simulation in range(len(qpos)):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = qpos[simulation], qvel[simulation]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_rnePostConstraint(model, data)
+        touched += data.ncon
+        for name in READABLE:
+            expected = np.asarray(getattr(data, name))
+            assert got[name].shape[1:] == expected.shape
+            scale = max(1.0, np.abs(expected).max(initial=0.0))
+            np.testing.assert_allclose(
+                got[name][simulation], expected, atol=1e-5 * scale, err_msg=name
+            )
+    assert touched > 2  # so that the forces between bodies mean something

@@ -1,61 +1,31 @@
-"""Curves: of meta-training, of methods in new tasks, and of where these end."""
+"""Curves of meta-training and of methods in new tasks, and where these end."""
 
-import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-import scipy.optimize
-from jaxtyping import Float, Real
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from maesn.reporting import statistics, style
-from maesn.reporting.comparison import Comparison, Line, note_on_judging
-from maesn.reporting.runs import LearningCurve
-from maesn.reporting.style import GREY, Drawn, MethodStyle
+from maesn.reporting.charts import (
+    REFERENCES,
+    WINDOW_SHARE,
+    Chart,
+    Curve,
+    adaptation_charts,
+    profile_chart,
+)
+from maesn.reporting.comparison import Comparison, note_on_judging
+from maesn.reporting.style import Drawn
 
-_MOST_COLOURS = 5  # more cannot be told apart
-_LABEL_SIZE = 6.5  # points
-_REFERENCES = {"baseline": "dotted", "oracle": "solid"}  # lines of their mean returns
-# Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
-# scatter of 100 iterations at the price of 3 % of the horizontal resolution.
-_WINDOW_SHARE = 1 / 30
+_COLUMNS = 3  # in a legend
 
 
-@style.publication_style()
 def plot_curves(comparison: Comparison) -> Drawn:
-    """Draw return and success over the episodes that were learned from in the new task.
-
-    Horizontal lines are the mean returns of baseline and oracle, circles the published curve.
-    """
-    colours = dict.fromkeys(line.style.colour for line in comparison.lines)
-    told = {GREY, *[one for one in colours if one != GREY][:_MOST_COLOURS]}
-    lines = tuple(
-        line if line.style.colour in told else replace(line, style=replace(line.style, colour=GREY))
-        for line in comparison.lines
-    )
-    figure = style.new_figure(style.TWO_COLUMNS, 2.5)
-    returns, success = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-    for line in lines:
-        for axes, measure in ((returns, "mean_return"), (success, "success_rate")):
-            band = statistics.curve(line.measure(measure)).band
-            _draw_curve(axes, line.table.episodes, band, line.style, len(line.seeds))
-        if line.published is not None:
-            episodes = line.published.update * (line.table.episodes_per_update or 1)
-            shown = episodes <= line.table.episodes[-1]
-            points = (episodes[shown], line.published.mean_return[shown])
-            returns.plot(*points, "o", color=line.style.colour, fillstyle="none", markersize=3)
-    _episodes_axis(returns, lines)
-    _episodes_axis(success, lines)
-    for name, value in comparison.references().items():
-        returns.axhline(value, label=name, color=style.DARK_GREY, linestyle=_REFERENCES[name])
-    returns.set_ylabel(f"mean {lines[0].table.reward} return")
-    _percent_axis(success, "success rate")
-    returns.set_title(comparison.title, loc="left")
-    _label_lines(figure, returns)
+    """Draw return and success over the episodes in the new task."""
+    lines = comparison.lines
     most = max(line.num_tasks for line in lines)
     fewer = [line for line in lines if line.num_tasks < most]
     notes = [
@@ -64,7 +34,20 @@ def plot_curves(comparison: Comparison) -> Drawn:
         *(line.beyond for line in lines if line.beyond),
         *(f"{line.label}: the first {line.num_tasks} of {most} tasks alone" for line in fewer),
     ]
-    return Drawn(figure, notes)
+    return Drawn(plot_charts(adaptation_charts(comparison), comparison.title), notes)
+
+
+def plot_profiles(comparison: Comparison) -> Drawn:
+    """Draw, for each return, in which share of tasks and seeds a line ends above it."""
+    figure = plot_charts([profile_chart(comparison)], comparison.title)
+    return Drawn(figure, [f"bands: {statistics.INTERVAL}", note_on_judging(comparison.lines)])
+
+
+def plot_learning_curves(charts: Sequence[Chart]) -> Drawn:
+    """Draw meta-training; the iterations of a single seed lie behind its line."""
+    share = f"lines: moving average over {WINDOW_SHARE:.0%} of the iterations"
+    notes = [share, "bands: range over the seeds; thin: iterations of a single seed"]
+    return Drawn(plot_charts(charts), notes)
 
 
 @style.publication_style()
@@ -82,8 +65,8 @@ def plot_ends(comparison: Comparison) -> Drawn:
             axes.plot(interval.mean, row, line.style.marker, **colour)
     notes = [f"dots: means after the last update; bars: {statistics.INTERVAL}; small dots: seeds"]
     for name, value in comparison.references().items():
-        returns.axvline(value, color=style.DARK_GREY, linestyle=_REFERENCES[name])
-        notes.append(f"{_REFERENCES[name]} line: {name}")
+        returns.axvline(value, color=style.DARK_GREY, linestyle=REFERENCES[name])
+        notes.append(f"{'dotted' if REFERENCES[name] == ':' else 'solid'} line: {name}")
     success.set(xlabel="success rate", xlim=(-0.03, 1.03))
     success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
@@ -93,129 +76,59 @@ def plot_ends(comparison: Comparison) -> Drawn:
 
 
 @style.publication_style()
-def plot_profiles(comparison: Comparison) -> Drawn:
-    """Draw, for each return, in which share of tasks and seeds a line ends above it."""
-    lines = comparison.lines
-    figure = style.new_figure(style.TWO_COLUMNS, 2.2)
-    axes = figure.subplots()
-    thresholds, profiles = statistics.profiles([line.column(-1) for line in lines])
-    for line, profile in zip(lines, profiles, strict=True):
-        _draw_curve(axes, thresholds, profile.band, line.style, len(line.seeds))
-    axes.set_xlabel(f"{lines[0].table.reward} return τ")
-    _percent_axis(axes, "tasks that end above τ")
-    axes.set_title(comparison.title, loc="left")
-    figure.legend(loc="outside right upper")
-    return Drawn(figure, [f"bands: {statistics.INTERVAL}", note_on_judging(lines)])
+def plot_charts(charts: Sequence[Chart], title: str = "") -> Figure:
+    """Draw charts side by side, with a common legend below; those of one measure share its axis."""
+    curves = {curve.style.label: curve for chart in charts for curve in chart.curves}
+    named = sum(bool(curve.style.line) for curve in curves.values())
+    figure = style.new_figure(style.TWO_COLUMNS, 2.2 + 0.15 * -(-named // _COLUMNS))
+    panels = figure.subplots(1, len(charts), squeeze=False)[0].tolist()
+    measures: dict[str, Axes] = {}
+    for axes, chart in zip(panels, charts, strict=True):
+        axes.set(xlabel=chart.x, ylabel=chart.y, title=chart.title)
+        if chart.linear_to:
+            axes.set_xscale("symlog", linthresh=chart.linear_to, linscale=0.5)
+            axes.xaxis.set_major_formatter(ScalarFormatter())
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
+        for curve in chart.curves:
+            _draw_curve(axes, curve)
+        if chart.linear_to:
+            axes.set_xlim(left=0)
+        if chart.is_share:
+            axes.set_ylim(-0.03, 1.03)
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        elif chart.y in measures:
+            axes.sharey(measures[chart.y])
+        measures.setdefault(chart.y, axes)
+    if title:
+        panels[0].set_title(title, loc="left")
+    known: dict[str, Artist] = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        known |= zip(labels, handles, strict=True)
+    figure.legend(known.values(), known.keys(), loc="outside lower center", ncols=_COLUMNS)
+    return figure
 
 
-@style.publication_style()
-def plot_learning_curves(
-    trained: Mapping[MethodStyle, Sequence[LearningCurve]], reward: str
-) -> Drawn:
-    """Draw success and return over meta-iterations, one line for all seeds of a method.
-
-    A line is the moving average of the mean over seeds; its band is the range of the seeds' own
-    moving averages, because three seeds are too few for an interval. A single seed has no band, but
-    its raw values behind the line. Seeds are drawn as far as all of a method got.
-    """
-    figure = style.new_figure(style.TWO_COLUMNS, 2.2)
-    panels = figure.subplots(1, 3)
-    panels[2].sharey(panels[1])
-    metrics = ("success_after", "return_before", "return_after")
-    for axes, metric in zip(panels, metrics, strict=True):
-        for look, curves in trained.items():
-            x = min((curve.iteration for curve in curves), key=len)
-            values = np.stack([getattr(curve, metric)[: len(x)] for curve in curves])
-            if len(values) == 1:
-                axes.plot(x, values[0], color=look.colour, linewidth=0.5, alpha=0.3)
-            smooth = moving_mean(values, window_of(len(x)))
-            _draw_curve(axes, x, (smooth.mean(0), smooth.min(0), smooth.max(0)), look, len(values))
-        axes.set_title(f"{metric.rpartition('_')[2]} the inner update")
-        axes.set_xlabel("meta-iteration")
-    _percent_axis(panels[0], "success rate")
-    panels[1].set_ylabel(f"mean {reward} return")
-    _label_lines(figure, panels[2])
-    share = f"lines: moving average over {_WINDOW_SHARE:.0%} of the iterations"
-    return Drawn(figure, [share, "bands: range over the seeds; thin: iterations of a single seed"])
-
-
-def window_of(num_iterations: int) -> int:
-    """Return over how many iterations curves are averaged; odd, so that it has a centre."""
-    return 2 * int(num_iterations * _WINDOW_SHARE / 2) + 1
-
-
-def moving_mean(
-    values: Float[np.ndarray, "seed iteration"], window: int
-) -> Float[np.ndarray, "seed iteration"]:
-    """Return the centred mean over `window` iterations, over fewer at the ends."""
-    ones = np.ones(window)
-    counts = np.convolve(np.ones(values.shape[1]), ones, mode="same")
-    return np.stack([np.convolve(row, ones, mode="same") for row in values]) / counts
-
-
-def _draw_curve(
-    axes: Axes,
-    x: Real[np.ndarray, " point"],
-    curve: Sequence[Float[np.ndarray, " point"]],
-    look: MethodStyle,
-    num_seeds: int,
-) -> None:
-    """Draw a mean between the ends of its band; the label says if it is that of several seeds."""
-    mean, low, high = curve
-    axes.fill_between(x, low, high, color=look.colour, alpha=0.18, linewidth=0)
-    axes.plot(
-        x,
-        mean,
-        color=look.colour,
-        linestyle=look.line,
-        marker=look.marker,
-        markevery=max(1, len(x) // 6),
-        markeredgecolor="white",
-        markeredgewidth=0.4,
-        label=look.label if num_seeds == 1 else f"{look.label}, {num_seeds} seeds",
-    )
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
-
-
-def _label_lines(figure: Figure, axes: Axes) -> None:
-    """Write each line's label at the right, as near to its end as others leave room."""
-    figure.draw_without_rendering()
-    named = sorted(
-        (_last(line.get_ydata()), str(line.get_color()), textwrap.fill(label, 30))
-        for line in axes.lines
-        if not (label := str(line.get_label())).startswith("_")
-        and np.isfinite(np.asarray(line.get_ydata(), float)).any()
-    )
-    ends = axes.transData.transform([(0, end) for end, _, _ in named])[:, 1]
-    heights = np.array([1.2 * _LABEL_SIZE * (1 + text.count("\n")) for _, _, text in named])
-    heights *= figure.dpi / 72
-    # The least squares of all displacements: every label above the one before, all beside the axes.
-    room = np.cumsum(heights) - heights / 2
-    places = scipy.optimize.isotonic_regression(ends - room).x
-    places = np.clip(places, axes.bbox.y0, axes.bbox.y1 - heights.sum()) + room
-    for (_, colour, text), place in zip(named, places, strict=True):
-        at = (1.02, axes.transAxes.inverted().transform((0, place))[1])
-        look: Any = {"color": colour, "fontsize": _LABEL_SIZE, "verticalalignment": "center"}
-        axes.annotate(text, at, xycoords="axes fraction", annotation_clip=False, **look)
-
-
-def _last(values: Any) -> float:
-    """Return the last number of a curve that may end with what was not measured."""
-    known = np.asarray(values, float)
-    return float(known[np.isfinite(known)][-1])
-
-
-def _percent_axis(axes: Axes, label: str) -> None:
-    """Let the vertical axis run from 0 to 100 %."""
-    axes.set(ylabel=label, ylim=(-0.03, 1.03))
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-
-
-def _episodes_axis(axes: Axes, lines: Sequence[Line]) -> None:
-    """Count episodes; beyond the shortest update logarithmically, if updates differ in length."""
-    lengths = {line.table.episodes_per_update for line in lines} - {None}
-    axes.set_xlabel("episodes in the new task")
-    if len(lengths) > 1:
-        axes.set_xscale("symlog", linthresh=min(filter(None, lengths)), linscale=0.5)
-        axes.set_xlim(left=0)
-        axes.xaxis.set_major_formatter(ScalarFormatter())
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    """Draw a mean between the ends of its band, or circles where the style has no line."""
+    x, look = curve.x, curve.style
+    if not look.line:
+        axes.plot(x, curve.mean, look.marker, color=look.colour, fillstyle="none", markersize=3)
+        return
+    if curve.raw is not None:
+        axes.plot(x, curve.raw, color=look.colour, linewidth=0.5, alpha=0.3)
+    if curve.low is not None:
+        axes.fill_between(x, curve.low, curve.high, color=look.colour, alpha=0.18, linewidth=0)
+    if np.isfinite(np.asarray(curve.mean, float)).any():
+        axes.plot(
+            x,
+            curve.mean,
+            color=look.colour,
+            linestyle=look.line,
+            marker=look.marker,
+            markevery=max(1, len(x) // 6),
+            markeredgecolor="white",
+            markeredgewidth=0.4,
+            label=look.label,
+        )

@@ -1,4 +1,4 @@
-"""What is explored before adaptation, and how latents adapt: the paper's Fig. 4 (right), 6 to 8.
+"""Exploration before adaptation, and adapted latents: the paper's Fig. 4 (right), 6 to 8.
 
 Positions in the plane of the world are in metres.
 """
@@ -6,7 +6,7 @@ Positions in the plane of the world are in metres.
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -37,20 +37,11 @@ _DIRECTION_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 
 _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 
-class ExplorationPanel(NamedTuple):
-    """What one method explores before adaptation."""
-
-    style: style.MethodStyle
-    exploration: RecordedExploration
-    reach: str
-    """How many of the goals it reaches; empty if that was not counted."""
-
-
 @style.publication_style()
 def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     """Draw the goals of training, those adapted to, and the size of one goal region.
 
-    What a task lays out beside its goal, such as blocks, is drawn as well.
+    Objects that a task lays out beside its goal, such as blocks, are drawn as well.
     """
     training, goals = exploration.training_goals, exploration.goals
     marks = [
@@ -84,20 +75,25 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
 
 
 @style.publication_style()
-def plot_exploration(explorers: Sequence[ExplorationPanel]) -> style.Drawn:
+def plot_exploration(
+    explored: Sequence[tuple[style.MethodStyle, RecordedExploration, str]],
+) -> style.Drawn:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
-    The untrained policy is that of the first run. All are in one world.
+    Each method comes with its record and the share of goals that it reaches, in words; empty if
+    that was not counted. The untrained policy is that of the first run. All are in one world.
     """
-    first = explorers[0].exploration
+    first = explored[0][1]
     solved, episodes = first.solved_at_reset > 0, first.episodes_per_task
     reach = prior_reach(first.untrained_success_rate, solved, episodes)
-    untrained = ExplorationPanel(style.MethodStyle("untrained policy", style.BLACK), first, reach)
-    drawn = []
-    for one in (*explorers, untrained):
-        paths = first.untrained_paths if one is untrained else one.exploration.prior_paths
-        title = textwrap.fill(one.style.label, _TITLE_CHARACTERS)
-        drawn.append((f"{title}\n{one.reach}".rstrip(), paths, one.style.colour))
+    untrained = style.MethodStyle("untrained policy", style.BLACK)
+    drawn = [
+        (f"{textwrap.fill(look.label, _TITLE_CHARACTERS)}\n{said}".rstrip(), paths, look.colour)
+        for look, paths, said in (
+            *((look, record.prior_paths, said) for look, record, said in explored),
+            (untrained, first.untrained_paths, reach),
+        )
+    ]
     return style.Drawn(_draw_explored(first, drawn))
 
 
@@ -179,8 +175,8 @@ def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
         axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, zorder=3, **_PRIOR_LINE))
         _set_plane(axes, limits, *(f"latent component {number + 1}" for number in chosen))
         axes.label_outer()
-        update = latents.first_update + column * (latents.mean.shape[1] - 1)
-        axes.set_title(f"after update {update}" if update else "before adaptation")
+        last = latents.mean.shape[1] - 1
+        axes.set_title(f"after update {last}" if column else "before adaptation")
     legend = {
         "prior N(0, I), 1σ": Line2D([], [], **_PRIOR_LINE),
         "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
