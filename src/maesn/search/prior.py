@@ -37,14 +37,14 @@ class PriorSettings:
 
     draws: int | None = None
     """Latents of the archive that are drawn from the widened prior N(0, spread^2 I). None: 400;
-    150 where tasks do not share episodes, because they differ in more than their rewards."""
+    150 if the tasks differ in more than their rewards, and so do not share episodes."""
     spread: float | None = None
     """Standard deviation of the widened prior; None: that of the latent, 3 for MAESN."""
     adapted: bool = True
     """Whether the archive also holds each training task's latent, after one more update with the
     dense reward."""
     episodes: int | None = None
-    """Episodes of each latent, for all tasks that can share them. None: 4; 1 where tasks do not
+    """Episodes of each latent, for all tasks that can share them. None: 4, or 1 if tasks do not
     share episodes. The noise of returns is then learned from a few latents alone."""
     action_noise: bool = False
     """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
@@ -62,8 +62,8 @@ class PriorSettings:
 
     def chosen(self, env: AnyEnv, tasks: TaskSet) -> "tuple[int, int]":
         """Return the numbers of draws and of episodes that are meant for these tasks."""
-        shared = len(situations(env, tasks)) < len(tasks)
-        usual = (400, 4) if shared or self.action_noise else (150, 1)
+        is_cheap = len(situations(env, tasks)) <= FEW
+        usual = (400, 4) if is_cheap or self.action_noise else (150, 1)
         given = self.draws, self.episodes
         draws, episodes = (u if g is None else g for u, g in zip(usual, given, strict=True))
         return draws, episodes
@@ -77,6 +77,9 @@ class PriorSettings:
 
 
 USUAL = PriorSettings()
+# Tasks that differ in their rewards alone share episodes; they make one situation. With so many
+# situations or fewer, the larger archive costs seconds.
+FEW = 5
 # Where each latent is played once, the noise of returns is learned from so many latents, in so many
 # situations at most, played so often.
 REPEATED, REPEATS = 20, 4
