@@ -37,7 +37,7 @@ class PriorSettings:
 
     draws: int | None = None
     """Latents of the archive that are drawn from the widened prior N(0, spread^2 I). None: 400;
-    150 if the tasks differ in more than their rewards, and so do not share episodes."""
+    250 if the tasks differ in more than their rewards, and so do not share episodes."""
     spread: float | None = None
     """Standard deviation of the widened prior; None: that of the latent, 3 for MAESN."""
     adapted: bool = True
@@ -63,7 +63,7 @@ class PriorSettings:
     def chosen(self, env: AnyEnv, tasks: TaskSet) -> "tuple[int, int]":
         """Return the numbers of draws and of episodes that are meant for these tasks."""
         is_cheap = len(situations(env, tasks)) <= FEW
-        usual = (400, 4) if is_cheap or self.action_noise else (150, 1)
+        usual = (400, 4) if is_cheap or self.action_noise else (250, 1)
         given = self.draws, self.episodes
         draws, episodes = (u if g is None else g for u, g in zip(usual, given, strict=True))
         return draws, episodes
@@ -72,7 +72,7 @@ class PriorSettings:
         """Return the number of environment steps to play the archive."""
         draws, episodes = self.chosen(env, tasks)
         latents, groups = draws + self.adapted * len(tasks), len(situations(env, tasks))
-        repeated = min(latents, REPEATED) * min(groups, REPEATED) * REPEATS if episodes == 1 else 0
+        repeated = min(latents, REPEATED) * min(groups, FEW) * REPEATS if episodes == 1 else 0
         return (groups * latents * episodes + repeated) * env.horizon
 
 
@@ -80,8 +80,8 @@ USUAL = PriorSettings()
 # Tasks that differ in their rewards alone share episodes; they make one situation. With so many
 # situations or fewer, the larger archive costs seconds.
 FEW = 5
-# Where each latent is played once, the noise of returns is learned from so many latents, in so many
-# situations at most, played so often.
+# Where each latent is played once, the noise of returns is learned from so many latents, played so
+# often in the first few situations.
 REPEATED, REPEATS = 20, 4
 
 
@@ -113,8 +113,8 @@ def make_prior(
     if episodes > 1:
         noise = excess.var(axis=2, ddof=1).mean(axis=0)
     else:
-        again, _ = play(latents[:REPEATED], groups[:REPEATED], REPEATS, stream=1)
-        played = np.concatenate(groups[:REPEATED])
+        again, _ = play(latents[:REPEATED], groups[:FEW], REPEATS, stream=1)
+        played = np.concatenate(groups[:FEW])
         noise = np.full(len(latents), again[played].var(axis=2, ddof=1).mean())
     return ReturnPrior(
         latents=np.asarray(latents, np.float64),
