@@ -216,6 +216,11 @@ class Posterior:
         between = self.task_weights @ (self.task_mean - self.mean) ** 2
         return np.sqrt(between + np.maximum(self.variance, 0.0))
 
+    def expected(self, point: int) -> Reading:
+        """Return the reading that is expected of a whole episode with a latent."""
+        predicted = self.task_mean[:, point] + self.task_offset
+        return Reading(point, float(self.task_weights @ predicted))
+
     def is_known(self, model: ReturnModel, point: int) -> bool:
         """Whether a latent would return what it returned before: its episodes have no noise."""
         played = any(one.point == point for one in self.readings)

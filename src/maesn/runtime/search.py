@@ -136,6 +136,29 @@ class LatentSearch:
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
 
+    def proposed_together(
+        self, generator: np.random.Generator, count: int
+    ) -> "tuple[LatentSearch, tuple[int, ...]]":
+        """Choose several points to play at the same time, by several robots.
+
+        Each is chosen as if those before it had returned what the model expects of them.
+
+        Args:
+            generator: as in `proposed`.
+            count: number of points.
+
+        Returns:
+            The search, which may have more points, and the indices of the chosen points.
+        """
+        search, believed, chosen = self, self, []
+        for _ in range(count):
+            believed, point = believed.proposed(generator)
+            if point == len(search.points):
+                search = search.with_latent(believed.latent(point))
+            chosen.append(point)
+            believed = believed.after([believed.posterior.expected(point)])
+        return search, tuple(chosen)
+
     def with_latent(self, z: FloatArray) -> "LatentSearch":
         """Return the search with one more point."""
         return self._with_points(z[None])
