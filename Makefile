@@ -47,7 +47,7 @@ test-external: | $(EXTERNAL)/.ready ## Test against other libraries, in an envir
 $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mjx, which is too new as well
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  --constraint constraints-external.txt --editable '.[gym]' beartype 'gymnasium[mujoco]' metaworld pytest \
+	  --constraint constraints-external.txt --editable '.[gym]' beartype metaworld pytest \
 	  rliable sb3-contrib torch wandb
 	@touch $@
 

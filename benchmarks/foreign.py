@@ -1,6 +1,6 @@
 """What playing foreign environments costs beyond the environments themselves.
 
-    pip install -e '.[gym]' 'gymnasium[mujoco]'
+    pip install -e '.[gym]'
     PYTHONPATH=examples python benchmarks/foreign.py
 
 A collection is everything: policies, recording, rewards, and episodes as arrays. It is compared
@@ -34,11 +34,11 @@ from gymnasium import spaces
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
-from maesn.foreign import Readings, WorkerPool
+from maesn.foreign import Readings, pack_task
 from maesn.learners import Problem, maesn
-from maesn.worlds import AbstractWorld, Act, Actors, Trajectory
+from maesn.worlds import AbstractWorld, Act, Actors, Trajectory, make_world
 from maesn.worlds.collector import Collector
-from maesn.worlds.foreign import GymnasiumWorld, default_num_workers
+from maesn.worlds.foreign import default_num_workers
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Played(NamedTuple):
 class RecordingWorld(AbstractWorld):
     """Passes calls on to a world, and keeps how the last episodes began."""
 
-    def __init__(self, world: GymnasiumWorld) -> None:
+    def __init__(self, world: AbstractWorld) -> None:
         self.env, self.tasks, self._world = world.env, world.tasks, world
         self._begun: tuple[Any, np.ndarray] | None = None
 
@@ -91,7 +91,7 @@ class RecordingWorld(AbstractWorld):
         assert self._begun is not None
         tasks, seeds = self._begun
         num_tasks, num_episodes = episodes.terminated.shape
-        rows = [pickle.dumps(task_row(tasks, task)) for task in range(num_tasks)]
+        rows = [pack_task(task_row(tasks, task)) for task in range(num_tasks)]
         controls = jax.vmap(jax.vmap(jax.vmap(self.env.control)))(episodes.action)
         living = np.where(np.asarray(episodes.valid)[..., None], controls, 0.0)
         return Played(
@@ -106,8 +106,7 @@ class WorkersAlone:
     """Worker processes that play a collection's controls, and nothing else."""
 
     def __init__(self, env: AbstractGymnasiumEnv, num_workers: int) -> None:
-        recipe = (env.recipe.make_env, env.reward_kind, env.interface)
-        self._pool = WorkerPool(recipe, num_workers, env.recipe.time_limit)
+        self._pool = env.open_pool(num_workers)
 
     def play(self, played: Played) -> Readings:
         """Play all episodes side by side, and return the last readings."""
@@ -196,7 +195,7 @@ def measure(settings: Settings) -> Measurement:
         jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
     )
     fast = learner.fast_learner(state)
-    world = RecordingWorld(GymnasiumWorld(env, tasks, num_workers))
+    world = RecordingWorld(make_world(env, tasks, num_workers))
     collect = Collector(world, settings.episodes_per_task)
     workers, environments = WorkersAlone(env, num_workers), EnvironmentsAlone(env)
     times = []

@@ -3,7 +3,7 @@ r"""A family of tasks in an environment that others wrote: Gymnasium's `HalfChee
 The cheetah has to run at a hidden speed between 0 and 2 m/s (the task of the MAML paper). A whole
 meta-learning run, from the directory of the repository:
 
-    pip install -e '.[gym]' 'gymnasium[mujoco]'
+    pip install -e '.[gym]'
     export PYTHONPATH=examples
     maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah \
         --normalize-observations True --trust-region.damping 0.1

@@ -5,7 +5,7 @@ too old for the engine of the library's own robots, which this family does not u
 virtual environment of its own:
 
     python3.11 -m venv .venv-external
-    .venv-external/bin/pip install -e '.[gym]' 'gymnasium[mujoco]' metaworld==3.1.1
+    .venv-external/bin/pip install -e '.[gym]' metaworld==3.1.1
     export PYTHONPATH=examples
     .venv-external/bin/maesn train maesn --family metaworld_reach:family --run runs/reach
     .venv-external/bin/maesn adapt runs/reach --family metaworld_reach:family

@@ -13,9 +13,8 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear
 from maesn.policies import CategoricalMLP, GaussianMLP, GaussianMLPPolicy
-from maesn.worlds import make_world
+from maesn.worlds import Start, make_world, open_stepper
 from maesn.worlds.collector import Collector
-from maesn.worlds.simulators import open_simulator
 
 LATENT_SIZE = 2
 
@@ -71,9 +70,9 @@ def play(
 
 def readings_at(env: AnyEnv, qpos: Any, qvel: Any) -> dict[str, jax.Array]:
     """What an engine reads in that state, in single precision as in episodes."""
-    simulator = open_simulator(env, 1)
-    read = simulator.reset(np.float64(qpos)[None], np.float64(qvel)[None])
-    simulator.close()
+    stepper = open_stepper(env, 1)
+    read = stepper.begin(Start(np.float64(qpos)[None], np.float64(qvel)[None], {}), None)
+    stepper.close()
     return {name: jnp.asarray(value[0], jnp.float32) for name, value in read.items()}
 
 

@@ -4,6 +4,7 @@ import collections
 import math
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +45,10 @@ def play(env: gymnasium.Env[Any, Any], seed: int, steps: int = STEPS) -> list[An
 def test_gymnasiums_own_checker_finds_nothing(name: str) -> None:
     env = gymnasium.make(f"maesn.gym:{name}", render_mode="rgb_array" if can_draw() else None)
     # What is said on a machine that has nothing to draw with is checked below.
+    assert IDS.keys() == FAMILIES.keys()
     check_env(env.unwrapped, skip_render_check=not can_draw())
     env.close()
     env.close()
-
-
-def test_every_family_has_a_name() -> None:
-    assert IDS.keys() == FAMILIES.keys()
 
 
 @pytest.mark.parametrize("family", IDS)
@@ -171,14 +169,12 @@ def test_success_is_what_the_distance_says() -> None:
     ("settings", "error", "message"),
     [
         ({"task": 100}, ValueError, "`task` must be an index from 0 to 99"),
-        ({"task": np.array([0.5])}, ValueError, "`task` must be an index"),
         ({"tasks": "tset"}, RunError, "`tasks` must be one of training"),
         ({"family": "weeled"}, RunError, "Did you mean `wheeled`"),
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
-        ({"render_mode": "human"}, ValueError, "`render_mode` must be rgb_array or None"),
+        ({"render_mode": "human"}, ValueError, "`human` is not a render mode"),
         ({"family": "bernoulli_bandit:bandit"}, ValueError, "must have continuous actions"),
         ({"rewards": "sparse"}, ValueError, "^`rewards` is not a setting: choose from `task`"),
-        ({"num_threads": 2}, ValueError, "`num_threads` is not a setting"),
     ],
 )
 def test_wrong_settings_are_refused_by_name(
@@ -213,14 +209,11 @@ def test_a_misspelt_reward_is_refused_by_the_name_that_it_was_given(make: Any) -
         make("maesn.gym:maesn/Point-v0", reward="sprase")
 
 
-def test_a_step_before_a_reset_is_refused() -> None:
-    with pytest.raises(gymnasium.error.ResetNeeded, match="call `reset` before `step`"):
-        TaskEnv("point").step(np.zeros(2))
-
-
-def test_a_picture_before_a_reset_is_refused() -> None:
-    with pytest.raises(gymnasium.error.ResetNeeded, match="call `reset` before `render`"):
-        TaskEnv("point", render_mode="rgb_array").render()
+def test_nothing_is_stepped_or_drawn_before_a_reset() -> None:
+    env = TaskEnv("point", render_mode="rgb_array")
+    for call in (partial(env.step, np.zeros(2)), env.render):
+        with pytest.raises(gymnasium.error.ResetNeeded, match="call `reset` before"):
+            call()
 
 
 @pytest.mark.parametrize("family", ["point", "wheeled"])
@@ -228,7 +221,7 @@ def test_actions_that_are_none_are_refused(family: str) -> None:
     env = TaskEnv(family, task=4)
     env.reset(seed=0)
     for action in (0.5, np.zeros(3), np.zeros((1, 2))):
-        with pytest.raises(ValueError, match=r"`action` must have the shape \(2,\), got"):
+        with pytest.raises(ValueError, match="`action` must have the shape"):
             env.step(action)
     with pytest.raises(EpisodeError, match=rf"{family}, task 4, episode 0, step 0: .*finite"):
         env.step(np.array([0.0, np.nan]))

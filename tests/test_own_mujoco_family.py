@@ -11,8 +11,7 @@ from guides import Guide
 from pictures import can_draw
 
 from maesn.envs import NAMED_SETS, TaskSet
-from maesn.worlds import NativeWorld, make_world
-from maesn.worlds.simulators import native_simulator
+from maesn.worlds import HostWorld, make_world, open_stepper
 
 GUIDE = Guide("own_environment_mujoco.md", "puck")
 VERBS = {"train", "adapt", "report", "render", "export"}
@@ -27,7 +26,7 @@ def puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_it_is_moved_by_the_batched_engine(puck: ModuleType, name: str) -> None:
     family = getattr(puck, name)
     world = make_world(family.make_env(), family.task_set("training"))
-    assert isinstance(world, NativeWorld)
+    assert isinstance(world, HostWorld)
     assert len({family.task_set(which).digest() for which in NAMED_SETS[:3]}) == 3
 
 
@@ -50,22 +49,21 @@ def test_masses_friction_and_motors_move_the_puck_as_they_should(puck: ModuleTyp
     tasks = TaskSet(puck.draw_settings(np.random.default_rng(0), 6))
     env = puck.UnknownPuck()
     start = jax.vmap(env.start)(jax.random.split(jax.random.key(0), 6), tasks.tasks)
-    simulator = native_simulator(env, 6, num_threads=2)
-    qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
-    readings = simulator.reset(qpos, qvel, fields)
+    stepper, running = open_stepper(env, num_threads=2), np.zeros(6, bool)
+    readings = stepper.begin(start, tasks.tasks)
     control, period = np.array([[1.0, -0.5]]).repeat(6, axis=0), 0.01
     mass, damping, gear = (
         np.float64(getattr(tasks.tasks, name))[:, None] for name in ("mass", "damping", "gear")
     )
     place, speed = readings["qpos"], readings["qvel"]
     for _ in range(4):
-        readings = simulator.step(control)
+        readings = stepper.step(control, running)
         for _ in range(env.frame_skip):
             speed = (mass * speed + period * gear * control) / (mass + period * damping)
             place = place + period * speed
         np.testing.assert_allclose(readings["qvel"], speed, rtol=1e-9)
         np.testing.assert_allclose(readings["qpos"], place, rtol=1e-9)
-    simulator.close()
+    stepper.close()
     assert len(np.unique(readings["qvel"][:, 0].round(3))) == 6  # so that they really differ
 
 

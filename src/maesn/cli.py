@@ -3,6 +3,8 @@
 import shlex
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
@@ -48,7 +50,8 @@ Meta-reinforcement learning of structured exploration strategies.
 commands:
 {}
 
-`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.""".format(
+`maesn COMMAND --help` lists the options of a command; `maesn --version` the version. With
+`--python PATH/bin/python`, environments of others run in that interpreter.""".format(
     "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
 )
 _ANSWERS = {"--version": f"maesn {__version__}", "--help": _HELP, "-h": _HELP}
@@ -87,7 +90,8 @@ def run(arguments: list[str]) -> int:
         return USAGE_ERROR
     try:
         file = import_module(f"maesn.commands.{_FILES.get(name, 'runs')}")
-        getattr(file, name)(options)
+        with _interpreter(options) as others:
+            getattr(file, name)(others)
     except BrokenPipeError:  # whoever reads our output has seen enough
         sys.stderr.close()
     except KeyboardInterrupt:
@@ -100,6 +104,19 @@ def run(arguments: list[str]) -> int:
         print(*said, sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
+
+
+@contextmanager
+def _interpreter(options: list[str]) -> Iterator[list[str]]:
+    """Take `--python PATH` out of a command's options; until it ends, environments run there."""
+    if "--python" not in options:
+        yield options
+        return
+    from maesn.foreign import hosted_in
+
+    place = options.index("--python")
+    with hosted_in(*options[place + 1 : place + 2]):
+        yield options[:place] + options[place + 2 :]
 
 
 def _notes(error: BaseException | None) -> list[str]:

@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 import threading
-import tomllib
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.wrappers import TransformAction
+from gymnasium.wrappers import ClipAction, RescaleAction, TimeLimit, TransformAction
+from pictures import can_draw
 from scripts import ROOT
 from strange_families import is_running, walkers
-from strangers import Chooser, Diarist, Plain, draw_walks, make_hopeless, make_walker
+from strangers import (
+    Arm,
+    Chooser,
+    Diarist,
+    Plain,
+    Skip,
+    Wide,
+    draw_walks,
+    make_hopeless,
+    make_walker,
+)
 
 from maesn.envs.foreign import gymnasium_family, task_row
 from maesn.foreign import InterfaceError
 from maesn.runs.export import probe_actuators
+from maesn.worlds import EnvContractError, check_env_contract, make_world
 
 
 def family_of(env: Any, **settings: Any) -> Any:
@@ -46,19 +58,88 @@ def test_actions_are_mapped_to_the_range_of_the_action_space() -> None:
     np.testing.assert_allclose(actuators.upper, [1, 0.5])
 
 
-def test_sizes_and_times_are_read_off_the_environment() -> None:
-    family = gymnasium_family(
-        "pendulum", lambda task, reward: gymnasium.make("Pendulum-v1"), draw_walks
-    )
-    env = family.make_env(reward_kind="sparse")
-    assert (env.observation_size, env.action_size, env.action_kind) == (3, 1, "continuous")
-    assert env.horizon == 200  # the `max_episode_steps` that Gymnasium registers it with
-    assert env.control_period == pytest.approx(1 / 30)
+LIMITS = [[-0.2, -0.4], [0.2, 0.8]]
+# What is made of the arm -> limits, period, and steps of an episode; 7 if there is no clock.
+SEEN: dict[str, tuple[Any, Any, float, int]] = {
+    "itself": (lambda arm: arm, LIMITS, 0.05, 7),
+    "a frame skip": (lambda arm: Skip(TimeLimit(arm, 10), 4), LIMITS, 0.2, 3),
+    "a clock around a frame skip": (lambda arm: TimeLimit(Skip(arm, 2), 10), LIMITS, 0.1, 10),
+    "clipped": (lambda arm: TimeLimit(ClipAction(arm), 10), LIMITS, 0.05, 10),
+    "rescaled": (
+        lambda arm: TimeLimit(RescaleAction(arm, np.float32(-1), np.float32(1)), 10),
+        [[-1, -1], [1, 1]],
+        0.05,
+        10,
+    ),
+    "wider than itself": (lambda arm: TimeLimit(Wide(arm, 1), 10), LIMITS, 0.05, 10),
+    "scaled by a wrapper": (lambda arm: Wide(arm, 0.1), [[-2, -2], [2, 2]], 0.05, 7),
+    "twice as strong": (lambda arm: Wide(arm, 2), [[-0.1, -0.2], [0.1, 0.4]], 0.05, 7),
+}
+
+
+@pytest.mark.parametrize("how", SEEN)
+def test_limits_and_times_are_those_under_which_a_policy_is_trained(how: str) -> None:
+    wrap, limits, period, steps = SEEN[how]
+    horizon = 7 if steps == 7 else None
+    env = family_of(wrap(Arm(0.05, 20)), horizon=horizon).make_env()
+    assert env.control_period == pytest.approx(period)
+    assert env.horizon == steps
+    actuators = probe_actuators(env)
+    np.testing.assert_allclose([actuators.lower, actuators.upper], limits, atol=1e-5)
+
+
+UNKNOWN = {
+    "it has neither `dt` nor `render_fps`": lambda: Arm(None, None),
+    "its `dt` is 0.01 s, but its `metadata` shows 20 steps a second": lambda: Arm(0.01, 20),
+    "its wrappers may repeat actions, more or less often": lambda: Skip(Arm(0.05, 20), 1, 2),
+}
+
+
+@pytest.mark.parametrize("reason", UNKNOWN)
+def test_a_period_that_cannot_be_derived_is_asked_for(reason: str) -> None:
+    env = UNKNOWN[reason]()
+    with pytest.raises(InterfaceError, match=rf"`control_period` must be given .* {reason}"):
+        family_of(env, horizon=3).make_env()
+    assert family_of(env, horizon=3, control_period=0.5).make_env().control_period == 0.5
+
+
+@pytest.mark.parametrize(
+    ("arm", "period"), [(Arm(0.015, 67), 0.015), (Arm(None, 40), 0.025), (Arm(0.3, None), 0.3)]
+)
+def test_a_rounded_rate_does_not_blur_a_period(arm: Arm, period: float) -> None:
+    assert family_of(arm, horizon=3).make_env().control_period == pytest.approx(period)
+
+
+def test_limits_that_cannot_be_known_are_refused() -> None:
+    wrapped = TransformAction(Arm(0.05, 20), lambda action: action**3, spaces.Box(-2, 2, (2,)))
+    with pytest.raises(InterfaceError, match=r"the limits of an action cannot be known.*Rescale"):
+        family_of(wrapped, horizon=3).make_env()
+
+
+def test_sizes_are_read_off_the_environment() -> None:
+    env = walkers.make_env(reward_kind="sparse")
+    assert (env.observation_size, env.horizon, env.control_period) == (10, 6, 0.1)
     assert env.reward_kind == "sparse"
     assert not env.planar
-    np.testing.assert_allclose(env.control(jnp.array([0.5])), [1.0])  # torques of +-2
-    walker = walkers.make_env()
-    assert (walker.observation_size, walker.horizon, walker.control_period) == (10, 6, 0.1)
+
+
+def test_tasks_of_one_situation_share_episodes_if_the_reward_is_known() -> None:
+    def reward(seen: Any, control: Any, after: Any, task: Any, kind: str) -> Any:
+        return -jnp.linalg.norm(after[-2:] - task[:2])
+
+    with pytest.raises(ValueError, match="`situation` of `walker` needs `reward`"):
+        gymnasium_family("walker", make_walker, draw_walks, situation=lambda task: ())
+    known = partial(gymnasium_family, "walker", make_walker, draw_walks, horizon=3)
+    family = known(situation=lambda task: task[2:], reward=reward)
+    env, task = family.make_env(), family.task_set("test")[0]
+    np.testing.assert_array_equal(env.situation(task), task[2:])
+    check_env_contract(env, task)
+    readings = {"observation": jnp.zeros(10), "reward": jnp.zeros(())}
+    found = env.reward(readings, jnp.zeros(2), readings, jnp.array([3.0, 4.0, 0.0, 0.0]))
+    assert found.total == pytest.approx(-5.0)
+    wrong = known(reward=lambda *_: jnp.ones(())).make_env()
+    with pytest.raises(EnvContractError, match="`reward` must be the environment's own"):
+        check_env_contract(wrong, task)
 
 
 def test_choices_are_discrete_actions() -> None:
@@ -140,9 +221,12 @@ def test_what_cannot_be_learned_in_is_refused_by_name(reason: str) -> None:
 
 
 def test_an_action_space_without_bounds_can_be_given_some() -> None:
-    unbounded = Plain(BOX, spaces.Box(-np.inf, np.inf, (2,)))
-    bounded = TransformAction(unbounded, lambda action: action, BOX)
-    assert family_of(bounded, horizon=2, control_period=1.0).make_env().action_size == 2
+    arm = Arm(0.05, 20)
+    arm.action_space = spaces.Box(-np.inf, np.inf, (2,))
+    bounded = TransformAction(arm, lambda action: action, BOX)
+    assert family_of(bounded, horizon=2).make_env().interface.upper == (1.0, 1.0)
+    with pytest.raises(InterfaceError, match="the action space must be bounded"):
+        family_of(ClipAction(arm), horizon=2).make_env()
 
 
 HOPELESS = {
@@ -195,25 +279,33 @@ def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium_and
     assert not {"gymnasium", "mujoco.mjx"} & loaded
 
 
-def imported_packages(file: Path) -> set[str]:
-    names: set[str] = set()
+def test_a_worker_needs_numpy_alone() -> None:
+    """It runs in the interpreter of the environments, where nothing of ours is installed."""
+    file = ROOT / "src/maesn/foreign/worker.py"
+    packages: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
-    return {name.split(".")[0] for name in names}
+            packages |= {alias.name.split(".")[0] for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            packages.add(str(node.module).split(".")[0])
+    assert packages - sys.stdlib_module_names == {"numpy"}
 
 
-def test_the_installation_declares_what_hosting_imports() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = project["dependencies"] + project["optional-dependencies"]["gym"]
-    files = (ROOT / "src/maesn/foreign").glob("*.py")
-    imported = set().union(*map(imported_packages, files)) - sys.stdlib_module_names - {"maesn"}
-    assert "gymnasium" in imported
-    distributions = {{"PIL": "pillow"}.get(package, package) for package in imported}
-    assert distributions <= {re.split(r"[\[<>=]", requirement)[0] for requirement in declared}
-
-
-def test_a_worker_starts_without_jax() -> None:
-    assert not {"jax", "mujoco"} & modules_after("import maesn.foreign.worker")
+def test_the_extra_brings_what_gymnasiums_own_robots_import(tmp_path: Path) -> None:
+    family = gymnasium_family(
+        "cheetah",
+        lambda task, reward: gymnasium.make("HalfCheetah-v5", render_mode="rgb_array"),
+        draw_walks,
+    )
+    env = family.make_env()
+    assert (env.observation_size, env.action_size, env.horizon) == (17, 6, 1000)
+    assert env.control_period == pytest.approx(0.05)
+    if not can_draw():
+        return
+    # Without a screen, and without the variable that says so.
+    with closing(make_world(env, family.task_set("test", 1), num_threads=1)) as world:
+        assert world.film(1, 500, (30, 20))
+        world.stepper.begin(jnp.zeros(1, jnp.uint32), family.task_set("test", 1).tasks)
+        (picture,) = world.stepper.pictures(1)
+    assert picture.shape == (480, 480, 3)
+    assert picture.std() > 0

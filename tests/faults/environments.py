@@ -1,7 +1,6 @@
 """Gymnasium environments that are at fault: the failure is named, and no process is left."""
 
 import os
-import pickle
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -14,7 +13,7 @@ from faults.strange_worlds import ANSWERS, DUE, FAULTS, HARMLESS, make
 from faults.table import CLEAR, CONTINUED, LOSS, Findings
 from strange_families import family_of, is_running
 
-from maesn.foreign import WorkerError, WorkerPool
+from maesn.foreign import WorkerError, pack_task
 from maesn.worlds import EnvContractError, check_env_contract
 
 TIME_LIMIT = 2.0
@@ -45,9 +44,8 @@ def _attacked(name: str, played: bool, processes: list[int]) -> str:
         if not played:
             check_env_contract(env, TASKS[1])
             return ""
-        recipe = (env.recipe.make_env, env.reward_kind, env.interface)
-        with closing(WorkerPool(recipe, 2, TIME_LIMIT)) as pool:
-            pool.begin([pickle.dumps(task) for task in TASKS], [3, 4])
+        with closing(env.open_pool(2)) as pool:
+            pool.begin([pack_task(task) for task in TASKS], [3, 4])
             processes += pool.process_ids
             for _ in range(DUE + 1):
                 pool.step(np.zeros((2, 2), np.float32))

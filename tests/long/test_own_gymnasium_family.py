@@ -14,7 +14,7 @@ VERBS = ("train", "adapt", "report", "export")
 def test_its_commands_do_what_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert set(VERBS) == GUIDE.verbs
+    assert {*VERBS, "prior"} == GUIDE.verbs
     GUIDE.imported(tmp_path, monkeypatch)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # as the guide says, for the processes
     GUIDE.follow(*VERBS)
@@ -24,5 +24,5 @@ def test_its_commands_do_what_they_say(
     # The family has to be named again, and the command says so.
     advice = "next:    maesn adapt runs/gravity --family hidden_gravity:family"
     assert advice in capsys.readouterr().out
-    normalized = "runs/maesn-hidden_gravity:family-0"
+    normalized = "runs/maesn-family-0"
     assert Run.open(normalized, "hidden_gravity:family").learner.normalize_observations

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.probes import HiddenEnd
-from playing import LATENT_SIZE, agents, assert_same, keys, play
+from playing import agents, assert_same, keys, play
 from scipy import stats
 
 from maesn.envs import AnyEnv, Point, TaskSet, Wheeled, point, wheeled
@@ -51,19 +51,6 @@ def assert_equal_up_to_rounding(first: Episodes, second: Episodes) -> None:
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), first, second)
 
 
-def test_shapes(env: AnyEnv) -> None:
-    episodes = collector(env)(keys(4), agents(env, 4), jnp.array([1, 2, 3, 4]))
-    batch, time = (4, 3), env.horizon
-    assert episodes.observation.shape == (*batch, time + 1, env.observation_size)
-    assert episodes.action.shape == episodes.behaviour.mean.shape == (*batch, time, env.action_size)
-    for name in ("reward", "goal_reward", "valid", "solved"):
-        assert getattr(episodes, name).shape == (*batch, time)
-    assert episodes.terminated.shape == batch
-    assert episodes.noise.shape == episodes.z.shape == (*batch, LATENT_SIZE)
-    assert episodes.trial_end is not None
-    assert episodes.trial_end.recurrent_state is None
-
-
 def test_a_batch_of_four_tasks_equals_two_of_two(env: AnyEnv) -> None:
     collect, cast, index = collector(env), agents(env, 4), jnp.array([5, 9, 9, 2])
     together = collect(keys(4), cast, index)
@@ -99,13 +86,6 @@ def test_a_slot_depends_on_no_other_slot(env: AnyEnv) -> None:
 def test_a_task_may_be_played_in_two_slots(env: AnyEnv) -> None:
     episodes = collector(env)(keys(2), agents(env, 2), jnp.array([6, 6]))
     assert not np.any(np.equal(episodes.noise[0], episodes.noise[1]))
-
-
-def test_other_keys_give_other_episodes(env: AnyEnv) -> None:
-    collect, cast = collector(env), agents(env, 2)
-    first, second = (collect(keys(2, seed), cast, jnp.array([0, 1])) for seed in (0, 1))
-    for name in ("noise", "z", "action", "reward"):
-        assert not np.any(np.equal(getattr(first, name), getattr(second, name))), name
 
 
 def test_log_probabilities_can_be_recomputed_from_what_is_recorded(env: AnyEnv) -> None:

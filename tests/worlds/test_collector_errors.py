@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import RUNAWAY, CartTask, cart_on, pushed
-from learning_problems.probes import DelayedTarget, HiddenEnd
+from learning_problems.probes import DelayedTarget
 from playing import agents, keys, play
 
 from maesn.envs import Reward, TaskSet, Wheeled, wheeled
@@ -42,14 +42,6 @@ def test_physics_that_blows_up(tmp_path: Path) -> None:
     # The simulators go on to serve whoever behaves.
     calm = play(env, tasks, [2, 0], episodes=EPISODES, seed=seed)
     np.testing.assert_array_equal(calm.observation, np.zeros_like(calm.observation))
-
-
-def test_the_last_good_step_is_not_blamed(tmp_path: Path) -> None:
-    env = cart_on(tmp_path, RUNAWAY)(horizon=8)
-    tasks = TaskSet(CartTask(np.float32([1]), np.float32([1])))
-    episodes = play(env, tasks, [0], episodes=EPISODES)
-    fastest = float(jnp.max(episodes.observation[..., -1, 1]))
-    assert fastest == pytest.approx(1e8, rel=1e-5)
 
 
 def test_an_action_that_is_not_a_number_reaches_no_engine() -> None:
@@ -92,12 +84,6 @@ def test_an_observation_that_is_not_a_number() -> None:
     tasks = TaskSet(np.float32([[1, 0], [-1, 0]]))
     with failure_of("delayed_target, task 1, episode 0, step 2: the observation is not finite"):
         play(Unseen(), tasks, [1], episodes=EPISODES)
-
-
-def test_what_follows_the_end_of_an_episode_may_be_anything() -> None:
-    episodes = play(HiddenEnd(), TaskSet(np.float32([1.0])), [0], episodes=EPISODES)
-    assert np.isnan(episodes.action[:, :, 2:]).all()
-    assert np.isnan(episodes.observation[:, :, 2:]).all()
 
 
 def test_a_policy_that_is_not_a_number() -> None:

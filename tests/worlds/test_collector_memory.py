@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from carts import MOTOR, CartTask, cart_on
 from learning_problems.probes import HiddenEnd
-from playing import agents, assert_same, keys
+from playing import agents, keys
 
 from maesn.axes import RecurrentState
 from maesn.envs import Point, TaskSet, Wheeled, point, wheeled
@@ -72,12 +72,6 @@ def test_the_previous_reward_and_action_are_received(first: Episodes) -> None:
     np.testing.assert_array_equal(received[..., 1], shifted(np.asarray(first.action[..., 0])))
 
 
-def test_the_start_of_an_episode_is_received(first: Episodes) -> None:
-    starts = np.arange(HORIZON) == 0
-    expected = np.broadcast_to(starts, (2, EPISODES, HORIZON))
-    np.testing.assert_array_equal(first.behaviour.log_std[..., 1], expected)
-
-
 def test_the_state_goes_from_step_to_step(first: Episodes) -> None:
     counts = np.broadcast_to(np.arange(HORIZON), (2, EPISODES, HORIZON))
     np.testing.assert_allclose(first.behaviour.log_std[..., 0], 0.01 * counts, rtol=1e-6)
@@ -96,11 +90,6 @@ def test_the_state_goes_from_episode_to_episode_if_agents_have_it(
     np.testing.assert_allclose(received[..., 0], first.reward[..., -1], rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(received[..., 1], first.action[..., -1, 0])
     np.testing.assert_array_equal(second.behaviour.log_std[:, :, 0, 1], np.ones((2, EPISODES)))
-
-
-def test_otherwise_trials_begin_anew(collect: Collector, first: Episodes) -> None:
-    again = collect(keys(2), witnesses(collect), jnp.array([0, 1]))
-    assert_same(again.trial_end, first.trial_end)
 
 
 def test_what_is_recorded_is_what_the_policy_received(collect: Collector, first: Episodes) -> None:

@@ -13,7 +13,6 @@ from playing import agents, keys, play
 from maesn.axes import Readings
 from maesn.envs import AbstractPureEnv, Point, TaskSet
 from maesn.experience.agent import Agents
-from maesn.worlds import DeviceWorld, make_world
 
 GOALS = TaskSet(np.float32([[2.0, 0.0], [0.0, 2.0], [-1.2, 1.6]]))
 SIDES = TaskSet(np.float32([-1.0, 1.0, 1.0]))
@@ -99,7 +98,3 @@ def test_an_environment_may_hold_arrays() -> None:
     seen = [play(env, GOALS, [0, 1, 2]).observation for env in (first, same, other)]
     np.testing.assert_array_equal(seen[0], seen[1])
     assert (np.asarray(seen[2])[:, :, 0] != np.asarray(seen[0])[:, :, 0]).all()
-
-
-def test_pure_environments_are_played_on_the_device() -> None:
-    assert isinstance(make_world(Point(), GOALS), DeviceWorld)

@@ -17,7 +17,7 @@ from maesn.experience.agent import Agents
 from maesn.numerics import DiagonalGaussian
 from maesn.physics import NativeSimulator, PhysicsError
 from maesn.policies import AbstractPolicy, PolicyInput
-from maesn.worlds import EpisodeError, make_world
+from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 EPISODES = 5
@@ -53,16 +53,6 @@ def test_physics_that_blows_up_after_the_end_is_no_error(tmp_path: Path) -> None
     np.testing.assert_array_equal(episodes.observation[1], np.zeros((EPISODES, 13, 2)))
     speed = np.abs(np.asarray(episodes.observation[0, :, -1, 1]))
     assert not (speed[pushed] < 1e8).any()
-
-
-def test_physics_that_blows_up_before_the_end_is_one(tmp_path: Path) -> None:
-    class Unstopped(runaway(tmp_path)):  # type: ignore[misc]
-        def terminated(self, readings: Any) -> jax.Array:
-            return jnp.zeros((), bool)
-
-    tasks = TaskSet(CartTask(np.float32([1, 0]), np.float32([1, 1])))
-    with pytest.raises(EpisodeError, match="step 8: MuJoCo warns"):
-        play(Unstopped(horizon=12), tasks, [0, 1], episodes=EPISODES)
 
 
 def test_only_abandoned_simulations_may_blow_up() -> None:

@@ -1,6 +1,5 @@
 """Foreign environments: what is played is what a plain loop plays, and failures are named."""
 
-import pickle
 from typing import Any
 
 import jax
@@ -16,12 +15,13 @@ from strange_families import (
     settable,
     walkers,
 )
-from strangers import HORIZON, Chooser, Walker, draw_walks, make_walker
+from strangers import HORIZON, Chooser, Walker, draw_walks
 
 from maesn.context import Nothing
 from maesn.envs import TaskSet
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
+from maesn.foreign import pack_task
 from maesn.policies import CategoricalMLP, Recurrent
 from maesn.worlds import make_world
 
@@ -124,9 +124,9 @@ def test_discrete_actions_reach_the_environment_as_its_own() -> None:
 
 
 def test_no_more_processes_are_started_than_there_are_episodes() -> None:
-    two, one = (make_world(walkers.make_env(), tasks(), num_threads=n)._open() for n in (2, 1))
+    two, one = (walkers.make_env().open_pool(n) for n in (2, 1))
     for episodes, processes in ((1, 1), (3, 2), (1, 2)):
-        started = [pickle.dumps(np.asarray(tasks()[0]))] * episodes, list(range(episodes))
+        started = [pack_task(np.asarray(tasks()[0]))] * episodes, list(range(episodes))
         control = np.full((episodes, 2), 0.25, np.float32)
         assert_same(two.begin(*started), one.begin(*started))
         assert_same(two.step(control), one.step(control))
@@ -137,22 +137,9 @@ def test_no_more_processes_are_started_than_there_are_episodes() -> None:
 
 def test_a_world_that_is_forgotten_ends_its_processes() -> None:
     world = make_world(walkers.make_env(), tasks(), num_threads=2)
-    world._open().begin([pickle.dumps(tasks()[0])] * 2, [0, 1])
-    processes = world._open().process_ids
+    world.stepper.begin(jax.numpy.arange(2, dtype=np.uint32), tasks()[:1])
+    processes = world.stepper.process_ids
     assert len(processes) == 2
     assert all(map(is_running, processes))
     del world
     assert not any(map(is_running, processes))
-
-
-def test_a_family_that_is_made_of_a_function_without_a_name() -> None:
-    goal = np.float32([1, 1, 9, 0])
-    family = family_of(
-        lambda task, reward: make_walker(task if reward == "dense" else goal, reward)
-    )
-    start = TaskSet(np.float32([[0, 0, 9, 0]]))
-    dense = play(family.make_env(), start, [0], episodes=EPISODES, seed=SEED)
-    sparse = play(family.make_env(reward_kind="sparse"), start, [0], episodes=EPISODES, seed=SEED)
-    place = np.asarray(dense.observation)[0, :, 1:, -2:]
-    np.testing.assert_allclose(dense.reward[0], -np.linalg.norm(place, axis=-1), atol=1e-6)
-    np.testing.assert_allclose(sparse.reward[0], -np.linalg.norm(place - 1, axis=-1), atol=1e-6)

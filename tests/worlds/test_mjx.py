@@ -1,8 +1,7 @@
 """Episodes on the accelerator's engine against the native one, a closed form, and failures."""
 
-import inspect
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,19 +11,20 @@ from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on, pushed
 from playing import agents, keys, play
 
 from maesn.axes import Readings
-from maesn.envs import Point, TaskSet, Wheeled, point, wheeled
-from maesn.worlds import EpisodeError, MjxWorld, engine_of, make_world
+from maesn.envs import Point, TaskSet, point, wheeled
+from maesn.worlds import EpisodeError, make_world
 
 TASKS = wheeled.task_set("test")
 TASK_INDEX = [17, 3]
 CARTS = TaskSet(CartTask(np.float32([0.0, 5.0, 0.0]), np.float32([1.0, 2.0, 8.0])))
 
 
-def test_tasks_may_change_the_dynamics(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_tasks_may_change_the_dynamics(engine: Any, tmp_path: Path) -> None:
     env = cart_on(tmp_path, MOTOR)(force=3.0)
     task_index, count = [2, 0, 1], 2
     cast = agents(env, 3)
-    episodes = play(env, CARTS, task_index, episodes=count, cast=cast, engine="mjx")
+    episodes = play(env, CARTS, task_index, episodes=count, cast=cast, engine=engine)
     steps = np.arange(env.horizon + 1)
     for slot, (key, index) in enumerate(zip(keys(3), task_index, strict=True)):
         for episode in range(count):
@@ -81,13 +81,3 @@ def test_a_field_that_is_not_finite_is_named(tmp_path: Path) -> None:
 def test_families_without_a_model_have_one_engine() -> None:
     with pytest.raises(ValueError, match='`engine` must be "native" for `point`'):
         make_world(Point(), point.task_set("test"), engine="mjx")
-
-
-def test_a_misspelt_engine_is_refused() -> None:
-    unchecked = inspect.unwrap(engine_of)  # as it is where types are not checked at run time
-    with pytest.raises(ValueError, match="`engine` must be 'native' or 'mjx', got 'warp'"):
-        unchecked(Wheeled(), "warp")
-
-
-def test_mujoco_environments_are_played_on_the_device_if_that_is_asked_for() -> None:
-    assert isinstance(make_world(Wheeled(), TASKS, engine="mjx"), MjxWorld)

@@ -1,23 +1,21 @@
 """Episodes of the native engine against plain loops over `mujoco.mj_step` and a closed form."""
 
 import functools
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from carts import MOTOR, TIME_STEP, CartTask, cart_on, pushed
 from physics.by_hand import ROBOTS, Judged
 from physics.plain import plain_episodes
-from playing import agents, assert_same, constant_agents, keys, play
+from playing import agents, assert_same, constant_agents, keys
 
 from maesn.axes import Key
-from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
+from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, Wheeled, find_family
 from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.worlds import NativeWorld, make_world
+from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 TASK_INDEX = [17, 3]
@@ -149,29 +147,3 @@ def test_nothing_is_left_of_earlier_episodes() -> None:
     # The same collector, and so the same simulator, in between in other tasks.
     collect(WHEELED, [5, 6])
     assert_same(collect(WHEELED, TASK_INDEX), first)
-
-
-def test_tasks_may_change_the_dynamics_of_a_users_own_model(tmp_path: Path) -> None:
-    env = cart_on(tmp_path, MOTOR)(force=3.0)
-    tasks = TaskSet(CartTask(np.float32([0.0, 5.0, 0.0]), np.float32([1.0, 2.0, 8.0])))
-    task_index, count = [2, 0, 1], 4
-    episodes = play(env, tasks, task_index, episodes=count, cast=agents(env, 3))
-    steps = np.arange(env.horizon + 1)
-    for slot, (key, index) in enumerate(zip(keys(3), task_index, strict=True)):
-        for episode in range(count):
-            start_key = jax.random.split(jax.random.fold_in(key, episode), 3)[1]
-            task = tasks[index]
-            first = float(task.speed) * bool(pushed(start_key))
-            acceleration = 3.0 / float(task.mass)
-            # v_t = v_0 + h a t and x_t = sum_{s = 1 ... t} h v_s = h v_0 t + h^2 a t (t + 1) / 2
-            speed = first + TIME_STEP * acceleration * steps
-            place = TIME_STEP * first * steps
-            place = place + TIME_STEP**2 * acceleration * steps * (steps + 1) / 2
-            expected = np.stack([place, speed], axis=-1)
-            np.testing.assert_allclose(
-                episodes.observation[slot, episode], expected, rtol=1e-5, atol=1e-7
-            )
-
-
-def test_mujoco_environments_are_played_natively() -> None:
-    assert isinstance(collector(WHEELED).world, NativeWorld)

@@ -11,7 +11,6 @@ import pytest
 from bernoulli_bandit import bandit
 from jaxtyping import Array, Float, PRNGKeyArray
 from learning_problems.probes import HiddenEnd, hidden_end
-from playing import agents, play
 
 from maesn.context import Nothing
 from maesn.envs import FAMILIES, AnyEnv
@@ -145,9 +144,3 @@ def test_a_policy_learns_what_its_last_action_led_to() -> None:
         np.testing.assert_array_equal(kept["seen"], last)
         np.testing.assert_array_equal(kept["done"], action)
         cast = replace(cast, trial_state=episodes.trial_end)
-
-
-def test_other_policies_keep_their_state() -> None:
-    env = FAMILIES["point"].make_env(horizon=4)
-    episodes = play(env, FAMILIES["point"].task_set("test"), [0, 1], cast=agents(env, 2))
-    assert episodes.trial_end.recurrent_state is None

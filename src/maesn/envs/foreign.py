@@ -8,12 +8,12 @@ unbounded, and component i of the control is
 with the middle and half the width of the action space: a = 0 is the middle, and +-1 are the bounds.
 A `Discrete` action space becomes a choice, a one-hot vector.
 
-The reward is the environment's own, as is the end of an episode: `terminated` is the task's, and
-`truncated` is a clock's. Success is `info["is_success"]` or else `info["success"]`.
+The bounds are the tightest of the environment and its wrappers. The reward is the environment's
+own, as is the end of an episode: `terminated` is the task's, and `truncated` is a clock's. Success
+is `info["is_success"]` or else `info["success"]`.
 """
 
 import contextlib
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
 from maesn.envs.tasks import TaskFamily
-from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool
+from maesn.foreign import Interface, InterfaceError, WorkerError, WorkerPool, pack_task
 
 # Seconds. Making an environment can take long on a machine that does much else.
 TIME_LIMIT = 120.0
@@ -45,8 +45,8 @@ def nowhere(_: Any) -> Float[Array, " 2"]:
 class Recipe:
     """How the environments of a family are made, hosted and shown."""
 
-    make_env: Callable[[Any, str], Any]
-    """Called with a task and "dense" or "sparse"."""
+    make_env: Callable[[Any, str], Any] | str
+    """Called with a task and "dense" or "sparse"; or its `module:name`."""
     time_limit: float
     """Seconds that one call of an environment may take."""
     max_environments: int
@@ -55,6 +55,10 @@ class Recipe:
     """Planar position (metres) for figures from an observation, or `nowhere`."""
     goal: Callable[[Any], Any]
     """Planar position (metres) for figures from a task, or `nowhere`."""
+    situation: Callable[[Any], Any] | None
+    """What of a task an episode depends on; None for all of it."""
+    reward: Callable[..., Any] | None
+    """The environment's own reward, as a function; None if it cannot be said."""
 
 
 class AbstractGymnasiumEnv(AbstractEnv[Any]):
@@ -100,7 +104,10 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         task: Any,
     ) -> Reward:
         """Return the environment's reward, all of it as the goal's part."""
-        return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
+        if self.recipe.reward is None:
+            return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
+        seen = readings["observation"], self.control(action), next_readings["observation"]
+        return Reward(goal=self.recipe.reward(*seen, task, self.reward_kind), other=jnp.zeros(()))
 
     def observed_reward(
         self,
@@ -111,7 +118,22 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         task: Any,
     ) -> Float[Array, ""]:
         """Return the environment's reward as it is: far from the goal it may depend on the task."""
-        return next_readings["reward"]
+        return self.reward(readings, action, next_readings, task).total
+
+    def observation_names(self) -> tuple[str, ...]:
+        """Return names of the components of an observation: the parts of the space, in order."""
+        return self.interface.observation_names
+
+    def situation(self, task: Any) -> Any:
+        """Return what of a task an episode depends on, as the family says."""
+        return task if self.recipe.situation is None else self.recipe.situation(task)
+
+    def open_pool(self, num_workers: int) -> WorkerPool:
+        """Return workers that host this environment; nothing is started yet."""
+        how = self.recipe
+        return WorkerPool(
+            how.make_env, self.reward_kind, self.interface.spaces, num_workers, how.time_limit
+        )
 
     def check_shown(self, kind: ObservedReward) -> None:
         """Refuse a reward of another kind than the environment gives: it has one at a time.
@@ -143,7 +165,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
 
 def gymnasium_family(
     name: str,
-    make_env: Callable[[Any, str], Any],
+    make_env: Callable[[Any, str], Any] | str,
     draw_tasks: Callable[[np.random.Generator, int], Any],
     *,
     task_names: tuple[str, ...] = ("task",),
@@ -152,6 +174,8 @@ def gymnasium_family(
     control_period: float | None = None,
     position: Callable[[Any], Any] = nowhere,
     goal: Callable[[Any], Any] = nowhere,
+    situation: Callable[[Any], Any] | None = None,
+    reward: Callable[..., Any] | None = None,
     time_limit: float = TIME_LIMIT,
     max_environments: int = MAX_ENVIRONMENTS,
 ) -> TaskFamily:
@@ -164,21 +188,38 @@ def gymnasium_family(
         make_env: returns the environment of a task (one row of what `draw_tasks` returns, as
             NumPy arrays) with the "dense" or the "sparse" reward, its second argument. An
             environment with a method `set_task(task)` is kept and given the next task; any other
-            is made anew for every task.
+            is made anew for every task. As `module:name` it is imported by the workers alone, which
+            may then run in another interpreter (`--python`).
         draw_tasks: draws that many tasks, as an array with one row per task, or a pytree of them.
             They are held in JAX's single precision.
         task_names: names of these arrays in a user's `.npz` file of tasks.
         seed: fixes the family's task sets.
-        horizon: steps of an episode at most; None for the environment's `spec.max_episode_steps`.
-        control_period: seconds between two steps; None for what `metadata["render_fps"]` says.
+        horizon: steps of an episode at most; None for those of the environment's own clock
+            (`TimeLimit`, `spec.max_episode_steps`).
+        control_period: seconds between two steps; None for those of its `dt` or
+            `metadata["render_fps"]`, times the actions that wrappers repeat.
         position: returns the planar position (metres) for figures from an observation, in JAX.
         goal: returns the planar position (metres) for figures from a task, in JAX. Figures that
             need the two are left out if one is `nowhere`.
+        situation: returns what of a task an episode depends on, in JAX; None for all of it. Tasks
+            of one situation share the episodes of a search's prior, which needs `reward` to judge
+            them in each.
+        reward: the environment's own reward as a function of (observation, control, next
+            observation, task, "dense" or "sparse") in JAX; checked against the environment's before
+            a run starts.
         time_limit: seconds that one call of an environment may take before it counts as hanging.
         max_environments: adaptation takes fewer tasks at a time to keep no more environments
             than that; each episode that is played at the same time has one.
+
+    Raises:
+        ValueError: `situation` is given without `reward`.
     """
-    recipe = Recipe(make_env, time_limit, max_environments, position, goal)
+    if situation is not None and reward is None:
+        raise ValueError(
+            f"`situation` of `{name}` needs `reward`: the environment can only be asked for the "
+            "reward of the task that it plays."
+        )
+    recipe = Recipe(make_env, time_limit, max_environments, position, goal, situation, reward)
 
     @cache
     def family_class() -> type[AbstractGymnasiumEnv]:
@@ -210,7 +251,13 @@ def _instance(
     kind: type[AbstractGymnasiumEnv], horizon: int | None, reward_kind: RewardKind
 ) -> AbstractGymnasiumEnv:
     return kind(
-        horizon=_known(kind.name, "horizon", horizon, kind.interface.max_episode_steps),
+        horizon=_known(
+            kind.name,
+            "horizon",
+            horizon,
+            kind.interface.max_episode_steps,
+            "it has no `TimeLimit` and no `spec.max_episode_steps`",
+        ),
         observation_size=kind.interface.observation_size,
         action_size=len(kind.interface.lower),
         reward_kind=reward_kind,
@@ -225,7 +272,7 @@ def _family_class(
 
         name: ClassVar[str] = family_name
         control_period: ClassVar[float] = _known(
-            family_name, "control_period", period, found.control_period
+            family_name, "control_period", period, found.control_period, found.doubt
         )
         action_kind: ClassVar[ActionKind] = "discrete" if found.discrete else "continuous"
         planar: ClassVar[bool] = nowhere not in (how.position, how.goal)
@@ -243,16 +290,18 @@ def task_row(tasks: Any, row: int) -> Any:
 def _look_at(name: str, recipe: Recipe, task: Any) -> Interface:
     # In a process of its own, where it may hang or crash.
     try:
-        pool = WorkerPool((recipe.make_env, "dense", None), 1, recipe.time_limit)
-        with contextlib.closing(pool):
-            return pool.describe(pickle.dumps(task))
-    except WorkerError as error:
-        raise InterfaceError(f"`{name}`, task 0: {error.reason}") from error
+        with contextlib.closing(
+            WorkerPool(recipe.make_env, "dense", None, 1, recipe.time_limit)
+        ) as pool:
+            return pool.describe(pack_task(task))
+    except (WorkerError, InterfaceError) as error:
+        reason = error.reason if isinstance(error, WorkerError) else error
+        raise InterfaceError(f"`{name}`, task 0: {reason}") from error
 
 
-def _known(name: str, argument: str, given: Any, found: Any) -> Any:
+def _known(name: str, argument: str, given: Any, found: Any, doubt: str) -> Any:
     if given is None and found is None:
         raise InterfaceError(
-            f"`{argument}` must be given for `{name}`, because its environment does not have it."
+            f"`{argument}` must be given for `{name}`: its environment does not say, as {doubt}."
         )
     return found if given is None else given

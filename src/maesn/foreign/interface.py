@@ -1,73 +1,85 @@
 """The interface of an environment, the same for every task of a family: its spaces and times."""
 
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
+from jaxtyping import Float
 
 # Largest range of an action. Wider bounds are just the largest numbers of their type.
 _LARGEST_WIDTH = 1e30
+# An action far outside of every range: what arrives of it inside of a wrapper is a limit.
+_FAR = 1e6
+_TOLERANCE = 1e-5  # of a range; wrappers compute in single precision
+
+Arrivals = Callable[[Float[np.ndarray, "control component"]], Any]
+"""Sends controls through the wrappers, as `maesn.foreign.worker` describes it."""
 
 
 class InterfaceError(ValueError):
     """An environment's spaces are not supported; the message says why."""
 
 
-@dataclass(frozen=True)
-class Interface:
+class Interface(NamedTuple):
     """Spaces and times of an environment."""
 
-    observation: str
-    """Structure and shapes of the observations, without bounds."""
-    observation_size: int
-    """Components of an observation, flattened."""
+    spaces: dict[str, Any]
+    """What the spaces of every task must be, for the workers to compare."""
     discrete: bool
     """Whether a control is a choice, as a one-hot vector."""
     lower: tuple[float, ...]
-    """Lower bounds of the control, flattened; 0 for each choice."""
+    """Limits of the control, flattened, the tightest of all wrappers; 0 for each choice."""
     upper: tuple[float, ...]
-    """Upper bounds of the control, flattened; 1 for each choice."""
+    """As `lower`; 1 for each choice."""
     max_episode_steps: int | None
-    """Steps until the environment itself cuts an episode off; None if its `spec` does not say."""
+    """Steps until the environment itself cuts an episode off; None if it does not say."""
     control_period: float | None
-    """Seconds between two steps; None if the environment does not say."""
+    """Seconds between two steps, repeated actions included; None if that cannot be derived."""
+    doubt: str
+    """Why there is no control period."""
+
+    @property
+    def observation_size(self) -> int:
+        """Components of an observation, flattened."""
+        return len(self.observation_names)
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Names of these components, in their order."""
+        return tuple(self.spaces["observation"][1])
 
 
-def describe(env: gymnasium.Env[Any, Any]) -> Interface:
+def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
     """Return what an environment looks like from outside.
 
+    Args:
+        facts: what it says of itself.
+        arrivals: asked only if there are wrappers.
+
     Raises:
-        InterfaceError: there are no vector observations, or actions are neither bounded vectors
-            nor choices.
+        InterfaceError: actions are neither bounded vectors nor choices.
     """
-    lower, upper = _bounds(env.action_space)
-    flat = _flat_observation(env.observation_space)
-    return Interface(
-        observation=_structure(env.observation_space),
-        observation_size=int(np.prod(flat.shape)),
-        discrete=isinstance(env.action_space, spaces.Discrete),
-        lower=lower,
-        upper=upper,
-        max_episode_steps=None if env.spec is None else env.spec.max_episode_steps,
-        control_period=_control_period(env),
-    )
-
-
-def _bounds(space: spaces.Space[Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    if isinstance(space, spaces.Discrete):
-        return (0.0,) * int(space.n), (1.0,) * int(space.n)
-    if not isinstance(space, spaces.Box) or space.dtype.kind != "f":
+    kind, *bounds = facts["spaces"]["action"]
+    if kind not in ("Box", "Discrete"):
         raise InterfaceError(
             "the action space must be a bounded `Box` of floating-point numbers or `Discrete`, "
-            f"got {space}: wrap the environment in one that maps such actions to its own."
+            f"got {kind}: wrap the environment in one that maps such actions to its own."
         )
-    lower = tuple(float(bound) for bound in space.low.ravel())
-    upper = tuple(float(bound) for bound in space.high.ravel())
-    for index, (low, high) in enumerate(zip(lower, upper, strict=True)):
+    limits, steps, repeats = np.array(bounds), facts["max_episode_steps"], 1
+    if facts["inner_action"] is not None:
+        ends = np.clip(limits, -_FAR, _FAR)
+        found, clocks = arrivals(np.stack([ends.mean(axis=0), *ends]))
+        if found and kind == "Box" and facts["inner_action"][0] == "Box":
+            limits = _tightened(limits, np.array(facts["inner_action"][1:]), found, arrivals)
+        counts = {len(calls) for calls in found}
+        repeats = counts.pop() if len(counts) == 1 else 0
+        steps = min(map(math.ceil, clocks), default=steps)
+    for index, (low, high) in enumerate(limits.T.tolist()):
         _check_bounds(index, low, high)
-    return lower, upper
+    period, doubt = _control_period(facts["dt"], facts["rates"], repeats)
+    lower, upper = map(tuple, limits.tolist())
+    return Interface(facts["spaces"], kind == "Discrete", lower, upper, steps, period, doubt)
 
 
 def _check_bounds(index: int, low: float, high: float) -> None:
@@ -85,28 +97,73 @@ def _check_bounds(index: int, low: float, high: float) -> None:
         )
 
 
-def _flat_observation(space: spaces.Space[Any]) -> spaces.Box:
-    flat = spaces.flatten_space(space) if space.is_np_flattenable else None
-    if not isinstance(flat, spaces.Box):
-        raise InterfaceError(
-            "the observation space must flatten to a vector of fixed length, as `Box`, "
-            f"`Discrete`, and `Dict` and `Tuple` of them do, got {space}."
+def _tightened(
+    limits: np.ndarray, inner: np.ndarray, found: list[np.ndarray], arrivals: Arrivals
+) -> np.ndarray:
+    """Return limits between which the innermost environment gets actions within its own space.
+
+    Some wrappers take any action and clip it (`ClipAction`), some have a wider space than what they
+    wrap. Others map one space to the other (`RescaleAction`), and need nothing here.
+
+    Args:
+        limits: lower and upper bound of the outermost action space, `[2, component]`.
+        inner: the same of the innermost one.
+        found: what arrived of the middle and of both ends.
+        arrivals: sends the new limits, to see that they are some.
+    """
+    middle, *reached = (calls[0] for calls in found)
+    if middle.shape != limits[0].shape:
+        return limits
+    goal, ends = np.clip(reached, *inner), np.clip(limits, -_FAR, _FAR)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = np.abs(goal - reached) > _TOLERANCE * (inner[1] - inner[0])
+        centre = ends.mean(axis=0)
+        share = (goal - middle) / (np.array(reached) - middle)
+        shorter = np.where(excess, centre + share * (ends - centre), limits)
+    # Without bounds, what arrives is the limit, if it passes unchanged.
+    shorter = np.where(np.isinf(limits) & (np.abs(goal) < _FAR), goal, shorter)
+    if (shorter == limits).all() or not np.isfinite(shorter).all():
+        return shorter
+    again = np.array([calls[0] for calls in arrivals(shorter)[0]])
+    if np.allclose(again, goal, atol=float(_TOLERANCE * np.ptp(shorter, axis=0).max())):
+        return shorter
+    raise InterfaceError(
+        f"the limits of an action cannot be known: actions from {limits[0]} to {limits[1]} reach "
+        f"the innermost environment as {reached[0]} to {reached[1]}, but its own action space is "
+        f"from {inner[0]} to {inner[1]}. Wrap the environment in `gymnasium.wrappers.RescaleAction`"
+        " or in another whose action space has the limits."
+    )
+
+
+def _control_period(
+    dt: float | None, rates: list[float | None], repeats: int
+) -> tuple[float | None, str]:
+    """Return the seconds between two steps of the outermost environment, or None and why.
+
+    Args:
+        dt: seconds of a step of the innermost one, as Gymnasium's MuJoCo environments have it.
+        rates: pictures per second, rounded, of the innermost one and the outermost one, which show
+            one for each step.
+        repeats: steps of the innermost one in each of the outermost one; 0 if that varies.
+    """
+    if not repeats:
+        return None, "its wrappers may repeat actions, more or less often"
+    inner_rate, rate = rates
+    one = dt or (1 / inner_rate if inner_rate else None)
+    if one is None:
+        if rate:
+            return 1 / rate, ""
+        return None, "it has neither `dt` nor `render_fps` in its `metadata`"
+    if inner_rate and not _agree(one, inner_rate):
+        shown = f"its `metadata` shows {inner_rate:g} steps a second"
+        return None, f"its `dt` is {one:g} s, but {shown}"
+    if rate and rate != inner_rate and not _agree(one * repeats, rate):
+        return None, (
+            f"{repeats} steps of {one:g} s make one, but its `metadata` shows {rate:g} of these "
+            "a second"
         )
-    return flat
+    return one * repeats, ""
 
 
-def _structure(space: spaces.Space[Any]) -> str:
-    """Return a text that is equal for two spaces if their elements flatten alike."""
-    if isinstance(space, spaces.Dict):
-        parts = (f"{name}: {_structure(part)}" for name, part in space.spaces.items())
-        return f"Dict({', '.join(parts)})"
-    if isinstance(space, spaces.Tuple):
-        return f"Tuple({', '.join(map(_structure, space.spaces))})"
-    if isinstance(space, spaces.Box):
-        return f"Box{list(space.shape)}"
-    return str(space)
-
-
-def _control_period(env: gymnasium.Env[Any, Any]) -> float | None:
-    frames = env.metadata.get("render_fps")
-    return 1.0 / float(frames) if frames else None
+def _agree(period: float, rate: float) -> bool:
+    return abs(1 / period - rate) <= 0.5  # rates are rounded

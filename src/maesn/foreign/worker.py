@@ -1,87 +1,466 @@
-"""The program of a worker process, which hosts a share of the environments and steps them in turn.
+"""The program of a worker process, which hosts environments with Gymnasium's interface.
 
-`maesn.foreign.pool` starts it. It ends when its connection is closed; if an environment hangs then,
-`maesn.foreign.guard` kills it.
+`maesn.foreign.pool` starts this file in the interpreter of the environments, Python 3.10 or later.
+So it imports the standard library and NumPy alone, neither Gymnasium nor this package. What goes
+over the wire is made of Python's own types; an array is (type, shape, bytes).
+
+It ends when its connection is closed; if an environment hangs then, `maesn.foreign.guard` kills it.
 """
 
 import contextlib
+import copy
+import inspect
+import json
 import mmap
+import os
 import pickle
 import signal
 import struct
-from collections.abc import Sequence
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from maesn.foreign.errors import described, raised, shortened, user_traceback
-from maesn.foreign.hosted import HostedEnvironment, HostedError, Reading
+if sys.version_info < (3, 10):  # noqa: UP036  # of the environments' interpreter
+    sys.exit(f"environments need Python 3.10 or later, this is {sys.version.split()[0]}")
 
+# Changes whenever a request or an answer does.
+PROTOCOL = 1
 # Before each call of an environment, the worker writes the number of calls so far and the
 # environment's index to shared memory. So the pool can tell which environment hangs.
 MARK = struct.Struct("=Qq")
+# Names under which environments report success; the first is Gymnasium's goal environments'.
+_SUCCESS = ("is_success", "success")
+# Most characters of a message that are shown: a user's may have millions.
+_LONGEST = 1000
+# Calls that are shown at each end of a traceback.
+_CALLS = 6
 
 
-class Failure(NamedTuple):
-    """A worker's answer if one of its environments cannot go on."""
-
-    environment: int
-    """Index of the environment within the worker."""
-    reason: str
-    traceback: str
-    """Lines of the user's code in which an exception was raised; empty without one."""
+Flattener = tuple[Callable[[Any], np.ndarray], str, list[str]]
 
 
-def main(connection_descriptor: int, mark_descriptor: int) -> None:
-    """Serve the parent process until it closes the connection.
+class HostedError(Exception):
+    """An environment broke its contract; the message says how."""
+
+
+class HostedEnvironment:
+    """An environment that plays one episode after the other, of any task.
+
+    After its end, an episode keeps its last reading with reward 0 while others go on: the
+    environment is not stepped again before it is reset. A reading is a vector of single precision:
+    the observation, flattened, then the reward and whether the episode is terminated, truncated and
+    solved.
 
     Args:
-        connection_descriptor: file descriptor of a socket to the parent, which sends the recipe
-            (arguments of `HostedEnvironment`) and then requests.
-        mark_descriptor: file descriptor of the memory for `MARK`, which both processes map.
+        make_env: the user's function of a task and the kind of reward. It is called once if its
+            environment has a method `set_task`, and for every new task otherwise.
+        reward: "dense" or "sparse".
+        spaces: the `spaces` of `facts` that every task must have; None for the first one's.
     """
-    # Schedulers signal all processes of a job. The parent then saves, and ends this process. Hence
-    # an empty handler, and not SIG_IGN, which the environments' own processes would inherit.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: None)
-    connection = Connection(connection_descriptor)
-    with mmap.mmap(mark_descriptor, MARK.size) as mark, contextlib.suppress(EOFError, OSError):
-        _serve(connection, mark)
 
+    def __init__(self, make_env: Any, reward: str, spaces: dict[str, Any] | None = None) -> None:
+        self._make_env = make_env
+        self._reward = reward
+        self._spaces = spaces
+        self._env: Any = None
+        self._task: bytes | None = None
+        self._last = np.zeros(0, np.float32)
+        self._ended = True
 
-def _serve(connection: Connection, mark: mmap.mmap) -> None:
-    share = _load_share(connection, mark)
-    if share is None:
-        return
-    try:
-        while True:
-            request, *columns = connection.recv()
-            connection.send(share.answer(request, columns))
-    finally:
-        share.close()
+    def facts(self, task: bytes) -> dict[str, Any]:
+        """Return what the environment of a task says of itself.
 
+        Args:
+            task: pickled, so that tasks of any type can be compared.
+        """
+        env = self._with_task(task)
+        inner = _unwrapped(env)
+        return {
+            "spaces": self._spaces,
+            "inner_action": None if inner is env else _action_layout(inner.action_space),
+            "max_episode_steps": getattr(getattr(env, "spec", None), "max_episode_steps", None),
+            "dt": _number(getattr(inner, "dt", None)),
+            "rates": [_number(one.metadata.get("render_fps")) for one in (inner, env)],
+        }
 
-def _load_share(connection: Connection, mark: mmap.mmap) -> "_Share | None":
-    recipe = connection.recv_bytes()
-    try:
-        return _Share(pickle.loads(recipe), mark)
-    except Exception as error:  # noqa: BLE001  # the import of a user's module can raise anything
-        reason = f"`make_env` cannot be loaded: {described(error)}"
-        connection.send(Failure(0, reason, user_traceback(error)))
+    def probe(self, task: bytes, controls: Any) -> tuple[list[Any], list[float]]:
+        """Return what becomes of controls on their way through the wrappers.
+
+        The innermost environment plays the first one, and then repeats its answer.
+
+        Args:
+            task: pickled.
+            controls: `[control, component]`, packed.
+
+        Returns:
+            For each control, the actions that arrive at the innermost environment, `[call, action]`
+            packed; and the steps of an episode that each clock in between (`TimeLimit`) allows.
+            Nothing if that cannot be seen.
+        """
+        env = self._with_task(task)
+        inner = _unwrapped(env)
+        original, answers, arrived, found = inner.step, [], [], []  # type: ignore[var-annotated]
+
+        def step(action: Any) -> Any:
+            arrived.append(np.array(action, np.float64).ravel())
+            if not answers:
+                observation, reward, *_, info = original(action)
+                answers.append((observation, reward, False, False, info))
+            return copy.deepcopy(answers[0])
+
+        try:
+            inner.step = step
+        except AttributeError:  # nobody can look on
+            return [], []
+        try:
+            _ask("reset", lambda: env.reset(seed=0))
+            for control in unpacked(controls):
+                _ask("step", partial(env.step, _action(self._action_space, control)))
+                found.append(packed(np.array(arrived)))
+                arrived.clear()
+        finally:
+            del inner.step
+        # `TimeLimit` has no public names for these two.
+        clocks = [vars(one) for one in _layers(env) if vars(one).get("_elapsed_steps")]
+        lengths = [len(found) * one["_max_episode_steps"] / one["_elapsed_steps"] for one in clocks]
+        return found, lengths
+
+    def begin(self, task: bytes, seed: int) -> np.ndarray:
+        """Begin an episode, and return its first reading."""
+        env = self._with_task(task)
+        result = _ask("reset", lambda: env.reset(seed=seed))
+        if not (isinstance(result, tuple) and len(result) == 2):
+            raise HostedError(f"`reset` must return (observation, info), got {result!r}")
+        return self._read(result[0], 0.0, False, False, result[1])
+
+    def step(self, control: np.ndarray) -> np.ndarray:
+        """Step the environment with a control, unless its episode has ended; return the reading."""
+        if self._ended:
+            self._last[-4] = 0.0
+            return self._last
+        if not np.isfinite(control).all():
+            raise HostedError(f"the policy's action must be finite, got the control {control}")
+        env, action = self._env, _action(self._action_space, control)
+        result = _ask("step", lambda: env.step(action))
+        if not (isinstance(result, tuple) and len(result) == 5):
+            raise HostedError(
+                f"`step` must return (observation, reward, terminated, truncated, info), got "
+                f"{result!r}"
+            )
+        return self._read(*result)
+
+    def complaint(self, task: bytes) -> str | None:
+        """Return the complaint of Gymnasium's own check; None if there is none.
+
+        The check plays some steps. It demands more than is needed here: exact types and bounds, and
+        the same episode for the same seed.
+        """
+        env = self._with_task(task)
+        checker = sys.modules.get("gymnasium") and import_module("gymnasium.utils.env_checker")
+        if not checker:  # the environment only looks like one of Gymnasium's
+            return None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                known = inspect.signature(checker.check_env).parameters  # differs by version
+                left_out = known.keys() & {"skip_render_check", "skip_close_check"}
+                checker.check_env(env, **dict.fromkeys(left_out, True))
+        except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
+            return described(error)
         return None
+
+    def renders(self, task: bytes) -> bool:
+        """Return whether the environment of a task draws itself."""
+        return bool(getattr(self._with_task(task), "render_mode", None) == "rgb_array")
+
+    def picture(self, library: str | None) -> Any:
+        """Return the environment's picture of its present state, `[height, width, 3]`, packed.
+
+        Args:
+            library: what MuJoCo draws with, unless the variable MUJOCO_GL says so. It is set no
+                earlier than here: MuJoCo's import fails where the library cannot be used.
+        """
+        if library is not None:
+            os.environ.setdefault("MUJOCO_GL", library)
+        drawn = _ask("render", self._env.render)
+        picture = np.asarray(drawn)
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+            raise HostedError(
+                "`render` must return a picture, an array of bytes `[height, width, 3]`, got "
+                f"{type(drawn).__name__} of {picture.dtype} {list(picture.shape)}"
+            )
+        return packed(picture)
+
+    def close(self) -> None:
+        """Close the environment."""
+        if self._env is not None:
+            env, self._env = self._env, None
+            _ask("close", env.close)
+
+    def _with_task(self, task: bytes) -> Any:
+        if self._env is not None and task == self._task:
+            return self._env
+        value = pickle.loads(task)
+        set_task = [one.set_task for one in _layers(self._env) if hasattr(one, "set_task")]
+        if set_task:
+            _ask("set_task", lambda: set_task[0](value))
+        else:
+            self.close()
+            self._env = _ask("make_env", lambda: self._make_env(value, self._reward))
+        env = self._env
+        if not (hasattr(env, "reset") and hasattr(env, "step")):
+            raise HostedError(f"`make_env` must return a `gymnasium.Env`, got {env!r}")
+        # Kept, because every look-up goes through all wrappers.
+        self._action_space = env.action_space
+        self._flatten, *layout = flattener(env.observation_space, "the observation")
+        found = {"observation": layout, "action": _action_layout(self._action_space)}
+        self._spaces = self._spaces or found
+        for name, space in found.items():
+            if space != self._spaces[name]:
+                raise HostedError(
+                    f"the {name} space must be that of the family's first task in every task, "
+                    f"{self._spaces[name]}, got {space}"
+                )
+        self._task = task
+        return env
+
+    def _read(
+        self, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any
+    ) -> np.ndarray:
+        vector = _ask("the observation", lambda: self._flatten(observation))
+        try:
+            gain = float(reward)
+        except (TypeError, ValueError) as error:
+            raise HostedError(f"the reward must be a number, got {reward!r}") from error
+        ends = _truth("terminated", terminated), _truth("truncated", truncated)
+        self._ended = any(ends)
+        with np.errstate(over="ignore"):  # the pool refuses what is infinite in single precision
+            self._last = np.concatenate([vector, (gain, *ends, _solved(info))]).astype(np.float32)
+        return self._last
+
+
+def _ask(what: str, question: Callable[[], Any]) -> Any:
+    """Call a user's code, and turn its exceptions into a `HostedError`."""
+    try:
+        return question()
+    except HostedError:
+        raise
+    except Exception as error:
+        name = what if " " in what else f"`{what}`"
+        raise HostedError(f"{name} {_raised(error)}") from error
+
+
+def _layers(env: Any) -> Iterator[Any]:
+    """Yield an environment and all that it wraps, from outside."""
+    while env is not None:
+        yield env
+        env = None if env is getattr(env, "unwrapped", env) else env.env
+
+
+def _unwrapped(env: Any) -> Any:
+    return getattr(env, "unwrapped", env)
+
+
+def _number(value: Any) -> float | None:
+    usable = isinstance(value, int | float | np.number) and 0 < value < np.inf
+    return float(value) if usable else None
+
+
+def _kind(space: Any) -> str:
+    """Return the kind of a space by its name, as no module of Gymnasium is imported."""
+    names = [one.__name__ for one in type(space).__mro__]
+    known = ("Box", "Dict", "Discrete", "MultiBinary", "MultiDiscrete", "Tuple")
+    return next((name for name in names if name in known), names[0])
+
+
+def _action_layout(space: Any) -> list[Any]:
+    """Return kind and bounds of an action space, flattened; the text of one of another kind."""
+    if _kind(space) == "Discrete":
+        return ["Discrete", [0.0] * int(space.n), [1.0] * int(space.n)]
+    if _kind(space) == "Box" and space.dtype.kind == "f":
+        return ["Box", space.low.ravel().tolist(), space.high.ravel().tolist()]
+    return [str(space), [], []]
+
+
+def _action(space: Any, control: np.ndarray) -> Any:
+    if _kind(space) == "Discrete":
+        return space.start + int(np.argmax(control))
+    action = control.astype(space.dtype).reshape(space.shape)
+    # Rounding to single precision may pass a bound. (`np.clip` is slower on so few numbers.)
+    return np.minimum(np.maximum(action, space.low), space.high)
+
+
+def flattener(space: Any, where: str) -> Flattener:
+    """Return a function that checks and flattens observations, in the order of Gymnasium's own.
+
+    Gymnasium's `contains` asks for exact types and bounds, which environments often miss by little;
+    its `flatten` asks for nothing, and takes numbers of one part for those of another.
+
+    Args:
+        space: the space of an observation, or of a part of one.
+        where: the name of the observation in messages.
+
+    Returns:
+        The function; a text that is equal for spaces whose elements flatten alike; and a name for
+        each component.
+    """
+    kind = _kind(space)
+    if kind in ("Dict", "Tuple"):
+        return _of_parts(space, kind == "Dict", where)
+    integer = np.iinfo(np.int64 if kind != "Box" or space.dtype.kind == "f" else space.dtype)
+    low: Any = {"Box": integer.min, "MultiBinary": 0}.get(kind, getattr(space, "start", 0))
+    counts = {"Discrete": getattr(space, "n", 0), "MultiDiscrete": getattr(space, "nvec", 0)}
+    if kind in ("Box", "MultiBinary"):
+        high = integer.max if kind == "Box" else 1
+        read = partial(_numbers, space, low, high, where)
+        return read, f"{kind}{list(space.shape)}", _names(where, int(np.prod(space.shape)))
+    if kind in counts:
+        count = np.asarray(counts[kind], np.int64)
+        low = np.asarray(low, np.int64)
+
+        def one_hot(value: Any) -> np.ndarray:
+            chosen = _numbers(space, low, low + count - 1, where, value) - low.ravel()
+            pairs = zip(count.ravel(), chosen, strict=True)
+            return np.concatenate([np.arange(size) == choice for size, choice in pairs])
+
+        return one_hot, str(space), _names(where, int(count.sum()))
+    raise HostedError(
+        "the observation space must flatten to a vector of fixed length, as `Box`, "
+        f"`Discrete`, and `Dict` and `Tuple` of them do, got {space}."
+    )
+
+
+def _of_parts(space: Any, named: bool, where: str) -> Flattener:
+    items = space.spaces.items() if named else enumerate(space.spaces)
+    parts = {name: flattener(part, f"{where}[{name!r}]") for name, part in items}
+    what = f"{'dictionary' if named else 'tuple'} of {', '.join(map(str, parts))}"
+
+    def read(value: Any) -> np.ndarray:
+        fits = isinstance(value, Mapping) if named else isinstance(value, tuple | list | np.ndarray)
+        if not fits or set(value if named else range(len(value))) != set(parts):
+            raise HostedError(f"{where} must be a {what}, got {value!r}")
+        return np.concatenate([part[0](value[name]) for name, part in parts.items()])
+
+    names = [name for part in parts.values() for name in part[2]]
+    inside = ", ".join(f"{name}: {part[1]}" for name, part in parts.items())
+    return read, f"{_kind(space)}({inside})", names
+
+
+def _names(where: str, size: int) -> list[str]:
+    return [f"{where.removeprefix('the ')}[{index}]" for index in range(size)]
+
+
+def _numbers(space: Any, low: Any, high: Any, where: str, value: Any) -> np.ndarray:
+    numbers = np.asarray(value)
+    if numbers.shape != space.shape:
+        raise HostedError(
+            f"{where} must have the shape {space.shape} of its space, got {numbers.shape}"
+        )
+    if numbers.dtype.kind not in "biuf":
+        raise HostedError(f"{where} must hold numbers, got {value!r}")
+    if space.dtype.kind != "f":
+        with np.errstate(invalid="ignore"):
+            whole = numbers.astype(np.int64)
+        if not np.array_equal(whole, numbers) or np.any(whole < low) or np.any(whole > high):
+            raise HostedError(
+                f"{where} must hold whole numbers from {low} to {high}, got {value!r}"
+            )
+    return numbers.ravel().astype(np.float64)
+
+
+def _truth(name: str, value: Any) -> bool:
+    try:
+        known = value in (0, 1)  # as which Python's and NumPy's truth values count
+    except (TypeError, ValueError, RuntimeError):  # of arrays with several elements
+        known = False
+    if not known:
+        raise HostedError(f"`{name}` must be a truth value, got {value!r}")
+    return bool(value)
+
+
+def _solved(info: Any) -> bool:
+    if not isinstance(info, Mapping):
+        raise HostedError(f"`info` must be a dictionary, got {info!r}")
+    found = [name for name in _SUCCESS if name in info]
+    return bool(found) and _truth(f'info["{found[0]}"]', info[found[0]])
+
+
+def packed(array: np.ndarray) -> tuple[str, tuple[int, ...], bytes]:
+    """Return an array as Python's own types."""
+    return array.dtype.str, array.shape, array.tobytes()
+
+
+def unpacked(parts: tuple[str, tuple[int, ...], bytes]) -> np.ndarray:
+    """Return the array of `packed`, which cannot be written to."""
+    kind, shape, content = parts
+    return np.frombuffer(content, kind).reshape(shape)
+
+
+def described(error: BaseException) -> str:
+    """Return type and message of an error. The message may be long, or raise an error itself."""
+    try:
+        message = str(error)
+    except Exception:  # noqa: BLE001
+        message = "(its message cannot be shown)"
+    return _shortened(f"{type(error).__name__}: {message}")
+
+
+def _raised(error: BaseException) -> str:
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"raised {described(error)} ({frame.filename}, line {frame.lineno})"
+
+
+def _shortened(text: str, limit: int = _LONGEST) -> str:
+    left_out, half = len(text) - limit, limit // 2
+    if left_out <= 0:
+        return text
+    return f"{text[:half]} ... ({left_out:,} characters left out) ... {text[-half:]}"
+
+
+def _user_traceback(error: BaseException | None) -> str:
+    """Return the traceback of an error within a user's code; an empty text without an error."""
+    calls = traceback.extract_tb(error.__traceback__) if error else []
+    lines = traceback.format_list([call for call in calls if call.filename != __file__])
+    if len(lines) > 2 * _CALLS:
+        lines[_CALLS:-_CALLS] = [f"  ... ({len(lines) - 2 * _CALLS} calls left out)\n"]
+    return _shortened("".join(lines), 4 * _LONGEST)
+
+
+class _Failure(Exception):
+    """One of the environments cannot go on: its index, the reason, and its lines of traceback."""
 
 
 class _Share:
-    """The environments of one worker."""
+    """The environments of one worker.
 
-    def __init__(self, recipe: tuple[Any, ...], mark: mmap.mmap) -> None:
-        self._recipe = recipe
+    Args:
+        recipe: arguments of `HostedEnvironment`, pickled.
+        mark: memory for `MARK`, which the pool reads.
+    """
+
+    def __init__(self, recipe: bytes, mark: mmap.mmap) -> None:
         self._mark = mark
         self._calls = 0
         self._environments: list[HostedEnvironment] = []
+        try:
+            make_env, *others = pickle.loads(recipe)
+            if isinstance(make_env, str):
+                module, _, name = make_env.partition(":")
+                make_env = getattr(import_module(module), name)
+        except Exception as error:  # a user's module can raise anything
+            reason = f"`make_env` cannot be loaded by {sys.executable}: {described(error)}"
+            raise _Failure(0, reason, _user_traceback(error)) from error
+        self._recipe = (make_env, *others)
 
-    def answer(self, request: str, columns: list[Sequence[Any]]) -> Any:
+    def answer(self, request: str, columns: Sequence[Any]) -> Any:
         """Call a method of one environment after the other.
 
         Args:
@@ -89,22 +468,26 @@ class _Share:
             columns: for each argument of the method, one value per environment.
 
         Returns:
-            The results, readings as one array per field; or the `Failure` of the first environment
-            that cannot go on.
+            The results; readings as one packed array.
         """
-        answers = []
-        for index, arguments in enumerate(zip(*columns, strict=True)):
-            self._calls += 1
-            MARK.pack_into(self._mark, 0, self._calls, index)
-            if index == len(self._environments):
-                self._environments.append(HostedEnvironment(*self._recipe))
-            try:
-                answers.append(getattr(self._environments[index], request)(*arguments))
-            except HostedError as error:
-                return Failure(index, shortened(str(error)), user_traceback(error.__cause__))
-            except Exception as error:  # noqa: BLE001  # of a user's code, wherever it is called
-                return Failure(index, f"the environment {raised(error)}", user_traceback(error))
-        return _stack_fields(answers) if request in ("begin", "step") else answers
+        if request == "step":
+            columns = [unpacked(columns[0])]
+        answers = [self._call(request, *one) for one in enumerate(zip(*columns, strict=True))]
+        return packed(np.stack(answers)) if request in ("begin", "step") else answers
+
+    def _call(self, request: str, index: int, arguments: tuple[Any, ...]) -> Any:
+        self._calls += 1
+        MARK.pack_into(self._mark, 0, self._calls, index)
+        if index == len(self._environments):
+            self._environments.append(HostedEnvironment(*self._recipe))
+        try:
+            return getattr(self._environments[index], request)(*arguments)
+        except HostedError as error:
+            trace = _user_traceback(error.__cause__)
+            raise _Failure(index, _shortened(str(error)), trace) from error
+        except Exception as error:  # of a user's code, wherever it is called
+            trace = _user_traceback(error)
+            raise _Failure(index, f"the environment {_raised(error)}", trace) from error
 
     def close(self) -> None:
         """Close all environments, and ignore their errors."""
@@ -113,5 +496,42 @@ class _Share:
                 environment.close()
 
 
-def _stack_fields(readings: list[Reading]) -> tuple[np.ndarray, ...]:
-    return tuple(np.asarray(column, np.float32) for column in zip(*readings, strict=True))
+def _serve(connection: Connection, mark: mmap.mmap) -> None:
+    share = None
+    try:
+        share = _Share(connection.recv_bytes(), mark)
+        while True:
+            request, columns = connection.recv()
+            connection.send((share.answer(request, columns), None))
+    except _Failure as failure:
+        connection.send((None, failure.args))
+        connection.recv()  # the pool reads the failure, and closes
+    finally:
+        if share is not None:
+            share.close()
+
+
+def main(protocol: str, connection: str, mark: str, path: str) -> None:
+    """Serve the parent process until it closes the connection.
+
+    Args:
+        protocol: that of the parent; another worker's would be misunderstood.
+        connection: file descriptor of a socket to the parent, which sends the recipe of a `_Share`
+            and then requests: name and columns. Answers are (result, None) or (None, failure).
+        mark: file descriptor of the memory for `MARK`, which both processes map.
+        path: where modules are looked for, as JSON; null for this interpreter's own.
+    """
+    if int(protocol) != PROTOCOL:
+        sys.exit(f"the library speaks version {protocol} of the protocol, this file {PROTOCOL}")
+    # Schedulers signal all processes of a job. The parent then saves, and ends this process. Hence
+    # an empty handler, and not SIG_IGN, which the environments' own processes would inherit.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: None)
+    # The place of this file is no place of modules.
+    sys.path[:] = json.loads(path) or [*sys.path[1:], str(Path.cwd())]
+    with mmap.mmap(int(mark), MARK.size) as shared, contextlib.suppress(EOFError, OSError):
+        _serve(Connection(int(connection)), shared)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

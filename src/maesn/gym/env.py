@@ -6,14 +6,8 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
-from maesn.gym.settings import (
-    RENDER_MODES,
-    checked_action,
-    checked_render_mode,
-    refuse_unknown,
-)
-from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
-from maesn.worlds import Scene
+from maesn.gym.settings import NO_EPISODE, RENDER_MODES, refuse_unknown
+from maesn.gym.stepping import SETTINGS, Information, Stepper
 
 Observation = Float[np.ndarray, " observation"]
 
@@ -41,13 +35,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self, family: Any = "wheeled", *, render_mode: str | None = None, **settings: Any
     ) -> None:
         refuse_unknown("a setting", settings, _SETTINGS)
+        refuse_unknown("a render mode", filter(None, [render_mode]), RENDER_MODES)
         self._stepper = Stepper(family, 1, num_threads=1, **settings)
         self.observation_space = self._stepper.observation_space
         self.action_space = self._stepper.action_space
-        self.render_mode = checked_render_mode(render_mode)
-        self.metadata = metadata_of(self._stepper)
-        self._scene: Scene | None = None
-        self._ended = True
+        self.render_mode = render_mode
+        self.metadata = self._stepper.metadata
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -68,9 +61,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         refuse_unknown("an option", options, ("task",))
         chosen = self._stepper.choose(options.get("task"))
         super().reset(seed=seed)
-        glimpse = self._stepper.begin(np.zeros(1, np.int64), [self.np_random], chosen)
-        self._ended = False
-        return glimpse.observation[0], self._information(glimpse)
+        observation, information = self._stepper.begin(np.arange(1), [self.np_random], chosen)
+        return observation[0], _single(information)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step.
@@ -84,39 +76,26 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             EpisodeError: the physics blew up, or something is no number.
+            ResetNeeded: no episode is running.
             ValueError: the action has another shape than its space.
         """
-        if self._ended:
-            raise gymnasium.error.ResetNeeded("no episode is running: call `reset` before `step`.")
-        action = checked_action(action, self.action_space)
-        after = self._stepper.step(action[None], np.zeros(1, bool))
-        reward = float(after.reward[0])
-        terminated, truncated = bool(after.terminated[0]), bool(after.truncated[0])
-        self._ended = terminated or truncated
-        goal = {"goal_reward": float(after.goal_reward[0])}
-        information = self._information(after.glimpse) | goal
-        return after.glimpse.observation[0], reward, terminated, truncated, information
+        if self._stepper.ended[0]:
+            raise gymnasium.error.ResetNeeded(NO_EPISODE)
+        observation, *numbers, information = self._stepper.step(np.asarray(action)[None])
+        reward, terminated, truncated = (row.item() for row in numbers)
+        return observation[0], reward, terminated, truncated, _single(information)
 
     def render(self) -> Any:
         """Return a picture of the present state, or None without a `render_mode`."""
         if self.render_mode is None:
             gymnasium.logger.warn("`render` needs `render_mode='rgb_array'` in `gymnasium.make`.")
             return None
-        if self._scene is None:
-            self._scene = self._stepper.open_scene()
-        return self._stepper.draw(self._scene, 0)
+        return self._stepper.pictures()[0]
 
     def close(self) -> None:
         """Release the engine and the drawing library; may be called twice."""
         self._stepper.close()
-        if self._scene is not None:
-            self._scene.close()
-
-    def _information(self, glimpse: Glimpse) -> dict[str, Any]:
-        return {"task": int(self._stepper.task_index[0]), "is_success": bool(glimpse.solved[0])}
 
 
-def metadata_of(stepper: Stepper) -> dict[str, Any]:
-    """Return what Gymnasium wants to know of the pictures."""
-    rate = round(1 / stepper.env.control_period)
-    return {"render_modes": list(RENDER_MODES), "render_fps": max(rate, 1)}
+def _single(information: Information) -> dict[str, Any]:
+    return {name: row.item() for name, row in information.items()}

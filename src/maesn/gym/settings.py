@@ -1,19 +1,16 @@
 """Checked options of the Gymnasium environments."""
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from gymnasium import Space
 from jaxtyping import Int
-
-from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
-from maesn.settings import check_choice
 
 TaskChoice: TypeAlias = int | Sequence[int] | np.ndarray | None
 """Index of a task in its set, for all episodes or for each; None for one that is drawn."""
 
 RENDER_MODES = ("rgb_array",)
+NO_EPISODE = "no episode is running: call `reset` before `step`."
 
 
 def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> None:
@@ -31,43 +28,6 @@ def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> N
         if name not in known:
             names = ", ".join(f"`{one}`" for one in known)
             raise ValueError(f"`{name}` is not {kind}: choose from {names}.")
-
-
-def make_steppable(
-    family: TaskFamily, reward: RewardKind, variant: Variant, sparse_radius: float | None
-) -> AnyEnv:
-    """Return the environment of a family, which must be one that Gymnasium can step.
-
-    Args:
-        family: the family of tasks.
-        reward: dense or sparse.
-        variant: whose reward formulas.
-        sparse_radius: radius of the goal region in metres; None for the family's own.
-
-    Raises:
-        ValueError: its actions are discrete, or a setting is wrong.
-    """
-    check_choice("reward", reward, RewardKind)  # environments know it by another name
-    radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
-    env = family.make_env(variant=variant, reward_kind=reward, **radius)
-    if env.action_kind != "continuous":
-        raise ValueError(
-            f"`family` must have continuous actions to be stepped here, but those of "
-            f"`{family.name}` are {env.action_kind}: play it with `maesn.Collector`."
-        )
-    return env
-
-
-def checked_action(action: Any, space: Space[Any]) -> np.ndarray:
-    """Return an action, or those of several episodes, in single precision.
-
-    Raises:
-        ValueError: it has another shape than its space.
-    """
-    action = np.asarray(action, np.float32)
-    if action.shape != space.shape:
-        raise ValueError(f"`action` must have the shape {space.shape}, got {action.shape}.")
-    return action
 
 
 def checked_task(
@@ -88,16 +48,3 @@ def checked_task(
             f"{num_episodes} episodes, got {task!r}."
         )
     return np.broadcast_to(chosen, (num_episodes,))
-
-
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return the render mode, checked to exist.
-
-    Raises:
-        ValueError: it does not.
-    """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ValueError(
-            f"`render_mode` must be {', '.join(RENDER_MODES)} or None, got {render_mode!r}."
-        )
-    return render_mode

@@ -3,45 +3,30 @@
 from collections.abc import Sequence
 from functools import partial
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
-from maesn.gym.settings import TaskChoice, checked_task, make_steppable
-from maesn.physics import PhysicsError
-from maesn.worlds import EpisodeError, Scene, arena, open_simulator
+from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_task
+from maesn.settings import check_choice
+from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
 from maesn.worlds.outcome import observe
 
 # Size of the pictures, in pixels.
 WIDTH, HEIGHT = 480, 360
 
 
-class Glimpse(NamedTuple):
-    """Observations of the present states, one row for each episode."""
-
-    observation: Float[np.ndarray, "episode observation"]
-    solved: Bool[np.ndarray, " episode"]
-    """Whether the goal region is reached in this state."""
-
-
-class Transition(NamedTuple):
-    """The result of a step, one row for each episode."""
-
-    glimpse: Glimpse
-    reward: Float[np.ndarray, " episode"]
-    goal_reward: Float[np.ndarray, " episode"]
-    """The part of `reward` that depends on the goal; the rest are control costs and the like."""
-    terminated: Bool[np.ndarray, " episode"]
-    truncated: Bool[np.ndarray, " episode"]
+Information: TypeAlias = dict[str, np.ndarray]
+"""`task`, `is_success` and, after a step, `goal_reward`: one row for each episode."""
 
 
 class Stepper:
@@ -77,15 +62,31 @@ class Stepper:
         num_threads: int = 0,
     ) -> None:
         family = resolve_family(family) if isinstance(family, str) else family
-        self.env: AnyEnv = make_steppable(family, reward, variant, sparse_radius)
+        check_choice("reward", reward, RewardKind)  # environments know it by another name
+        radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
+        self.env: AnyEnv = family.make_env(variant=variant, reward_kind=reward, **radius)
+        if self.env.action_kind != "continuous" or self.env.engine == "gymnasium":
+            raise ValueError(
+                "`family` must have continuous actions and be moved by the library, but "
+                f"`{family.name}` has {self.env.action_kind} actions and is moved by "
+                f"{self.env.engine}: play it with `maesn.Collector`."
+            )
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
-        self._simulator = open_simulator(self.env, num_episodes, num_threads)
+        self._stepper = open_stepper(self.env, num_threads)
+        self._scene: Scene | None = None
         self.task_index = np.zeros(num_episodes, np.int64)
+        self.ended = np.ones(num_episodes, bool)
         self._present: Any = None  # the tasks of these indices
         self._readings: HostReadings = {}
         self._steps = np.zeros(num_episodes, np.int64)
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What Gymnasium wants to know of the pictures."""
+        rate = round(1 / self.env.control_period)
+        return {"render_modes": list(RENDER_MODES), "render_fps": max(rate, 1)}
 
     @property
     def observation_space(self) -> Box:
@@ -115,7 +116,7 @@ class Stepper:
         rows: Int[np.ndarray, " row"],
         streams: Sequence[np.random.Generator],
         chosen: Int[np.ndarray, " episode"] | None,
-    ) -> Glimpse:
+    ) -> tuple[np.ndarray, Information]:
         """Start some episodes anew.
 
         Args:
@@ -125,7 +126,7 @@ class Stepper:
             chosen: the index of the task of each episode; None to draw them.
 
         Returns:
-            The states of all episodes.
+            Observations and information of all episodes.
 
         Raises:
             EpisodeError: the physics cannot begin with the state that was drawn.
@@ -137,47 +138,59 @@ class Stepper:
             seeds[row] = streams[row].integers(2**32, dtype=np.uint32)
         self._present = jax.tree.map(jnp.asarray, self.tasks[self.task_index])
         start = _start(self.env, seeds, self._present)
-        qpos, qvel, fields = jax.tree.map(lambda x: np.asarray(x)[rows], tuple(start))
-        simulations = None if len(rows) == self.num_episodes else rows
+        start, tasks = jax.tree.map(lambda x: np.asarray(x)[rows], (start, self._present))
+        some = None if len(rows) == self.num_episodes else rows
         try:
-            readings = self._simulator.reset(qpos, qvel, fields, simulations)
-        except PhysicsError as error:
-            raise self._error(error) from error
-        self._readings, self._steps[rows] = _single(readings), 0
-        return Glimpse(*_seen(_look(self.env, self._readings, self._present)))
+            readings = self._stepper.begin(start, tasks, some)
+        except SimulationFailure as failure:
+            raise self._error(failure) from failure
+        self._readings, self._steps[rows], self.ended[rows] = _single(readings), 0, False
+        observation, solved = _seen(_look(self.env, self._readings, self._present))
+        return observation, self._information(solved)
 
     def step(
-        self, action: Float[np.ndarray, "episode action"], ended: Bool[np.ndarray, " episode"]
-    ) -> Transition:
-        """Advance all episodes by one step.
+        self, action: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Information]:
+        """Advance all episodes by one step; what happens to those that have ended means nothing.
 
         Args:
-            action: an element of the action space; beyond it the actuators saturate.
-            ended: episodes that are over. What happens to them means nothing.
+            action: one row for each episode, in the action space; beyond it the actuators saturate.
+
+        Returns:
+            Observations, rewards, which episodes have terminated, which have run out of time, and
+            information.
 
         Raises:
             EpisodeError: the physics of an episode blew up, or an observation or a reward is not
                 finite.
+            ValueError: the actions have another shape than their space.
         """
-        before, action = self._readings, action.astype(np.float32)
-        control = np.where(ended[:, None], 0.0, np.asarray(_control(self.env, action)))
+        before, action = self._readings, np.asarray(action, np.float32)
+        wanted = (self.num_episodes, self.env.action_size)
+        if action.shape != wanted:
+            raise ValueError(f"`action` must have the shape {wanted}, got {action.shape}.")
+        over = self.ended
+        control = np.where(over[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
-            self._readings = _single(self._simulator.step(control, ended))
-        except PhysicsError as error:
-            raise self._error(error) from error
+            self._readings = _single(self._stepper.step(control, over))
+        except SimulationFailure as failure:
+            raise self._error(failure) from failure
         judged = _judge(self.env, before, action, self._readings, self._present)
-        glimpse, reward, terminated, cut = judged
-        total, goal, terminated, cut = _seen((reward.total, reward.goal, terminated, cut))
+        glimpse, reward, *ends = judged
+        seen = _seen((*glimpse, reward.total, reward.goal, *ends))
+        observation, solved, total, goal, terminated, cut = seen
         # An observation at the task's own end may be anything: no policy acts on it.
-        self._refuse("observation", np.isfinite(glimpse[0]).all(1) | ended | terminated)
-        self._refuse("reward", np.isfinite(total) | ended)
+        self._refuse("observation", np.isfinite(observation).all(1) | over | terminated)
+        self._refuse("reward", np.isfinite(total) | over)
         self._steps += 1
-        out_of_time = (self._steps >= self.env.horizon) | cut
-        out_of_time &= ~terminated
-        return Transition(Glimpse(*_seen(glimpse)), total, goal, terminated, out_of_time)
+        truncated = ((self._steps >= self.env.horizon) | cut) & ~terminated
+        self.ended = over | terminated | truncated
+        information = self._information(solved) | {"goal_reward": np.where(over, 0.0, goal)}
+        gained = np.where(over, 0.0, total)
+        return observation, gained, terminated & ~over, truncated & ~over, information
 
-    def open_scene(self) -> Scene:
-        """Return the scene that draws the states.
+    def pictures(self) -> list[np.ndarray]:
+        """Return a picture of the present state of each episode.
 
         Raises:
             RenderingError: the system has no library to draw with.
@@ -185,27 +198,31 @@ class Stepper:
         """
         if not self._readings:
             raise ResetNeeded("there is no state to draw yet: call `reset` before `render`.")
-        view = arena(self.env, self.tasks.tasks, self._readings)
-        return Scene(self.env, view, WIDTH, HEIGHT)
-
-    def draw(self, scene: Scene, episode: int) -> np.ndarray:
-        """Return a picture of the present state of one episode."""
-        now = {name: value[episode] for name, value in self._readings.items()}
-        return scene.draw(now, jax.tree.map(lambda x: x[episode], self._present))
+        if self._scene is None:
+            view = arena(self.env, self.tasks.tasks, self._readings)
+            self._scene = Scene(self.env, view, WIDTH, HEIGHT)
+        rows = range(self.num_episodes)
+        states, tasks = self._readings, self._present
+        return [self._scene.draw(*jax.tree.map(lambda x, i=i: x[i], (states, tasks))) for i in rows]
 
     def close(self) -> None:
-        """Release the engine's threads and memory; may be called twice."""
-        self._simulator.close()
+        """Release the engine and the drawing library; may be called twice."""
+        self._stepper.close()
+        if self._scene is not None:
+            self._scene.close()
+
+    def _information(self, solved: np.ndarray) -> Information:
+        return {"task": self.task_index.copy(), "is_success": solved}
 
     def _refuse(self, what: str, sound: Bool[np.ndarray, " episode"]) -> None:
         if not sound.all():
-            rows = np.flatnonzero(~sound).tolist()
-            raise self._error(PhysicsError(rows, f"the {what} is not finite"))
+            row = int(np.argmin(sound))
+            raise self._error(SimulationFailure(row, 0, f"the {what} is not finite"))
 
-    def _error(self, error: PhysicsError) -> EpisodeError:
-        row = error.simulations[0]
+    def _error(self, failure: SimulationFailure) -> EpisodeError:
+        row = failure.simulation
         task, step = int(self.task_index[row]), int(self._steps[row])
-        return EpisodeError(self.env.name, task, row, step, error.reason)
+        return EpisodeError(self.env.name, task, row, step, failure.reason)
 
 
 SETTINGS = tuple(

@@ -9,16 +9,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
-from maesn.gym.env import metadata_of
-from maesn.gym.settings import checked_action, checked_render_mode, refuse_unknown
-from maesn.gym.stepping import SETTINGS, Glimpse, Stepper
-from maesn.worlds import Scene
+from maesn.gym.settings import NO_EPISODE, RENDER_MODES, refuse_unknown
+from maesn.gym.stepping import SETTINGS, Information, Stepper
 
-Observations = Float[np.ndarray, "episode observation"]
-PerEpisode = Float[np.ndarray, " episode"]
-Flags = Bool[np.ndarray, " episode"]
 Seeds: TypeAlias = int | np.integer[Any] | Sequence[int | None] | None
 
 _MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
@@ -56,25 +51,24 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         self._mode = _checked_mode(autoreset_mode)
         refuse_unknown("a setting", settings, SETTINGS)
+        refuse_unknown("a render mode", filter(None, [render_mode]), RENDER_MODES)
         self._stepper = Stepper(family, num_envs, **settings)
         self.num_envs = num_envs
         self.single_observation_space = self._stepper.observation_space
         self.single_action_space = self._stepper.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.render_mode = checked_render_mode(render_mode)
-        self.metadata = metadata_of(self._stepper) | {"autoreset_mode": self._mode}
+        self.render_mode = render_mode
+        self.metadata = self._stepper.metadata | {"autoreset_mode": self._mode}
         self._streams = [seeding.np_random()[0] for _ in range(num_envs)]
-        self._scene: Scene | None = None
         self._running = False
-        self._ended = np.ones(num_envs, bool)
 
     def reset(
         self,
         *,
         seed: Seeds = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start episodes.
 
         Args:
@@ -98,11 +92,11 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         fresh = {row: seeding.np_random(int(own))[0] for row, own in asked if own is not None}
         for row, stream in fresh.items():
             self._streams[row] = stream
-        glimpse = self._stepper.begin(rows, self._streams, chosen)
-        self._running, self._ended[rows] = True, False
-        return glimpse.observation, self._information(glimpse)
+        observation, information = self._stepper.begin(rows, self._streams, chosen)
+        self._running = True
+        return observation, _masked(information)
 
-    def step(self, actions: Any) -> tuple[Observations, PerEpisode, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, ...]:
         """Advance all episodes by one control step.
 
         Args:
@@ -114,36 +108,28 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             EpisodeError: the physics of an episode blew up, or something is no number.
+            ResetNeeded: no episode is running, or some have ended and wait for a reset.
             ValueError: the actions have another shape than their space.
         """
-        over = self._ended
+        over = self._stepper.ended
         self._refuse_step(over)
-        after = self._stepper.step(checked_action(actions, self.action_space), over)
-        glimpse = after.glimpse
+        observation, reward, terminated, truncated, information = self._stepper.step(actions)
         if over.any():
-            glimpse = self._stepper.begin(
-                np.flatnonzero(over), self._streams, self._stepper.choose()
-            )
-        reward, goal = (np.where(over, 0.0, x) for x in (after.reward, after.goal_reward))
-        terminated, truncated = after.terminated & ~over, after.truncated & ~over
-        self._ended = terminated | truncated
-        information = self._information(glimpse) | _columns(goal_reward=goal)
-        return glimpse.observation, reward, terminated, truncated, information
+            rows = np.flatnonzero(over)
+            observation, begun = self._stepper.begin(rows, self._streams, self._stepper.choose())
+            information |= begun
+        return observation, reward, terminated, truncated, _masked(information)
 
     def render(self) -> Any:
         """Return a picture of the present state of every episode, or None without a mode."""
         if self.render_mode is None:
             logger.warn("`render` needs `render_mode='rgb_array'` in `gymnasium.make_vec`.")
             return None
-        if self._scene is None:
-            self._scene = self._stepper.open_scene()
-        return tuple(self._stepper.draw(self._scene, row) for row in range(self.num_envs))
+        return tuple(self._stepper.pictures())
 
     def close_extras(self, **_: Any) -> None:
         """Release the engine and the drawing library."""
         self._stepper.close()
-        if self._scene is not None:
-            self._scene.close()
 
     def _rows_to_reset(self, options: dict[str, Any]) -> Int[np.ndarray, " row"]:
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
@@ -166,23 +152,19 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
             )
         return seeds
 
-    def _refuse_step(self, over: Flags) -> None:
+    def _refuse_step(self, over: np.ndarray) -> None:
         if not self._running:
-            raise ResetNeeded("no episode is running: call `reset` before `step`.")
+            raise ResetNeeded(NO_EPISODE)
         if over.any() and self._mode is AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"the episodes {np.flatnonzero(over).tolist()} have ended and are not reset by "
                 'themselves: call `reset(options={"reset_mask": mask})` before `step`.'
             )
 
-    def _information(self, glimpse: Glimpse) -> dict[str, Any]:
-        return _columns(task=self._stepper.task_index.copy(), is_success=glimpse.solved)
 
-
-def _columns(**columns: np.ndarray) -> dict[str, Any]:
+def _masked(information: Information) -> dict[str, Any]:
     """Return information as Gymnasium wants it: with a mask of the episodes that have it."""
-    masks = {f"_{name}": np.ones(len(column), bool) for name, column in columns.items()}
-    return columns | masks
+    return information | {f"_{name}": np.ones(len(x), bool) for name, x in information.items()}
 
 
 def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -2,9 +2,9 @@
 
 # First, as it imports MuJoCo even where MUJOCO_GL names a library that is missing.
 from maesn.physics.graphics import RenderingError as RenderingError
+from maesn.physics.graphics import offscreen_library as offscreen_library
 
 # isort: split
-from maesn.physics.base import AbstractSimulator as AbstractSimulator
 from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings

@@ -1,16 +1,11 @@
-"""What every physics engine on the host offers: many simulations of one model, moved together.
+"""Words and errors that the physics engines share."""
 
-A simulator is the one stateful object of a rollout: it holds where every simulation is. It knows
-no task, no reward and no episode. Row i of every array that goes in or comes out is simulation i.
-"""
-
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int, Shaped
+from jaxtyping import Bool, Float64, Shaped
 
 # Engine quantities by their MuJoCo name ("qpos", "qvel", "subtree_com", ...), in SI units and in
 # MuJoCo's layout. Every array is a copy that later steps leave alone.
@@ -105,60 +100,3 @@ def sound_rows(values: np.ndarray) -> Bool[np.ndarray, " simulation"]:
     """Return which rows are sound."""
     size = np.abs(values.reshape(values.shape[0], -1))
     return size.max(axis=1, initial=0.0) <= LARGEST
-
-
-class AbstractSimulator(ABC):
-    """Many simulations of one model. Not to be shared between Python threads."""
-
-    @property
-    @abstractmethod
-    def num_simulations(self) -> int:
-        """Number of simulations."""
-
-    @abstractmethod
-    def reset(
-        self,
-        qpos: Float[np.ndarray, "row qpos"],
-        qvel: Float[np.ndarray, "row qvel"],
-        model_fields: ModelFields | None = None,
-        simulations: Int[np.ndarray, " row"] | None = None,
-    ) -> Readings:
-        """Put simulations into a state, as if they had just been made.
-
-        Args:
-            qpos: generalised positions.
-            qvel: generalised velocities.
-            model_fields: dynamics that differ between simulations. Fields that are not named have
-                the model's own values, whatever an earlier reset gave them.
-            simulations: indices, ascending, of those that are reset and that the rows belong to;
-                None for all. The others stay where they are.
-
-        Returns:
-            The readings of all simulations.
-
-        Raises:
-            PhysicsError: a state or a field is not finite.
-        """
-
-    @abstractmethod
-    def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        abandoned: Bool[np.ndarray, " simulation"] | None = None,
-    ) -> Readings:
-        """Advance every simulation by one control step.
-
-        Args:
-            control: input of the actuators, constant during the step.
-            abandoned: simulations whose results are ignored until the next reset: they may blow up.
-
-        Returns:
-            The readings of the new state: none of them is a substep behind.
-
-        Raises:
-            PhysicsError: a control is not finite, or a simulation that counts has blown up.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release threads and memory. Nothing else may be called afterwards."""

@@ -77,10 +77,16 @@ def _library() -> str:
         return asked
     if asked:
         raise _rendering_error(f"the variable MUJOCO_GL is `{asked}`")
-    for library, shared_object in _SHARED_OBJECTS.items():
-        if ctypes.util.find_library(shared_object):
-            return library
-    raise _rendering_error("neither EGL nor OSMesa is installed")
+    found = offscreen_library()
+    if found is None:
+        raise _rendering_error("neither EGL nor OSMesa is installed")
+    return found
+
+
+def offscreen_library() -> str | None:
+    """Return what draws without a screen on this system, a value of `MUJOCO_GL`, or None."""
+    found = (name for name, shared in _SHARED_OBJECTS.items() if ctypes.util.find_library(shared))
+    return next(found, None)
 
 
 def _rendering_error(reason: str) -> RenderingError:

@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float, Int
 from maesn.physics.base import (
     CURRENT,
     LARGEST,
-    AbstractSimulator,
     EngineError,
     ModelFields,
     PhysicsError,
@@ -32,8 +31,12 @@ from maesn.physics.loading import load_model
 _Mask: TypeAlias = Bool[np.ndarray, " simulation"]
 
 
-class NativeSimulator(AbstractSimulator):
+class NativeSimulator:
     """Simulations on `mujoco.batch.Batch`, bit-identical at any number of threads.
+
+    It is the one stateful object of a rollout: it holds where every simulation is. It knows no
+    task, no reward and no episode. Row i of every array is simulation i. Not to be shared between
+    Python threads.
 
     Readings beyond the state itself ("subtree_com", "sensordata", ...) cost a forward pass per
     step, without which they would be one substep old.
@@ -82,6 +85,7 @@ class NativeSimulator(AbstractSimulator):
 
     @property
     def num_simulations(self) -> int:
+        """Number of simulations."""
         return self._num_simulations
 
     def reset(
@@ -91,6 +95,22 @@ class NativeSimulator(AbstractSimulator):
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
+        """Put simulations into a state, as if they had just been made.
+
+        Args:
+            qpos: generalised positions.
+            qvel: generalised velocities.
+            model_fields: dynamics that differ between simulations. Fields that are not named have
+                the model's own values, whatever an earlier reset gave them.
+            simulations: indices, ascending, of those that are reset and that the rows belong to;
+                None for all. The others stay where they are.
+
+        Returns:
+            The readings of all simulations.
+
+        Raises:
+            PhysicsError: a state or a field is not finite.
+        """
         batch, rows = self._open(), slice(None) if simulations is None else simulations
         check_rows("qpos", qpos, self._qpos, rows)
         check_rows("qvel", qvel, self._qvel, rows)
@@ -109,6 +129,18 @@ class NativeSimulator(AbstractSimulator):
         control: Float[np.ndarray, "simulation control"],
         abandoned: _Mask | None = None,
     ) -> Readings:
+        """Advance every simulation by one control step.
+
+        Args:
+            control: input of the actuators, constant during the step.
+            abandoned: simulations whose results are ignored until the next reset: they may blow up.
+
+        Returns:
+            The readings of the new state: none of them is a substep behind.
+
+        Raises:
+            PhysicsError: a control is not finite, or a simulation that counts has blown up.
+        """
         batch = self._open()
         check_rows("control", control, self._control)
         self._control[...] = control
@@ -116,6 +148,7 @@ class NativeSimulator(AbstractSimulator):
         return self._read()
 
     def close(self) -> None:
+        """Release threads and memory. Nothing else may be called afterwards."""
         # The engine has no such call: it ends with the last reference to one of its arrays.
         self._batch = None
         self._readings = {}

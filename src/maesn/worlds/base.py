@@ -96,6 +96,10 @@ class EpisodeError(RuntimeError):
         return EpisodeError(*self._origin, updates)
 
 
+class EnvContractError(ValueError):
+    """A function of an environment does not fit what it declares; the message names both."""
+
+
 class SimulationFailure(RuntimeError):
     """Some simulations of a batch failed at one step; the collector names their episodes."""
 

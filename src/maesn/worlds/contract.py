@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import jax
@@ -16,13 +15,12 @@ from maesn.envs.base import (
     AbstractSimulatedEnv,
     AnyEnv,
 )
+from maesn.envs.foreign import AbstractGymnasiumEnv
 from maesn.physics import field_values, load_model, resting_readings
 from maesn.policies import USUAL, AbstractPolicy
 from maesn.storage import RunError, refusals
-
-
-class EnvContractError(ValueError):
-    """A function of an environment does not fit what it declares; the message names both."""
+from maesn.worlds.base import EnvContractError
+from maesn.worlds.foreign import check_hosted
 
 
 def check_policy(policy: AbstractPolicy, env: AnyEnv) -> None:
@@ -59,8 +57,8 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
         EnvContractError: a function returns another shape, there is no field of a name, or
             `control_period` is wrong.
     """
-    if env.engine == "gymnasium":  # an extra of the installation
-        import_module("maesn.worlds.foreign").check_hosted(env, task)
+    if isinstance(env, AbstractGymnasiumEnv):
+        check_hosted(env, task)
     if not isinstance(env, AbstractSimulatedEnv):
         return
     for function, found, wanted in _declared(env, task):

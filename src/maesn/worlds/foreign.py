@@ -1,11 +1,11 @@
-"""Worlds of foreign environments, which run in processes of their own."""
+"""Steps environments of others, which run in processes of their own."""
 
 import contextlib
 import logging
 import os
-import pickle
 import weakref
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +14,10 @@ from jaxtyping import Array, UInt8, UInt32
 
 from maesn.axes import HostReadings
 from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
-from maesn.envs.tasks import TaskSet
-from maesn.foreign import WorkerError, WorkerPool
-from maesn.worlds.base import (
-    AbstractWorld,
-    Act,
-    Actors,
-    Decision,
-    SimulationFailure,
-    Trajectory,
-)
-from maesn.worlds.contract import EnvContractError
-from maesn.worlds.host import play_on_host
+from maesn.foreign import WorkerError, WorkerPool, pack_task
+from maesn.physics import offscreen_library
+from maesn.worlds.base import EnvContractError, SimulationFailure
+from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Rows
 
 logger = logging.getLogger(__name__)
 
@@ -37,93 +29,65 @@ def default_num_workers() -> int:
     return os.cpu_count() or 1
 
 
-class _Camera(NamedTuple):
-    """What to film, as `film` was asked."""
+class HostedStepper(AbstractStepper):
+    """Steps an `AbstractGymnasiumEnv` in worker processes, which start when first needed.
 
-    shown: int
-    stride: int
-    size: tuple[int, int]
-
-
-class GymnasiumWorld(AbstractWorld):
-    """Plays an `AbstractGymnasiumEnv` in worker processes, which start when they are first needed.
-
-    Whatever goes wrong, Ctrl-C included, stops all of them.
+    Args:
+        env: the environment.
+        num_workers: most processes; 0 for one for each CPU.
     """
 
-    env: AbstractGymnasiumEnv
-
-    def __init__(self, env: AbstractGymnasiumEnv, tasks: TaskSet, num_threads: int = 0) -> None:
-        self.env = env
-        self.tasks = tasks
-        self._num_workers = num_threads or default_num_workers()
+    def __init__(self, env: AbstractGymnasiumEnv, num_workers: int = 0) -> None:
+        self.max_simulations = env.recipe.max_environments
+        self._env = env
+        self._num_workers = num_workers or default_num_workers()
         self._pool: WorkerPool | None = None
-        self._camera: _Camera | None = None
-        self.pictures: list[list[UInt8[np.ndarray, "height width 3"]]] = []
 
     @property
-    def max_simulations(self) -> int:
-        return self.env.recipe.max_environments
+    def process_ids(self) -> list[int]:
+        """Process ids of the workers that have been started."""
+        return [] if self._pool is None else self._pool.process_ids
 
-    def play(self, act: Act, actors: Actors, start: UInt32[Array, " simulation"]) -> Trajectory:
-        """Play with an `act` that the caller has compiled."""
-        try:
-            first = self._begin(actors, np.asarray(start))
-            return play_on_host(self.env, act, actors, first, self._advance)
-        except BaseException:
-            self.close()
-            raise
+    def begin(
+        self, start: UInt32[Array | np.ndarray, " simulation"], tasks: Any, rows: Rows | None = None
+    ) -> HostReadings:
+        """`rows` must be None: all episodes begin together."""
+        assert rows is None
+        host = jax.device_get(tasks)
+        packed = [pack_task(task_row(host, i)) for i in range(len(jax.tree.leaves(host)[0]))]
+        each = len(start) // len(packed)
+        with self._naming() as pool:
+            seeds = np.asarray(start).tolist()
+            return pool.begin([task for task in packed for _ in range(each)], seeds)
 
-    def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
-        """Film environments whose `make_env` has set `render_mode="rgb_array"`."""
-        try:
-            renders = self._open().renders(pickle.dumps(task_row(self.tasks.tasks, 0)))
-        except WorkerError as error:
-            raise SimulationFailure(error.simulation, 0, error.reason) from error
-        self._camera = _Camera(shown, stride, size) if renders else None
-        return renders
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
+        with self._naming() as pool:
+            return pool.step(control)
+
+    def draws(self, task: Any) -> bool:
+        """True if `make_env` has set `render_mode="rgb_array"`."""
+        with self._naming() as pool:
+            return pool.renders(pack_task(task_row(jax.tree.map(lambda x: x[None], task), 0)))
+
+    def pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
+        with self._naming() as pool:
+            return pool.pictures(count, offscreen_library())
 
     def close(self) -> None:
         if self._pool is not None:
             self._pool.close()
             self._pool = None
 
-    def _begin(self, actors: Actors, seeds: np.ndarray) -> HostReadings:
-        tasks = jax.device_get(actors.tasks)
-        rows = [
-            pickle.dumps(task_row(tasks, task)) for task in range(len(jax.tree.leaves(tasks)[0]))
-        ]
-        episodes = len(seeds) // len(rows)
-        try:
-            first = self._open().begin(
-                [row for row in rows for _ in range(episodes)], [int(seed) for seed in seeds]
-            )
-            self.pictures = []
-            self._take_pictures(0, len(seeds))
-            return first
-        except WorkerError as error:
-            raise SimulationFailure(error.simulation, 0, error.reason) from error
-
-    def _advance(self, decision: Decision, step: int) -> HostReadings:
-        try:
-            readings = self._open().step(np.asarray(decision.control))
-            self._take_pictures(step + 1, len(decision.control))
-            return readings
-        except WorkerError as error:
-            raise SimulationFailure(error.simulation, step, error.reason) from error
-
-    def _take_pictures(self, time: int, num_simulations: int) -> None:
-        camera = self._camera
-        if camera and (time % camera.stride == 0 or time == self.env.horizon):
-            shown = min(camera.shown, num_simulations)
-            self.pictures.append(self._open().pictures(shown, camera.size))
-
-    def _open(self) -> WorkerPool:
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[WorkerPool]:
         if self._pool is None:
-            self._pool = _new_pool(self.env, self._num_workers)
+            self._pool = self._env.open_pool(self._num_workers)
             # Also at the end of the program.
             weakref.finalize(self, self._pool.close)
-        return self._pool
+        try:
+            yield self._pool
+        except WorkerError as error:
+            raise SimulationFailure(error.simulation, 0, error.reason) from error
 
 
 def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
@@ -136,16 +100,18 @@ def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
     Raises:
         EnvContractError: it fails, or returns what cannot be used.
     """
-    row = pickle.dumps(jax.tree.map(np.asarray, task))
-    middle = np.asarray(env.control(jnp.zeros(env.action_size)))
-    with contextlib.closing(_new_pool(env, 1)) as pool:
+    row = jax.tree.map(np.asarray, task)
+    action = jnp.zeros(env.action_size)
+    with contextlib.closing(env.open_pool(1)) as pool:
         try:
-            pool.begin([row], [0])
-            pool.step(middle[None])
+            first = pool.begin([pack_task(row)], [0])
+            after = pool.step(np.asarray(env.control(action))[None])
         except WorkerError as error:
             raise EnvContractError(f"`{env.name}`, task 0: {error.reason}") from error
+        if env.recipe.reward is not None:
+            _check_reward(env, first, after, row)
         try:
-            complaint = pool.complaint(row)
+            complaint = pool.complaint(pack_task(row))
         except WorkerError as error:
             complaint = error.reason
     if complaint is not None:
@@ -154,6 +120,13 @@ def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
         )
 
 
-def _new_pool(env: AbstractGymnasiumEnv, num_workers: int) -> WorkerPool:
-    recipe = (env.recipe.make_env, env.reward_kind, env.interface)
-    return WorkerPool(recipe, num_workers, env.recipe.time_limit)
+def _check_reward(
+    env: AbstractGymnasiumEnv, before: HostReadings, after: HostReadings, task: Any
+) -> None:
+    first, second = ({n: jnp.asarray(x[0]) for n, x in seen.items()} for seen in (before, after))
+    own, given = second["reward"], env.reward(first, jnp.zeros(env.action_size), second, task).total
+    if not jnp.isclose(given, own, rtol=1e-3, atol=1e-4):
+        raise EnvContractError(
+            f"`{env.name}`: `reward` must be the environment's own, {float(own):g} in the first "
+            f"step, got {float(given):g}."
+        )

@@ -1,66 +1,110 @@
-"""The loop that plays episodes whose world is moved outside of JAX.
+"""Worlds that are moved outside of JAX: a loop around one compiled decision.
 
 A host callback inside a scan would hide the loop from Python: exceptions would arrive as dumps of
 the compiler, Ctrl-C would not work, and the compiled program could not be cached.
 """
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, UInt8
+from PIL import Image, ImageOps
 
 from maesn.axes import HostReadings, RecurrentState
 from maesn.envs.base import AnyEnv
-from maesn.worlds.base import Act, Actors, Decision, Moment, Trajectory
+from maesn.envs.tasks import TaskSet
+from maesn.worlds.base import (
+    AbstractWorld,
+    Act,
+    Actors,
+    Decision,
+    Moment,
+    SimulationFailure,
+    Trajectory,
+)
+from maesn.worlds.stepping import AbstractStepper
 
 
-def play_on_host(
-    env: AnyEnv,
-    act: Act,
-    actors: Actors,
-    first: HostReadings,
-    advance: Callable[[Decision, int], HostReadings],
-) -> Trajectory:
-    """Play one episode of `env.horizon` steps in every simulation, around one compiled decision.
+class _Camera(NamedTuple):
+    """What to film, as `film` was asked."""
 
-    Args:
-        env: the environment.
-        act: decides each step; compiled by the caller.
-        actors: the agents of all episodes.
-        first: readings of the initial states.
-        advance: applies the decision of a step to all simulations, and returns their readings.
+    shown: int
+    stride: int
+    size: tuple[int, int]
+
+
+class HostWorld(AbstractWorld):
+    """Plays an environment with a stepper.
+
+    Whatever goes wrong, Ctrl-C included, stops the threads and processes of the stepper.
     """
-    record = _Record(first, env.horizon)
-    batch = actors.z.shape[:2]
-    previous_action: Array | np.ndarray = np.zeros((*batch, env.action_size), np.float32)
-    ended: Array | np.ndarray = np.zeros(batch, bool)
-    recurrent_state = actors.trial_state.recurrent_state
-    for step in range(env.horizon):
-        decision = act(
-            actors,
-            Moment(
+
+    def __init__(self, env: AnyEnv, tasks: TaskSet, stepper: AbstractStepper) -> None:
+        self.env = env
+        self.tasks = tasks
+        self.stepper = stepper
+        self._camera: _Camera | None = None
+        self.pictures: list[list[UInt8[np.ndarray, "height width 3"]]] = []
+
+    @property
+    def max_simulations(self) -> int | None:
+        return self.stepper.max_simulations
+
+    def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
+        """Play with an `act` that the caller has compiled."""
+        record = None
+        try:
+            record = _Record(self.stepper.begin(start, actors.tasks), self.env.horizon)
+            return self._played(record, act, actors)
+        except SimulationFailure as failure:
+            self.close()
+            step = 0 if record is None else record.length
+            raise SimulationFailure(failure.simulation, step, failure.reason) from failure
+        except BaseException:
+            self.close()
+            raise
+
+    def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
+        draws = self.stepper.draws(self.tasks[0])
+        self._camera = _Camera(shown, stride, size) if draws else None
+        return draws
+
+    def close(self) -> None:
+        self.stepper.close()
+
+    def _played(self, record: "_Record", act: Act, actors: Actors) -> Trajectory:
+        batch = actors.z.shape[:2]
+        previous_action: Array | np.ndarray = np.zeros((*batch, self.env.action_size), np.float32)
+        ended: Array | np.ndarray = np.zeros(batch, bool)
+        recurrent_state = actors.trial_state.recurrent_state
+        self.pictures = []
+        self._take_pictures(0, ended.size)
+        for step in range(self.env.horizon):
+            moment = Moment(
                 step=np.asarray(step, np.int32),
                 readings=record.at(step),
                 previous_readings=record.at(max(step - 1, 0)),
                 previous_action=previous_action,
                 recurrent_state=recurrent_state,
                 ended=ended,
-            ),
-        )
-        record.add(step, advance(_without_ended(decision), step), decision)
-        previous_action, ended = decision.action, decision.ended
-        recurrent_state = decision.recurrent_state
-    return record.trajectory(recurrent_state)
+            )
+            decision = act(actors, moment)
+            over = np.asarray(decision.ended).ravel()
+            # Controls of episodes that have ended may be NaN.
+            control = np.where(over[:, None], np.float32(0.0), np.asarray(decision.control))
+            record.add(self.stepper.step(control, over), decision)
+            self._take_pictures(step + 1, ended.size)
+            previous_action, ended = decision.action, decision.ended
+            recurrent_state = decision.recurrent_state
+        return record.trajectory(recurrent_state)
 
-
-def _without_ended(decision: Decision) -> Decision:
-    """Set the controls of episodes that have ended to 0: they may be NaN."""
-    ended = np.asarray(decision.ended).reshape(-1, 1)
-    if not ended.any():
-        return decision
-    return decision._replace(control=np.where(ended, 0.0, np.asarray(decision.control)))
+    def _take_pictures(self, time: int, num_simulations: int) -> None:
+        camera = self._camera
+        if camera and (time % camera.stride == 0 or time == self.env.horizon):
+            drawn = self.stepper.pictures(min(camera.shown, num_simulations))
+            padded = (ImageOps.pad(Image.fromarray(x), camera.size, color="white") for x in drawn)
+            self.pictures.append([np.asarray(picture) for picture in padded])
 
 
 class _Record:
@@ -71,21 +115,26 @@ class _Record:
             name: np.empty((horizon + 1, *value.shape), np.float32) for name, value in first.items()
         }
         self._decisions: list[Any] = []
-        self._write(0, first)
+        self._write(first)
 
-    def _write(self, index: int, readings: HostReadings) -> None:
+    @property
+    def length(self) -> int:
+        """Number of steps so far."""
+        return len(self._decisions)
+
+    def _write(self, readings: HostReadings) -> None:
         # What blew up may be finite in double precision and infinite in single.
         with np.errstate(over="ignore"):
             for name, value in readings.items():
-                self._readings[name][index] = value
+                self._readings[name][self.length] = value
 
     def at(self, index: int) -> HostReadings:
         """The readings of one state, as the policy sees them."""
         return {name: values[index] for name, values in self._readings.items()}
 
-    def add(self, step: int, readings: HostReadings, decision: Decision) -> None:
-        self._write(step + 1, readings)
+    def add(self, readings: HostReadings, decision: Decision) -> None:
         self._decisions.append((decision.action, decision.behaviour))
+        self._write(readings)
 
     def trajectory(self, recurrent_state: RecurrentState) -> Trajectory:
         action, behaviour = jax.tree.map(

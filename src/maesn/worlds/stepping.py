@@ -1,0 +1,176 @@
+"""The one step machine: whatever moves episodes outside of compiled programs, a step at a time.
+
+A host world plays whole episodes with it, and the Gymnasium faces of the library step it from
+outside. What differs between MuJoCo, JAX and environments of others is hidden here.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from maesn.axes import HostReadings
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, Start
+from maesn.physics import NativeSimulator, PhysicsError
+from maesn.worlds.base import SimulationFailure
+
+Rows: TypeAlias = Int[np.ndarray, " row"]
+Controls: TypeAlias = Float[np.ndarray, "simulation control"]
+Ended: TypeAlias = Bool[np.ndarray, " simulation"]
+
+_CLOSED = "there is no episode to be stepped: begin one, or make a new one"
+
+
+class AbstractStepper(ABC):
+    """Episodes of one environment that are moved together."""
+
+    max_simulations: int | None = None
+    """Largest number of them; None for any number."""
+
+    @abstractmethod
+    def begin(self, start: Any, tasks: Any, rows: Rows | None = None) -> HostReadings:
+        """Begin episodes.
+
+        Args:
+            start: the starts that `env.start` returns, stacked over `simulation`.
+            tasks: the tasks, stacked; equally many simulations in a row have each.
+            rows: indices, ascending, of the simulations that begin anew; the others stay where they
+                are. None for all, as many as there are starts.
+
+        Returns:
+            The readings of all simulations.
+
+        Raises:
+            SimulationFailure: one of them cannot begin.
+        """
+
+    @abstractmethod
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
+        """Advance all simulations by one control step.
+
+        Args:
+            control: what `env.control` returns.
+            ended: simulations whose episode is over. What happens to them means nothing.
+
+        Returns:
+            The readings of all simulations.
+
+        Raises:
+            SimulationFailure: one that counts cannot go on.
+        """
+
+    def draws(self, task: Any) -> bool:
+        """Return whether the environments draw themselves: those of others may."""
+        return False
+
+    def pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
+        """Return what the first simulations draw of their present states."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop threads and processes; beginning again would start them anew."""
+
+
+class NativeStepper(AbstractStepper):
+    """Moves an `AbstractMujocoEnv` on threads of the MuJoCo engine.
+
+    Simulators are kept open, one for each number of simulations that has begun.
+
+    Args:
+        env: the environment, with its own model and settings.
+        num_threads: threads of the engine; 0 means one for each CPU.
+    """
+
+    def __init__(self, env: AbstractMujocoEnv[Any], num_threads: int = 0) -> None:
+        self._env = env
+        self._num_threads = num_threads
+        self._simulators: dict[int, NativeSimulator] = {}
+        self._current: NativeSimulator | None = None
+
+    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
+        qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
+        if rows is None:
+            self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
+        with _naming():
+            return self._open().reset(qpos, qvel, fields, rows)
+
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
+        with _naming():
+            return self._open().step(control, abandoned=ended)
+
+    def close(self) -> None:
+        for simulator in self._simulators.values():
+            simulator.close()
+        self._simulators, self._current = {}, None
+
+    def _new(self, num_simulations: int) -> NativeSimulator:
+        env = self._env
+        self._simulators[num_simulations] = NativeSimulator(
+            env.model,
+            num_simulations,
+            readings=env.readings,
+            frame_skip=env.frame_skip,
+            num_threads=self._num_threads,
+            nonfinite=env.nonfinite,
+        )
+        return self._simulators[num_simulations]
+
+    def _open(self) -> NativeSimulator:
+        if self._current is None:
+            raise RuntimeError(_CLOSED)
+        return self._current
+
+
+@contextmanager
+def _naming() -> Iterator[None]:
+    try:
+        yield
+    except PhysicsError as error:
+        raise SimulationFailure(error.simulations[0], 0, error.reason) from error
+
+
+class DeviceStepper(AbstractStepper):
+    """Moves an `AbstractPureEnv` step by step, in single precision as `DeviceWorld` does."""
+
+    def __init__(self, env: AbstractPureEnv[Any]) -> None:
+        self._env = env
+        self._state: dict[str, np.ndarray] = {}
+
+    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
+        if start.model_fields:
+            raise ValueError(
+                f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
+                f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
+            )
+        for name, values in (("qpos", start.qpos), ("qvel", start.qvel)):
+            if rows is None:
+                self._state[name] = np.array(values, np.float32)
+            else:
+                self._state[name][rows] = values
+        return {name: value.copy() for name, value in self._state.items()}
+
+    def step(self, control: Controls, ended: Ended) -> HostReadings:
+        if not self._state:
+            raise RuntimeError(_CLOSED)
+        bad = ~np.isfinite(control).all(axis=1) & ~ended
+        if bad.any():
+            raise SimulationFailure(int(np.argmax(bad)), 0, "the control is not finite")
+        moved = _advance(self._env, self._state, control.astype(np.float32))
+        self._state = {name: np.array(value) for name, value in moved.items()}
+        return {name: value.copy() for name, value in self._state.items()}
+
+    def close(self) -> None:
+        self._state = {}
+
+
+@partial(jax.jit, static_argnums=0)
+def _advance(
+    env: AbstractPureEnv[Any], readings: dict[str, Array], control: Array
+) -> dict[str, Array]:
+    return jax.vmap(env.advance)(readings, control)
