@@ -1,6 +1,6 @@
 """Search in the latent space: which latent to play next in a new task, and which to deploy."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
@@ -114,24 +114,27 @@ class LatentSearch:
         """Return z of a point, `[z]`."""
         return self.points[point]
 
-    def proposed(self, generator: np.random.Generator) -> "tuple[LatentSearch, int]":
+    def proposed(
+        self, generator: np.random.Generator, taken: Collection[int] = ()
+    ) -> "tuple[LatentSearch, int]":
         """Choose the point to play next.
 
         Args:
             generator: draws the points around the best one, and the task of Thompson sampling.
+            taken: points that others play already.
 
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
         task = generator.choice(self.model.num_tasks, p=self.posterior.task_weights)
-        chosen = self.highest(self.scores(task))
+        chosen = self.highest(self.open_scores(task, taken))
         is_explored = self._is_known[self.best] or (
             chosen == self.best and self._plays(chosen) >= PLAYS
         )
         if self.settings.draws == 0 or not is_explored:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = wider.highest(wider.scores(task))
+        refined = wider.highest(wider.open_scores(task, taken))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
@@ -150,9 +153,10 @@ class LatentSearch:
         Returns:
             The search, which may have more points, and the indices of the chosen points.
         """
-        search, believed, chosen = self, self, []
+        search, believed = self, self
+        chosen: list[int] = []
         for _ in range(count):
-            believed, point = believed.proposed(generator)
+            believed, point = believed.proposed(generator, taken=chosen)
             if point == len(search.points):
                 search = search.with_latent(believed.latent(point))
             chosen.append(point)
@@ -191,10 +195,14 @@ class LatentSearch:
             task: the training task that was drawn.
         """
         if self.settings.acquisition == "thompson":
-            scores = self.posterior.task_mean[task]
-        else:
-            scores = self.posterior.mean + self.settings.exploration * self.posterior.std
-        return np.where(self._is_known, -np.inf, scores)
+            return self.posterior.task_mean[task]
+        return self.posterior.mean + self.settings.exploration * self.posterior.std
+
+    def open_scores(self, task: int, taken: Collection[int]) -> FloatArray:
+        """Return the scores of the points that are worth an episode, -inf for the others."""
+        closed = self._is_known
+        closed[list(taken)] = True
+        return np.where(closed, -np.inf, self.scores(task))
 
     @property
     def _is_known(self) -> NDArray[np.bool_]:
