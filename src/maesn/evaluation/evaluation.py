@@ -22,7 +22,7 @@ class Evaluation:
 
     tasks: str = "test"
     """test (report on these), validation (choose on these), training, ood (unlike all of these),
-    final (for a last look, when all is chosen), or the path of an `.npz` file."""
+    final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
     num_tasks: int | None = None
     """The first so many of them; None: all."""
     reward: RewardKind = "sparse"
