@@ -15,16 +15,17 @@ import numpy as np
 import pytest
 from carts import MOTOR, RUNAWAY, CartTask, cart_on
 from gymnasium.utils.env_checker import check_env
+from jaxtyping import Array, Float
 from learning_problems.probes import hidden_end
 from pictures import can_draw, drawn
 from playing import agents
 
 import maesn.gym
-from maesn.envs import FAMILIES, Point, Reward, TaskFamily, TaskSet, point
+from maesn.envs import FAMILIES, Point, Reward, TaskFamily, TaskSet, Wheeled, point, wheeled
 from maesn.experience.trial_state import TrialState
 from maesn.gym import IDS, TaskEnv
 from maesn.numerics import DiagonalGaussian
-from maesn.runs.export import probe_actuators
+from maesn.runs.probing import probe_actuators
 from maesn.storage import RunError
 from maesn.worlds import Actors, Decision, EpisodeError, Start, make_world
 
@@ -105,6 +106,24 @@ def test_the_action_space_covers_the_actuators_exactly(family: str) -> None:
         np.testing.assert_allclose(control, getattr(actuators, limit), rtol=1e-6)
         # And not a part of it twice: just inside, no actuator is at its limit.
         assert (np.abs(np.asarray(inner.control(jnp.asarray(0.99 * end)))) < np.abs(control)).all()
+
+
+class Geared(Wheeled):
+    """A robot with a control of its own, which its motors limit to 2 in the model alone."""
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+        return 0.5 + jnp.asarray([3.0, -1.0]) * action
+
+
+def test_an_action_is_a_share_of_the_range_whatever_the_policy_s_scale() -> None:
+    family = TaskFamily("geared", Geared, wheeled.draw_tasks, wheeled.task_names, 0)
+    env = TaskEnv(family, task=0)
+    to_action, control = env._stepper._to_action, Geared().control
+    box = np.float32([[-1.0, 1.0], [0.0, 0.25]])
+    sent = [np.asarray(control(jnp.asarray(action))) for action in to_action(box)]
+    np.testing.assert_allclose(sent, 2.0 * box, rtol=1e-6, atol=1e-6)
+    same = TaskEnv("wheeled")._stepper._to_action(box)
+    np.testing.assert_array_equal(same, box)  # bit for bit what a policy would output
 
 
 @pytest.mark.parametrize(("family", "rate"), [("wheeled", 100), ("point", 10)])

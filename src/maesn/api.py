@@ -5,7 +5,6 @@ as `module:name`.
 """
 
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +14,7 @@ from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_exploration, record_explorer
+from maesn.evaluation.exporting import export_run
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
 from maesn.reporting.page import PAGE, page_of, write_page
@@ -22,14 +22,13 @@ from maesn.reporting.reading import usual_table
 from maesn.reporting.report import Reported, say_missing, write_report
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import Compared, compare_runs, compare_study, studies_in
-from maesn.rules import GradientRule, SearchRule, Trained
 from maesn.runs.config import RunSettings
-from maesn.runs.export import exported_policy, write_policy
+from maesn.runs.export import Stated
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, change_run, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
-from maesn.search.stored import find_prior, played_live, run_prior
+from maesn.search.stored import played_live, run_prior
 from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import warn_of_duration
 
@@ -179,22 +178,30 @@ def export(
     latents: arguments.OptionalPath = None,
     task: int | None = None,
     rule: arguments.AnyRule = None,
+    lower: arguments.AnyLimit = None,
+    upper: arguments.AnyLimit = None,
+    control_period: float | None = None,
     overwrite: arguments.Flag = False,
 ) -> Path:
-    """Write the last checkpoint of a run as one file for the NumPy runtime.
+    """Write the last checkpoint of a run as one file for the NumPy runtime, or as a network.
 
     A robot starts at the prior, or at a latent that an adaptation has found, from which its step
-    sizes go on.
+    sizes go on. It is sent what the simulation lets through; the table that is shown says what
+    that is.
 
     Args:
         run: Directory of the run, or the name of a policy that comes with the library.
-        path: File to write, `.npz`.
+        path: File to write: `.npz` for `maesn.runtime`, `.onnx` for the network alone.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the
             robot starts from.
         task: Index of its task, in the set that was adapted to.
         rule: How the robot adapts: gradient, the default, or search with its settings behind it.
+        lower: Smallest control, of all actuators or of each, where the simulation has a smaller one
+            or none; -inf: none.
+        upper: Largest control; inf: none.
+        control_period: Seconds between two controls, where tasks differ in them.
         overwrite: Replace a file that is there.
 
     Raises:
@@ -204,29 +211,9 @@ def export(
         raise RunError(
             f"`{path}` exists and would be replaced: give another path, or `--overwrite`."
         )
-    opened = Run.open(run, family, method)
-    checkpoint = opened.latest()
-    about: dict[str, Any] = {"method": opened.settings.method, "iteration": checkpoint.iteration}
-    start = search = None
-    if latents is not None and task is not None:
-        start = running.adapted_latent(opened, Path(latents), task)
-        about["task"] = task
-    elif latents is not None or task is not None:
-        raise RunError("`latents` and `task` belong together: give both of them, or none.")
-    if isinstance(rule, SearchRule) and start is None:
-        with closing(opened.world(reward_kind="sparse")) as world:
-            found = find_prior(opened, checkpoint.state, world, False, rule.prior, rule.any_reward)
-        search = found, rule.settings
-    elif not isinstance(rule, GradientRule | None):
-        raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
-    try:
-        learner = opened.learner.fast_learner(checkpoint.state)
-        if isinstance(rule, GradientRule):
-            trained = Trained(opened.learner, checkpoint.state)
-            learner = rule.fast_learner(trained, opened.env())
-        write_policy(path, exported_policy(learner, opened.env(), about, start, search))
-    except (ValueError, OSError) as error:
-        raise RunError(f"`{opened.directory}` cannot be exported to `{path}`: {error}") from error
+    opened, stated = Run.open(run, family, method), Stated(lower, upper, control_period)
+    given = None if latents is None else Path(latents)
+    export_run(opened, Path(path), rule, given, task, stated)
     return Path(path)
 
 

@@ -14,7 +14,7 @@ from maesn.envs import AnyEnv, Point
 from maesn.learners import GradientFastLearner, Problem
 from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
-from maesn.runs.export import exported_policy, write_policy
+from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runtime import Explorer
 
 LATENT_SIZE = 2
@@ -33,11 +33,14 @@ def fast_learner(env: AnyEnv | None = None, **settings: Any) -> GradientFastLear
     return eqx.tree_at(lambda fast: fast.step_sizes.context, learner.fast_learner(state), sizes)
 
 
-def policy_file(directory: Path, env: AnyEnv | None = None, **settings: Any) -> Path:
+def policy_file(
+    directory: Path, env: AnyEnv | None = None, stated: Stated | None = None, **settings: Any
+) -> Path:
     """An exported policy."""
     env = Point() if env is None else env
     path = directory / "policy.npz"
-    write_policy(path, exported_policy(fast_learner(env, **settings), env, {"run": "a test"}))
+    learner = fast_learner(env, **settings)
+    write_policy(path, exported_policy(learner, env, {"run": "a test"}, stated=stated or Stated()))
     return path
 
 

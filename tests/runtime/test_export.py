@@ -81,7 +81,7 @@ class Unlimited(Point):
 def test_controls_may_be_shifted_reversed_and_unlimited() -> None:
     found = probe_actuators(Unlimited())
     assert found.offset.tolist() == [0.5, 0.0]
-    np.testing.assert_allclose(found.scale, [-3.0, -3.0], rtol=1e-4)
+    np.testing.assert_allclose(found.scale, [-3.0, -3.0], rtol=1e-6)
     assert found.lower.tolist() == [-np.inf, -np.inf]
     assert found.upper.tolist() == [2.0, np.inf]
 

@@ -48,7 +48,12 @@ def test_the_command_does_the_same(
     run, done = adapted
     words = ["--latents", str(done.latents), "--task", "7"]
     assert cli.run(["export", str(run), str(tmp_path / "policy.npz"), *words]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / "policy.npz")
+    *table, path = capsys.readouterr().out.splitlines()
+    assert path == str(tmp_path / "policy.npz")
+    assert [line.split()[:2] for line in table[2:4]] == [["observation", "0"], ["observation", "1"]]
+    assert "  control 0            1 * action, limits -1 to 1" in table
+    assert "  control period       0.1 s" in table
+    assert "  episode              40 steps, 4 s" in table
     assert Explorer.load(tmp_path / "policy.npz").update == 2
 
 

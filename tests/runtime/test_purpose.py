@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from runtime.robot import constant, contents, observations, play, policy_file, towards
 
 from maesn.envs import Point
+from maesn.runs.export import Stated
 from maesn.runtime import Explorer, Safeguards
 
 OBSERVATION = np.asarray([0.1, -0.2])
@@ -129,7 +130,8 @@ class OneSided(Point):
 
 
 def test_actuators_without_limits_cannot_be_normalized(tmp_path: Path) -> None:
-    explorer = Explorer.load(policy_file(tmp_path, OneSided()), seed=6)
+    path = policy_file(tmp_path, OneSided(), stated=Stated(lower=-np.inf))
+    explorer = Explorer.load(path, seed=6)
     explorer.begin_episode()
     before = contents(explorer)
     with pytest.raises(ValueError, match=r"actuator 0 has the range -inf to 1\.0"):

@@ -3,8 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from learning_problems.transitions import episodes_of
 from runtime.robot import contents, fast_learner, observations
 
 from maesn.envs import Point
@@ -12,6 +15,7 @@ from maesn.runs.export import exported_policy, write_policy
 from maesn.runtime import Explorer, Safeguards
 from maesn.runtime.return_model import Reading, ReturnPrior
 from maesn.runtime.search import LatentSearch, SearchSettings
+from maesn.search import SearchFastLearner
 
 ARCHIVE_ALONE = SearchSettings(draws=0)
 NOISE = 0.3
@@ -186,7 +190,7 @@ def test_a_robot_s_search_is_saved_in_the_middle_and_goes_on_exactly(
 def test_a_chosen_z_takes_part(policy: Path) -> None:
     explorer = Explorer.load(policy, seed=9)
     explorer.begin_episode(z=[0.5, 3.0])
-    episode(explorer, 100.0)
+    episode(explorer, -5.0)
     explorer.adapt()
     assert explorer.begin_episode(explore=False).tolist() == [0.5, 3.0]
     explorer.discard()
@@ -203,9 +207,48 @@ def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
     explorer.begin_episode()
     explorer.save(policy.with_name("saved.npz"))
     explorer = Explorer.load(policy.with_name("saved.npz"))
-    episode(explorer, 0.0)
+    episode(explorer, -15.0)
     explorer.adapt()
     assert np.linalg.norm(explorer.latent_mean) <= 1.5
+
+
+@pytest.mark.parametrize("value", [-200.0, 5.0])
+def test_returns_that_no_prior_explains_are_noticed_once(
+    policy: Path, tmp_path: Path, value: float
+) -> None:
+    explorer = Explorer.load(policy, seed=11)
+    explorer.begin_episode()
+    episode(explorer, -20.0)
+    explorer.adapt()  # the usual reward: no warning, which would be an error in the tests
+    explorer.begin_episode()
+    episode(explorer, value)
+    before = contents(explorer)
+    said = f"returned {value:g} to {value:g}, but the prior of the search explains -3.* to "
+    with pytest.raises(UserWarning, match=said):
+        explorer.adapt()
+    assert contents(explorer) == before
+    with pytest.warns(UserWarning, match=said):
+        explorer.adapt()
+    explorer.save(tmp_path / "saved.npz")
+    for later in (explorer, Explorer.load(tmp_path / "saved.npz")):
+        later.begin_episode()
+        episode(later, value)
+        later.adapt()
+
+
+def test_the_library_s_search_says_so_too(caplog: pytest.LogCaptureFixture) -> None:
+    steered = fast_learner().latent
+    assert steered is not None
+    learner = SearchFastLearner(steered, ARCHIVE_ALONE.model(PRIOR), ARCHIVE_ALONE)
+    state = learner.init(jax.random.split(jax.random.key(0), 3))
+    for returns in ([-20.0, -19.0, -18.0], [-20.0, 5.0, -200.0], [5.0, 5.0, 5.0]):
+        reward = np.zeros((3, 1, 4))
+        reward[:, 0, 0] = returns
+        seen, played = np.zeros((3, 1, 5, 2)), np.zeros((3, 1, 4, 2))
+        given = jnp.asarray(reward, jnp.float32)
+        state = learner.update(state, episodes_of(seen, played, reward=given))
+    (record,) = caplog.records
+    assert record.message.startswith("In 2 of 3 tasks, episodes returned 5 to 5, but the prior")
 
 
 def test_a_search_refuses_to_take_steps_back(policy: Path) -> None:

@@ -25,7 +25,7 @@ from maesn.settings import leaves
 from maesn.storage import RunError, check_writable
 
 # Packages that extras of the installation bring.
-_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "plotly")
+_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "plotly", "onnx")
 
 
 @command

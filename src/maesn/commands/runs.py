@@ -20,6 +20,7 @@ from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.rules import SearchRule
 from maesn.runs.config import CONFIG, RunSettings
+from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
 from maesn.studies.comparison import compare as compare_runs
@@ -50,10 +51,17 @@ def _say_written(paths: list[Path]) -> None:
     print(*paths, sep="\n")
 
 
+def _say_exported(path: Path) -> None:
+    print("In the simulation. Compare it with the robot:")
+    for what, value in exported_facts(path):
+        print(f"  {what:20s} {value}")
+    print(path)
+
+
 resume = command(api.resume, say_what_is_next)
 adapt = command(api.adapt, _say_adapted)
 report = command(api.report, _say_reported)
-export = command(api.export, print)
+export = command(api.export, _say_exported)
 prior = command(api.prior, print)
 render = command(film.render, _say_written)
 

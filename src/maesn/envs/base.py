@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, Readings
+from maesn.physics import ModelActuators, model_actuators
 from maesn.settings import check_choice, check_number
 
 RewardKind: TypeAlias = Literal["dense", "sparse"]
@@ -98,9 +99,25 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
         """Map the policy's unbounded action to what reaches the actuators."""
 
+    def actuators(self) -> ModelActuators:
+        """Return names of the actuators, and the limits that the world itself sets on controls.
+
+        They hold on top of what `control` does. No names and no limits, unless the environment
+        overrides it.
+        """
+        free = np.full(self.action_size, np.inf)
+        return ModelActuators(("",) * self.action_size, -free, free)
+
     @abstractmethod
     def observe(self, readings: Readings) -> Float[Array, " observed"]:
         """Return what the agent sees of the world."""
+
+    def observation_names(self) -> tuple[str, ...]:
+        """Return names of the components of an observation, for those who build a robot.
+
+        None, unless the environment overrides it: they are then read off `observe`.
+        """
+        return ()
 
     def instruction(self, task: Task) -> Float[Array, " instruction"]:
         """Return what the agent sees of its task: a vector appended to the observation.
@@ -241,6 +258,10 @@ class AbstractMujocoEnv(AbstractSimulatedEnv[Task]):
     """Physics steps per control step."""
     nonfinite: ClassVar[Literal["raise", "report"]] = "raise"
     """What happens when a state blows up: an error, or `terminated` has to expect it."""
+
+    def actuators(self) -> ModelActuators:
+        """Return the actuators of the model."""
+        return model_actuators(self.model)
 
 
 class AbstractPureEnv(AbstractSimulatedEnv[Task]):

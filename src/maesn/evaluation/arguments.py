@@ -14,6 +14,7 @@ from maesn.envs import TaskFamily
 from maesn.rules import AbstractRule, AbstractWrapper, from_text
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
+from maesn.runtime.safeguards import Limit
 
 
 def _read(
@@ -36,6 +37,13 @@ def _named(option: str) -> PrimitiveConstructorSpec[Any]:
     )
 
 
+def _limit(words: list[str]) -> Limit:
+    if not words:
+        raise ValueError("give one number, or one for each actuator")
+    numbers = [float(word) for word in words]
+    return numbers if numbers[1:] else numbers[0]
+
+
 AnyRun: TypeAlias = Annotated[str | Path | Run, _read(1, "RUN")]
 """A run, its directory, or the name of a policy that comes with the library."""
 AnyPath: TypeAlias = Annotated[str | Path, _read(1, "PATH")]
@@ -50,6 +58,8 @@ AnyChange: TypeAlias = Annotated[
     Mapping[str, Any] | None, _read("*", "NAME=VALUE", values_of_words)
 ]
 """Name of a setting -> its new value."""
+AnyLimit: TypeAlias = Annotated[Limit | None, _read("*", "NUMBER", _limit)]
+"""Limit of all actuators, or of each."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]
 """False, unless the command line names it; it takes no value there."""
 

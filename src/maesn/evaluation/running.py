@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from maesn.context import Latent
@@ -20,18 +19,14 @@ from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractFastLearner
 from maesn.reporting.reading import LATENTS, RECORD, TableName
-from maesn.reporting.runs import Latents, read_record
+from maesn.reporting.runs import Latents
 from maesn.rules import Trained
 from maesn.runs.checkpoint import digest_of_arrays
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.search.stored import find_prior
-from maesn.settings import check_number
 from maesn.storage import (
-    RunError,
     read_arrays,
-    read_json,
-    refusals,
     write_arrays,
     write_json,
     write_rows,
@@ -166,24 +161,3 @@ def held_latents(outcome: AdaptationOutcome) -> Latents | None:
         return None
     mean, log_std = map(np.asarray, (outcome.contexts.mean, outcome.contexts.log_std))
     return Latents(mean, log_std, first_update=0)
-
-
-def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
-    """Return the latent `[z]` that an adaptation found for a task, and the updates behind it.
-
-    Raises:
-        RunError: the file is no latents, or of other weights than the run's, or lacks the task.
-    """
-    record = path.with_suffix("").with_suffix(RECORD)
-    if record.exists() and read_json(record).get("weights") != run.identity()["weights"]:
-        raise RunError(
-            f"`{path}` was adapted with other weights than the latest checkpoint of "
-            f"`{run.directory}` has: adapt this run, and give the latents that this writes."
-        )
-    read = read_record(Latents, path, "give a file of latents that `maesn adapt` wrote")
-    with refusals():
-        check_number("task", task, 0, len(read.mean) - 1)
-    mean, log_std = (jnp.asarray(x[task, -1], jnp.float32) for x in (read.mean, read.log_std))
-    if (log_std <= Latent.fixed(mean).log_std).all():
-        return Latent(mean, jnp.zeros_like(mean)), 0  # a search's point: as from the prior
-    return Latent(mean, log_std), read.first_update + read.mean.shape[1] - 1

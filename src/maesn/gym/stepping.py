@@ -17,6 +17,7 @@ from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_task
+from maesn.gym.units import box_to_action
 from maesn.settings import check_choice
 from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
 from maesn.worlds.outcome import observe
@@ -74,6 +75,7 @@ class Stepper:
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
+        self._to_action = box_to_action(self.env)
         self._stepper = open_stepper(self.env, num_threads)
         self._scene: Scene | None = None
         self.task_index = np.zeros(num_episodes, np.int64)
@@ -169,7 +171,7 @@ class Stepper:
         wanted = (self.num_episodes, self.env.action_size)
         if action.shape != wanted:
             raise ValueError(f"`action` must have the shape {wanted}, got {action.shape}.")
-        over = self.ended
+        action, over = self._to_action(action), self.ended
         control = np.where(over[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
             self._readings = _single(self._stepper.step(control, over))

@@ -1,33 +1,57 @@
-"""Hands a meta-learned policy to a robot: writes the file that `maesn.runtime` reads."""
+"""Hands a meta-learned policy to a robot: what it is sent, and the file that it reads."""
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from maesn._version import __version__
 from maesn.context import Latent
-from maesn.envs.base import AnyEnv
+from maesn.envs.base import AbstractMujocoEnv, AnyEnv
 from maesn.learners import AbstractFastLearner
+from maesn.runs.onnx_file import is_onnx, read_facts, write_onnx
+from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.safeguards import Limit
 from maesn.runtime.search import SearchSettings
-from maesn.runtime.storage import Snapshot, write_snapshot
+from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
+from maesn.runtime.table import facts
 
-# An action far outside of every range: the control that it leads to is a limit. What grows with
-# the action to half that size has none.
-_FAR = 1e6
-_PROBE_STEP = 2.0**-10  # a power of two, so that the scale is exact in single precision
-_NUM_PROBES = 256
-_TOLERANCE = 1e-4  # for environments with an offset, where it is not
+# Fields of a model that decide what a robot is sent. Where tasks change them, nobody but the user
+# knows which task the robot is in.
+_LIMITS = {"actuator_ctrlrange", "actuator_ctrllimited", "opt.disableflags"}
+_PERIOD = {"opt.timestep"}
+
+
+class Stated(NamedTuple):
+    """What the user says of the robot, where the simulation does not say it."""
+
+    lower: Limit | None = None
+    """Smallest control of all actuators, or of each; -inf for no limit."""
+    upper: Limit | None = None
+    """Largest control; inf for no limit."""
+    control_period: float | None = None
+    """Seconds between two controls."""
+
+
+_NOTHING = Stated()
 
 
 def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
-    """Write what `exported_policy` returns as an `.npz` file, in place of any that is there."""
+    """Write what `exported_policy` returns as an `.npz` or `.onnx` file; an old one is replaced.
+
+    Raises:
+        ValueError: an ONNX file cannot hold it, or `onnx` is not installed.
+    """
+    if is_onnx(path):
+        write_onnx(path, policy)
+        return
     write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
 
 
@@ -37,16 +61,29 @@ def exported_policy(
     description: Mapping[str, str | int | float],
     start: tuple[Latent, int] | None = None,
     search: tuple[ReturnPrior, SearchSettings] | None = None,
+    *,
+    task: Any = None,
+    stated: Stated = _NOTHING,
 ) -> ExportedPolicy:
     """Return a fast learner, and the environment that it acts in, as arrays for the runtime.
 
-    A robot starts from `start`, an adapted latent `[z]` and the number of updates behind it; None
-    for the prior. It searches with this prior and these settings; None for the policy gradient.
+    Args:
+        learner: the fast learner.
+        env: the environment that it was trained in.
+        description: what else people should know of the policy.
+        start: an adapted latent `[z]` to start from, and the number of updates behind it; None for
+            the prior.
+        search: the prior and the settings of a search; None for the policy gradient.
+        task: one of the training tasks, for what tasks change; None where they change nothing.
+        stated: what the user says of the robot.
 
     Raises:
-        ValueError: the runtime cannot learn as this learner does.
+        ValueError: the runtime cannot learn as this learner does, or the simulation does not say
+            what the robot may be sent.
     """
     policy, prior, rule = learner.exported()
+    state = learner.init(jax.random.split(jax.random.key(0), 1))
+    changed = _changed_by_tasks(env, task)
     latent, update = prior, 0
     if start is not None:
         given, update = start
@@ -58,47 +95,83 @@ def exported_policy(
         )
     return ExportedPolicy(
         policy=policy,
-        actuators=probe_actuators(env),
+        actuators=_actuators(env, changed, stated),
+        sensors=probe_sensors(env, task),
         start=latent,
         start_update=update,
         rule=rule,
         description={
             "family": env.name,
             "horizon": env.horizon,
-            "control_period": env.control_period,
+            "control_period": _control_period(env, changed, stated.control_period),
             "maesn_version": __version__,
             **description,
         },
         search=None if search is None else ExportedSearch(*search, env.horizon),
+        # As in an evaluation: where the latent explores, and in deployed episodes, there is none.
+        is_noisy={"explore": search is None and learner.agents(state).is_noisy, "deploy": False},
     )
 
 
-def probe_actuators(env: AnyEnv) -> Actuators:
-    """Return `env.control` as the numbers of clip(offset + scale * action, lower, upper).
+def _changed_by_tasks(env: AnyEnv, task: Any) -> set[str]:
+    """Return the names of the model's fields that tasks change."""
+    if task is None or not isinstance(env, AbstractMujocoEnv):
+        return set()
+    return set(env.model_fields(jax.tree.map(jnp.asarray, task)))
 
-    They are read off the function itself, and compared with it on random actions: `ValueError` if
-    it has another form.
-    """
 
-    def control(action: np.ndarray | float) -> np.ndarray:
-        return _float64(env.control(jnp.full(env.action_size, action, jnp.float32)))
-
-    far, half = (np.stack([control(-x), control(x)]) for x in (_FAR, _FAR / 2))
-    limits = np.where(far == half, far, np.copysign(np.inf, far))
-    actuators = Actuators(
-        offset=control(0.0),
-        scale=(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP),
-        lower=limits.min(axis=0),
-        upper=limits.max(axis=0),
+def _actuators(env: AnyEnv, changed: set[str], stated: Stated) -> Actuators:
+    """Return the map to controls under the tightest limits of environment, model and user."""
+    actuators, size = probe_actuators(env), env.action_size
+    limits = Safeguards(stated.lower, stated.upper)
+    actuators = actuators.narrowed(
+        limits.limit("lower", size, -np.inf), limits.limit("upper", size, np.inf)
     )
-    for action in 2.0 * np.random.default_rng(0).standard_normal((_NUM_PROBES, env.action_size)):
-        wanted = control(action)
-        if not np.allclose(actuators.control(action), wanted, _TOLERANCE, _TOLERANCE):
-            raise ValueError(
-                f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, "
-                f"upper) for each actuator, but the action {action} becomes {wanted}."
-            )
+    if stated.lower is not None and stated.upper is not None:
+        return actuators
+    how = "say what the robot may be sent: --lower=-1 --upper=1, a number or one for each actuator."
+    if changed & _LIMITS:
+        raise ValueError(f"the limits of the actuators differ between the tasks: {how}")
+    free = (stated.lower is None) & np.isinf(actuators.lower)
+    free |= (stated.upper is None) & np.isinf(actuators.upper)
+    if free.any():
+        index = int(np.argmax(free))
+        raise ValueError(
+            f"the simulation limits the control of actuator {index} to "
+            f"{actuators.lower[index]:g} to {actuators.upper[index]:g} alone: {how} Where there is "
+            "no limit, say inf."
+        )
     return actuators
+
+
+def _control_period(env: AnyEnv, changed: set[str], stated: float | None) -> float:
+    if stated is not None and not 0 < stated < np.inf:
+        raise ValueError(f"`control_period` must be positive, got {stated:g}.")
+    if changed & _PERIOD:
+        if stated is None:
+            raise ValueError(
+                "the time step differs between the tasks: say how many seconds the robot holds a "
+                "control, as in --control-period 0.02"
+            )
+        return stated
+    if stated is not None and not np.isclose(stated, env.control_period):
+        raise ValueError(
+            f"the policy was trained with a control period of {env.control_period:g} s, not "
+            f"{stated:g} s: leave out `control_period`."
+        )
+    return env.control_period
+
+
+def exported_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
+    """Return the table of an exported file that a person should check.
+
+    Raises:
+        OSError: the file cannot be opened.
+        ValueError: it is no such file.
+    """
+    if is_onnx(path):
+        return read_facts(path)
+    return facts(read_snapshot(path).exported)
 
 
 def _float64(values: Any) -> np.ndarray:

@@ -22,4 +22,6 @@ from maesn.runtime.latent import LearningRule as LearningRule
 from maesn.runtime.learning import AdaptationInfo as AdaptationInfo
 from maesn.runtime.policy import GaussianPolicy as GaussianPolicy
 from maesn.runtime.safeguards import Safeguards as Safeguards
+from maesn.runtime.sensors import Sensors as Sensors
 from maesn.runtime.state import ExplorerState as ExplorerState
+from maesn.runtime.table import facts as facts

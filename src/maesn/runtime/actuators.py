@@ -1,6 +1,6 @@
 """From the policy's unbounded actions to what the actuators are sent."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,14 @@ class Actuators:
         scale: change of the control per unit of action.
         lower: smallest control; -inf if there is none.
         upper: largest control; inf if there is none.
+        names: what each actuator is called; "" where it has no name.
     """
 
     offset: FloatArray
     scale: FloatArray
     lower: FloatArray
     upper: FloatArray
+    names: tuple[str, ...] = ()
 
     def control(self, action: FloatArray) -> FloatArray:
         """Return what is sent for an action, `[action]`."""
@@ -67,7 +69,7 @@ class Actuators:
                 f"`lower` {lower} and `upper` {upper} leave no control: `lower` must be at most "
                 f"`upper`, and the policy's own range is {self.lower} to {self.upper}."
             )
-        return Actuators(self.offset, self.scale, low, high)
+        return replace(self, lower=low, upper=high)
 
 
 def clipped(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

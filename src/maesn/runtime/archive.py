@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from maesn.runtime.arrays import Arrays
 
 FORMAT = "maesn-policy"
-VERSION = 1
+VERSION = 2
 # A file of this suffix was being written when its process died; nothing reads it.
 PARTIAL = ".partial"
 _METADATA = "metadata"

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from maesn.runtime.arrays import Arrays, FloatArray, take
 Purpose: TypeAlias = Literal["explore", "deploy"]
 """`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
 only."""
+PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 LARGEST_REWARD = 1e100
 """The squares of larger ones, summed over many steps, are beyond double precision."""

@@ -1,6 +1,7 @@
 """A robot that explores with a meta-learned policy and learns from what it finds."""
 
 import os
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike
 from maesn.runtime.arrays import FloatArray, finite_vector
 from maesn.runtime.episode import Episode, RunningEpisode
 from maesn.runtime.exported import ExportedPolicy
-from maesn.runtime.learning import AdaptationInfo, learned
+from maesn.runtime.learning import AdaptationInfo, learned, surprise
 from maesn.runtime.limiter import Limiter
 from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
@@ -143,8 +144,8 @@ class Explorer:
 
         Args:
             explore: False holds z at the latent's mean, for a robot at work or to judge what it
-                has learned. `adapt` ignores such an episode. Actions are still drawn;
-                `act(observation, explore=False)` takes their mean.
+                has learned. `adapt` ignores such an episode. Whether actions are drawn is as in
+                the simulation; `act(observation, explore=False)` takes their mean.
             z: the caller's choice of z, `[latent]`; None for a draw.
 
         Returns:
@@ -167,7 +168,7 @@ class Explorer:
         return self._running("begin_episode").latent.copy()
 
     def act(
-        self, observation: ArrayLike, explore: bool = True, normalized: bool = False
+        self, observation: ArrayLike, explore: bool | None = None, normalized: bool = False
     ) -> FloatArray:
         """Return what to send to the actuators now.
 
@@ -176,7 +177,8 @@ class Explorer:
 
         Args:
             observation: o_t, `[observation]`.
-            explore: whether to draw the action from the policy, rather than to take its mean.
+            explore: whether to draw the action from the policy, rather than to take its mean; None
+                for what the simulation does in episodes of this purpose (`exported.is_noisy`).
             normalized: whether to return the control on the scale on which the limits of training
                 are -1 and 1.
 
@@ -189,9 +191,9 @@ class Explorer:
                 it or the control is not finite, or `normalized` is asked of actuators without
                 limits.
         """
-        running = self._running("act")
-        size = self.exported.observation_size
-        observed = finite_vector("observation", observation, size, "as in training")
+        running, size = self._running("act"), self.exported.observation_size
+        seen = finite_vector("observation", observation, size, "as in training")
+        observed = self.exported.sensors.clipped(seen)
         action = self._policy.mean(observed)
         if not np.isfinite(action).all():
             raise ValueError(
@@ -201,7 +203,7 @@ class Explorer:
         if normalized:
             self.exported.actuators.refuse_unlimited()
         random_state = self._generator.bit_generator.state
-        if explore:
+        if self.exported.is_noisy[running.purpose] if explore is None else explore:
             std = self.exported.policy.std
             action += std * self._generator.standard_normal(std.shape[0])
         before = running.controls[-1] if running.controls else None
@@ -263,7 +265,8 @@ class Explorer:
     def adapt(self) -> AdaptationInfo:
         """Learn from all exploring episodes since the last call, and forget them.
 
-        Moves the latent, or takes the last update back (`Safeguards.max_return_drop`).
+        Moves the latent, or takes the last update back (`Safeguards.max_return_drop`). A search
+        warns, once, of returns that its prior cannot explain, as of rewards in another unit.
 
         Raises:
             RuntimeError: an episode is running, there are fewer than two finished episodes to
@@ -272,6 +275,8 @@ class Explorer:
         self._refuse_if_running("adapt")
         search = self.exported.search
         horizon = 1 if search is None else search.horizon
+        if complaint := surprise(self._state, horizon):
+            warnings.warn(complaint, stacklevel=2)
         self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
 

@@ -1,7 +1,7 @@
 """The result of meta-training that a robot loads. It does not change there."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from maesn.runtime.actuators import Actuators
 from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.episode import PURPOSES, Purpose
 from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
+from maesn.runtime.sensors import Sensors
 
 _SEARCH = "search"
 
@@ -35,21 +37,25 @@ class ExportedPolicy:
     Attributes:
         policy: the policy, whose weights do not change on the robot.
         actuators: the map from actions to controls.
+        sensors: the components of an observation.
         start: the latent that a new task starts from: the prior N(0, I), or an adapted one.
         start_update: number of updates that led to `start`; 0 for the prior.
         rule: the policy-gradient update of the latent.
-        description: family, horizon, control period and the like, for people. Nothing depends on
-            it.
+        description: family, horizon (steps), control period (seconds) and the like, for people.
+            Nothing depends on it.
         search: the search that chooses latents instead of `rule`, if any.
+        is_noisy: purpose of an episode -> whether its actions are drawn, as in the simulation.
     """
 
     policy: GaussianPolicy
     actuators: Actuators
+    sensors: Sensors
     start: Latent
     rule: LearningRule
     description: Mapping[str, str | int | float]
     start_update: int = 0
     search: ExportedSearch | None = None
+    is_noisy: Mapping[Purpose, bool] = field(default_factory=lambda: dict.fromkeys(PURPOSES, True))
 
     @property
     def latent_size(self) -> int:
@@ -74,6 +80,8 @@ class ExportedPolicy:
             "actuators.scale": self.actuators.scale,
             "actuators.lower": self.actuators.lower,
             "actuators.upper": self.actuators.upper,
+            "sensors.lower": self.sensors.lower,
+            "sensors.upper": self.sensors.upper,
             "start.mean": self.start.mean,
             "start.log_std": self.start.log_std,
             "rule.mean_step": self.rule.mean_step,
@@ -87,6 +95,9 @@ class ExportedPolicy:
             "description": dict(self.description),
             "num_layers": len(self.policy.weights),
             "observation_size": self.observation_size,
+            "sensors": list(self.sensors.names),
+            "actuators": list(self.actuators.names),
+            "is_noisy": dict(self.is_noisy),
             "start_update": self.start_update,
             "rule": {
                 "full_steps": self.rule.full_steps,
@@ -114,7 +125,8 @@ class ExportedPolicy:
         rule = entry(metadata, "rule", dict)
         return ExportedPolicy(
             policy=policy,
-            actuators=_actuators(arrays, policy.action_size),
+            actuators=_actuators(arrays, metadata, policy.action_size),
+            sensors=_sensors(arrays, metadata, sizes["observation_size"]),
             start=Latent(start_mean, take(arrays, "start.log_std", size)),
             rule=LearningRule(
                 mean_step=take(arrays, "rule.mean_step", size),
@@ -127,15 +139,40 @@ class ExportedPolicy:
             description=entry(metadata, "description", dict),
             start_update=entry(metadata, "start_update", int),
             search=_search(arrays, metadata, size),
+            is_noisy=_is_noisy(entry(metadata, "is_noisy", dict)),
         )
 
 
-def _actuators(arrays: Mapping[str, NDArray[np.generic]], size: int) -> Actuators:
+def _is_noisy(flags: dict[str, Any]) -> dict[Purpose, bool]:
+    return {purpose: entry(flags, purpose, bool) for purpose in PURPOSES}
+
+
+def _names(metadata: Mapping[str, Any], kind: str, size: int) -> tuple[str, ...]:
+    names = entry(metadata, kind, list)
+    if len(names) != size or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"entry `{kind}` must be {size} names, got {names!r}.")
+    return tuple(names)
+
+
+def _sensors(
+    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
+) -> Sensors:
+    return Sensors(
+        _names(metadata, "sensors", size),
+        lower=take(arrays, "sensors.lower", size, allow_infinite=True),
+        upper=take(arrays, "sensors.upper", size, allow_infinite=True),
+    )
+
+
+def _actuators(
+    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
+) -> Actuators:
     return Actuators(
         offset=take(arrays, "actuators.offset", size),
         scale=take(arrays, "actuators.scale", size),
         lower=take(arrays, "actuators.lower", size, allow_infinite=True),
         upper=take(arrays, "actuators.upper", size, allow_infinite=True),
+        names=_names(metadata, "actuators", size),
     )
 
 

@@ -67,9 +67,15 @@ def learned(
     return ExplorerState(latent, state.update + 1, undo=undo), info
 
 
-def _after_search(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
-    """Return the state after an update of the search; its latent is the one to deploy."""
-    readings = [
+def surprise(state: ExplorerState, horizon: int) -> str:
+    """Return a sentence if the next update is the first with returns that no prior explains."""
+    if state.search is None or state.search.is_surprised:
+        return ""
+    return state.search.complaint(_readings(state, state.search, horizon))
+
+
+def _readings(state: ExplorerState, search: LatentSearch, horizon: int) -> list[Reading]:
+    return [
         Reading(
             search.index(episode.latent),
             episode.undiscounted_return,
@@ -77,7 +83,11 @@ def _after_search(state: ExplorerState, search: LatentSearch, horizon: int) -> E
         )
         for episode in state.episodes
     ]
-    search = search.after(readings)
+
+
+def _after_search(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
+    """Return the state after an update of the search; its latent is the one to deploy."""
+    search = search.after(_readings(state, search, horizon))
     latent = replace(state.latent, mean=search.latent(search.best))
     return ExplorerState(latent, state.update + 1, search=search)
 

@@ -174,6 +174,24 @@ class LatentSearch:
             raise ValueError(f"`z` {z} is no point of this search.")
         return int(found[0])
 
+    @property
+    def is_surprised(self) -> bool:
+        """Whether some reading so far is beyond what the prior explains."""
+        return any(map(self._is_beyond, self.posterior.readings))
+
+    def complaint(self, readings: Iterable[Reading]) -> str:
+        """Return a sentence about readings that the prior cannot explain; "" if there are none."""
+        beyond = list(filter(self._is_beyond, readings))
+        if not beyond:
+            return ""
+        returns = [reading.episode_return for reading in beyond]
+        low, high = self.model.explained(beyond[0].length)
+        return (
+            f"episodes returned {min(returns):.6g} to {max(returns):.6g}, but the prior of the "
+            f"search explains {low:.6g} to {high:.6g}: a search needs the reward that its prior "
+            "was played with, every term of it and in the same unit."
+        )
+
     def after(self, readings: Iterable[Reading]) -> "LatentSearch":
         """Return the search after some episodes."""
         posterior = self.posterior
@@ -245,6 +263,10 @@ class LatentSearch:
                     raise ValueError("array `search.points` names points that are not there.")
                 search = search.after([Reading(point, returns[count], lengths[count])])
         return search
+
+    def _is_beyond(self, reading: Reading) -> bool:
+        low, high = self.model.explained(reading.length)
+        return not low <= reading.episode_return <= high
 
     def _with_draws(self, generator: np.random.Generator) -> "LatentSearch":
         shape = (self.settings.draws, self.points.shape[1])

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.episode import (
+    PURPOSES,
     Episode,
     Purpose,
     RunningEpisode,
@@ -143,7 +144,7 @@ class ExplorerState:
 
 def _purpose(metadata: Mapping[str, Any]) -> Purpose:
     found: Any = metadata.get("purpose")
-    if found not in get_args(Purpose):
+    if found not in PURPOSES:
         raise ValueError(f"entry `purpose` must be 'explore' or 'deploy', got {found!r}.")
     purpose: Purpose = found
     return purpose

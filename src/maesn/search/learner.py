@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,8 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,18 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
-        searches = []
+        searches, complaints = [], []
         for search, points, *per_episode in zip(
             state.searches, state.chosen, returns, lengths, strict=True
         ):
             played = zip(itertools.cycle(points), *per_episode, strict=False)
-            searches.append(search.after(itertools.starmap(Reading, played)))
+            readings = list(itertools.starmap(Reading, played))
+            complaints.append(search.complaint(readings))
+            searches.append(search.after(readings))
+        if any(complaints) and not any(search.is_surprised for search in state.searches):
+            number = sum(map(bool, complaints))
+            said = next(filter(None, complaints))
+            logger.warning("In %d of %d tasks, %s", number, len(complaints), said)
         return self._propose(searches, state.generators)
 
     def _propose(

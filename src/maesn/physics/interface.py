@@ -1,0 +1,63 @@
+"""What a model calls its readings and actuators, and which controls it lets through."""
+
+import os
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from maesn.physics.loading import load_model
+
+_OBJECT = mujoco.mjtObj
+# Readings that are laid out object by object: the kind of object, and where each one begins.
+_LAYOUTS = {
+    "qpos": (_OBJECT.mjOBJ_JOINT, "jnt_qposadr"),
+    "qvel": (_OBJECT.mjOBJ_JOINT, "jnt_dofadr"),
+    "sensordata": (_OBJECT.mjOBJ_SENSOR, "sensor_adr"),
+}
+
+
+class ModelActuators(NamedTuple):
+    """The actuators of a model."""
+
+    names: tuple[str, ...]
+    lower: np.ndarray
+    """Smallest control that the engine lets through, `[actuator]`; -inf without a limit."""
+    upper: np.ndarray
+    """Largest control, `[actuator]`; inf without a limit."""
+
+
+def model_actuators(model: str | os.PathLike[str]) -> ModelActuators:
+    """Return the actuators of a model and the limits that the engine clips their controls to.
+
+    Args:
+        model: as for `load_model`.
+    """
+    compiled = load_model(model)
+    clips = not compiled.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    limited = compiled.actuator_ctrllimited.astype(bool) & clips
+    lower, upper = compiled.actuator_ctrlrange.T
+    return ModelActuators(
+        tuple(_name(compiled, _OBJECT.mjOBJ_ACTUATOR, i) for i in range(compiled.nu)),
+        np.where(limited, lower, -np.inf),
+        np.where(limited, upper, np.inf),
+    )
+
+
+def reading_owners(model: str | os.PathLike[str], reading: str, size: int) -> tuple[str, ...]:
+    """Return the joint or sensor that each number of a reading belongs to; "" where none does.
+
+    Args:
+        model: as for `load_model`.
+        reading: name of a field of `mujoco.MjData`.
+        size: how many numbers it has.
+    """
+    if reading not in _LAYOUTS:
+        return ("",) * size
+    compiled, (kind, start) = load_model(model), _LAYOUTS[reading]
+    owner = np.searchsorted(getattr(compiled, start), np.arange(size), side="right") - 1
+    return tuple(_name(compiled, kind, int(index)) for index in owner)
+
+
+def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    return mujoco.mj_id2name(model, kind, index) or ""
