@@ -165,7 +165,7 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
     written = maesn.render(
         run, asked, task=TASK, after=(2 * PLAYED, 0), shown=SHOWN, out=tmp_path / "new" / "pictures"
     )
-    names = ["test-sparse-task-3.gif", "test-sparse-task-3.png"]
+    names = [f"test-sparse-with-10-episodes-5-per-update-task-3{end}" for end in (".gif", ".png")]
     assert written == [tmp_path / "new" / "pictures" / name for name in names]
     with Image.open(written[0]) as moving, Image.open(written[1]) as still:
         assert moving.n_frames == 41
@@ -294,7 +294,8 @@ def test_the_command_draws_or_says_what_to_install(
         assert_says_what_to_install(printed.err)
         return
     assert code == 0, printed.err
-    with Image.open(tmp_path / "test-sparse-task-3.png") as sheet:
+    (written,) = tmp_path.glob("test-sparse-*-task-3.png")
+    with Image.open(written) as sheet:
         colours = len(np.unique(np.asarray(sheet).reshape(-1, 3), axis=0))
     assert colours > 300
     assert printed.out.split() == [str(path) for path in sorted(tmp_path.iterdir())]

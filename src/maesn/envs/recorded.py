@@ -8,6 +8,7 @@ environment again, and raises an error if it would differ from the record.
 import dataclasses
 import hashlib
 import inspect
+import json
 import math
 from collections.abc import Iterator
 from typing import Any, TypeAlias
@@ -35,8 +36,9 @@ def describe_env(env: AnyEnv) -> EnvRecord:
     """Return all settings and constants of an environment, as JSON values by name.
 
     These are the fields of the environment and the attributes of its class (`horizon`,
-    `sparse_radius`, `control_period`, ...) that are numbers, strings, booleans, None, or tuples or
-    dataclasses of these. A digest stands for an array, and `model_digest` for a MuJoCo model.
+    `sparse_radius`, `control_period`, ...) that are numbers, strings, booleans, None, or tuples
+    (named or not) or dataclasses of these. A digest stands for an array or a mapping, and
+    `model_digest` for a MuJoCo model.
     Infinite numbers and NaN are written as text. Functions are left out.
 
     Args:
@@ -87,10 +89,10 @@ def _attributes(kind: type[AnyEnv]) -> Iterator[str]:
 
 def _json_entries(name: str, value: Any) -> EnvRecord:
     """Return the entries that record a value: none if JSON cannot hold it."""
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) or hasattr(value, "_fields"):  # or a named tuple
         entries: EnvRecord = {}
-        for field in dataclasses.fields(value):
-            part = _json_entries(f"{name}.{field.name}", getattr(value, field.name))
+        for field in getattr(value, "_fields", None) or vars(value):
+            part = _json_entries(f"{name}.{field}", getattr(value, field))
             if not part:  # a function: the dataclass does more than hold numbers
                 return {}
             entries |= part
@@ -108,6 +110,9 @@ def _json(value: Any) -> Any:
         return value
     if isinstance(value, tuple | list):
         return [_json(part) for part in value]
+    if isinstance(value, dict):
+        content = json.dumps({name: _json(part) for name, part in value.items()}, sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         array = np.ascontiguousarray(value)
         content = f"{array.dtype.str}{array.shape}".encode() + array.tobytes()
