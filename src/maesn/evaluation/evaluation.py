@@ -47,7 +47,7 @@ class Evaluation:
     deploy_after: tuple[int, ...] = ()
     """Numbers of episodes after which the deployed agent is judged; none: after every update."""
     seed: int = 0
-    """Of the episodes."""
+    """Seed of the episodes."""
     sparse_radius: float | None = None
     """Metres around the goal in which sparse reward tells the distance; None: the run's own."""
     engine: EngineName | None = None

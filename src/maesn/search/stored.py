@@ -28,6 +28,12 @@ logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
 _ARRAYS = ("latents", "excess", "noise")
+# What a prior is bound to, as its file names it -> how a refusal begins.
+_ANOTHER = {
+    "checkpoint": "other weights than those of the latest checkpoint of",
+    "training task set": "another training task set than that of",
+    "reward": "another reward than that of",
+}
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 
 
@@ -107,7 +113,7 @@ def find_prior(
         any_reward: whether a prior that was made for another reward will do.
 
     Raises:
-        RunError: it belongs to another checkpoint, other training tasks or another reward.
+        RunError: it belongs to other weights, other training tasks or another reward.
     """
     path = Path(name) if name else prior_file(run, world)
     if not name and not path.exists():
@@ -115,14 +121,15 @@ def find_prior(
         env = world.env
         with played_live() as progress:
             radius = env.sparse_radius or None
-            return run_prior(run, reward=env.reward_kind, sparse_radius=radius, progress=progress)[
-                1
-            ]
+            _, prior = run_prior(
+                run, reward=env.reward_kind, sparse_radius=radius, progress=progress
+            )
+        return prior
     prior, metadata = read_prior(path)
     for what, wanted in bound_to(run, state, world).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             raise RunError(
-                f"`{path}` was made for another {what} than that of `{run.directory}`"
+                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`"
                 f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
             )
     return prior
@@ -138,7 +145,7 @@ def played_live() -> Iterator[Progress]:
 
 
 def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
-    """Return digests of the checkpoint, the training tasks and the reward of a prior."""
+    """Return digests of the weights, the training tasks and the reward of a prior."""
     return {
         "checkpoint": digest_of_arrays(run.learner.weights(state)),
         "training task set": run.config.task_digest,
