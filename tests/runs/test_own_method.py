@@ -145,6 +145,18 @@ def test_another_run_starts_from_the_weights_alone(tmp_path: Path) -> None:
     assert (int(state.iteration), int(state.visits), float(abs(state.past).max())) == (0, 0, 0.0)
 
 
+def test_weights_that_are_no_part_of_the_state_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import walk
+
+    train(tmp_path / "source", iterations=0)
+    monkeypatch.setattr(walk.Walk, "weights", lambda self, state: np.array(state.position))
+    settings = RunSettings(family="point", iterations=0)
+    with pytest.raises(RunError, match="parts of its state"):
+        Run.create(tmp_path / "run", walk.Walk(), settings, init_from=tmp_path / "source")
+
+
 def test_the_weights_are_the_identity_of_a_run(tmp_path: Path) -> None:
     run = train(tmp_path / "run")
     weights = digest_of_arrays(run.latest_state().position)
