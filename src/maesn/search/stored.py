@@ -28,20 +28,28 @@ logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
 _ARRAYS = ("latents", "excess", "noise")
+# What a prior is bound to, as its file names it -> how a refusal begins.
+_ANOTHER = {
+    "checkpoint": "other weights than those of the latest checkpoint of",
+    "training task set": "another training task set than that of",
+    "reward": "another reward than that of",
+    "action noise": "another choice of `--action-noise` than this adaptation of",
+}
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 
 
-def prior_file(run: Run, world: AbstractWorld) -> Path:
+def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
     """Return where a run's prior for a world's reward is, or will be if there is none.
 
     A policy that comes with the library is never written to: a missing prior goes into its copy.
     """
-    path = run.directory / PRIORS / _file_name(world)
+    path = run.directory / PRIORS / _file_name(world, action_noise)
     return path if path.exists() else working_copy(run.directory) / PRIORS / path.name
 
 
-def _file_name(world: AbstractWorld) -> str:
-    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}.safetensors"
+def _file_name(world: AbstractWorld, action_noise: bool) -> str:
+    noisy = "-noisy" if action_noise else ""
+    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}{noisy}.safetensors"
 
 
 def run_prior(
@@ -77,7 +85,8 @@ def run_prior(
         if len(run.training_tasks) < 2:
             raise ValueError("it was trained on one task, and a search needs several to compare.")
     spread = latent.spread if settings.spread is None else settings.spread
-    latents = [drawn_latents(latent.size, settings.draws, spread, settings.seed)]
+    draws, _ = settings.chosen(run.env(), run.training_tasks)
+    latents = [drawn_latents(latent.size, draws, spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)
@@ -86,16 +95,26 @@ def run_prior(
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
         prior = make_prior(latent, world, archive, settings, progress)
-        path = (directory or working_copy(run.directory)) / PRIORS / _file_name(world)
+        path = (
+            (directory or working_copy(run.directory))
+            / PRIORS
+            / _file_name(world, settings.action_noise)
+        )
         arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
         numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
-        metadata = bound_to(run, state, world) | {"numbers": json.dumps(numbers)}
+        bound = bound_to(run, state, world, settings.action_noise)
+        metadata = bound | {"numbers": json.dumps(numbers)}
     save_checkpoint(path, arrays, metadata)
     return path, read_prior(path)[0]
 
 
 def find_prior(
-    run: Run, state: Any, world: AbstractWorld, name: str, any_reward: bool
+    run: Run,
+    state: Any,
+    world: AbstractWorld,
+    action_noise: bool,
+    name: str = "",
+    any_reward: bool = False,
 ) -> ReturnPrior:
     """Return the prior of a run for a world. Make it if it is missing.
 
@@ -103,26 +122,29 @@ def find_prior(
         run: the run that the prior belongs to.
         state: the run's latest state.
         world: the world of the new tasks; only its reward matters.
+        action_noise: whether the archive was played with the noise of training.
         name: path of a prior; empty for the run's own.
         any_reward: whether a prior that was made for another reward will do.
 
     Raises:
-        RunError: it belongs to another checkpoint, other training tasks or another reward.
+        RunError: it belongs to other weights, other training tasks or another reward.
     """
-    path = Path(name) if name else prior_file(run, world)
+    path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
         logger.warning("`%s` is missing: making it, which happens once.", path)
         env = world.env
         with played_live() as progress:
+            settings = PriorSettings(action_noise=action_noise)
             radius = env.sparse_radius or None
-            return run_prior(run, reward=env.reward_kind, sparse_radius=radius, progress=progress)[
-                1
-            ]
+            _, prior = run_prior(
+                run, settings, reward=env.reward_kind, sparse_radius=radius, progress=progress
+            )
+        return prior
     prior, metadata = read_prior(path)
-    for what, wanted in bound_to(run, state, world).items():
+    for what, wanted in bound_to(run, state, world, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             raise RunError(
-                f"`{path}` was made for another {what} than that of `{run.directory}`"
+                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`"
                 f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
             )
     return prior
@@ -137,12 +159,13 @@ def played_live() -> Iterator[Progress]:
         yield lambda played, of: bar.update(line, completed=played, total=of)
 
 
-def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
-    """Return digests of the checkpoint, the training tasks and the reward of a prior."""
+def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
+    """Return what a prior belongs to: digests of weights, training tasks and reward, and noise."""
     return {
         "checkpoint": digest_of_arrays(run.learner.weights(state)),
         "training task set": run.config.task_digest,
         "reward": json.dumps(describe_env(world.env), sort_keys=True),
+        "action noise": str(action_noise),
     }
 
 
