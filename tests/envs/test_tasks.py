@@ -16,13 +16,55 @@ from maesn.envs import FAMILIES, SETS, TaskFamily, TaskSet
 
 # Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest.
 DIGESTS = {
-    "point": "c0b923e309759804 a5247b9d79e53d9c 13be3c6b430e52c1 d1457bfcf91cc308 1758bc7969cc7bd9".split(),
-    "wheeled": "e16cc188bb14fa38 2aca6d26ad7350a1 70ca09ac6fbf6f4a 431567cbaf096259 a6e1e52249419962".split(),
-    "ant": "5a00652a6cbdf857 8a7f1a1858bb9a0b 382f92979d32b94b a761d25c914d74a3 f11584e0c9fa3470".split(),
-    "blockpush": "bb4c755eeb5004bb 9e05bbfed1a37ae9 9b61958360ed389a b422aeb160123c89 ff21f4465166b1fd".split(),
-    "sparse_point": "a869c7739be8e8e3 38a43f676b1a7c98 f15ab50bbfc8bf4f 34df464ee14f5afd 4b991db89b3de49c".split(),
-    "bandit": "97273fe932b95947 0f8d6e0d8c0c3648 5b5558cbd4929caa 137d588515fc5670 e6b785da85edc42d".split(),
-    "chain": "c6665112796f4675 b2e80fa0939368d4 aad02583d45623f1 e68350dc3745fd54 11e5ac240c361bfe".split(),
+    "point": [
+        "c0b923e309759804",
+        "a5247b9d79e53d9c",
+        "13be3c6b430e52c1",
+        "d1457bfcf91cc308",
+        "1758bc7969cc7bd9",
+    ],
+    "wheeled": [
+        "e16cc188bb14fa38",
+        "2aca6d26ad7350a1",
+        "70ca09ac6fbf6f4a",
+        "431567cbaf096259",
+        "a6e1e52249419962",
+    ],
+    "ant": [
+        "5a00652a6cbdf857",
+        "8a7f1a1858bb9a0b",
+        "382f92979d32b94b",
+        "a761d25c914d74a3",
+        "f11584e0c9fa3470",
+    ],
+    "blockpush": [
+        "bb4c755eeb5004bb",
+        "9e05bbfed1a37ae9",
+        "9b61958360ed389a",
+        "b422aeb160123c89",
+        "ff21f4465166b1fd",
+    ],
+    "sparse_point": [
+        "a869c7739be8e8e3",
+        "38a43f676b1a7c98",
+        "f15ab50bbfc8bf4f",
+        "34df464ee14f5afd",
+        "4b991db89b3de49c",
+    ],
+    "bandit": [
+        "97273fe932b95947",
+        "0f8d6e0d8c0c3648",
+        "5b5558cbd4929caa",
+        "137d588515fc5670",
+        "e6b785da85edc42d",
+    ],
+    "chain": [
+        "c6665112796f4675",
+        "b2e80fa0939368d4",
+        "aad02583d45623f1",
+        "e68350dc3745fd54",
+        "11e5ac240c361bfe",
+    ],
 }
 ON_HALF_CIRCLES = {"point": 2.0, "wheeled": 2.0, "ant": 2.0, "sparse_point": 1.0}
 EVERY = FAMILIES | {"bandit": bandit, "chain": chain}
