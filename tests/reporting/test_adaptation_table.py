@@ -131,9 +131,8 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     assert table.episodes_per_update == 1
     assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
-    assert adaptation_tables(path)[0].notes[0] == (
-        "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
-    )
+    said = "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
+    assert said in adaptation_tables(path)[0].notes
 
 
 def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
