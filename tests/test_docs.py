@@ -24,6 +24,7 @@ from maesn.numerics.trust_region import TrustRegionInfo
 LONG = [
     "README.md",
     "docs/tutorials/point.md",
+    "docs/howto/evaluate.md",
     "docs/howto/latents.md",
     "docs/howto/own_environment_gymnasium.md",
     "docs/howto/own_environment_mujoco.md",
