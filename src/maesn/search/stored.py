@@ -163,8 +163,8 @@ def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
     speed = _speed(run)
     return (
         f"It is made now, once: {steps:,} environment steps, about {math.ceil(steps / speed / 60)} "
-        f"min at {speed:,.0f} steps per second. A rougher one takes {fewer / steps:.0%} of them: "
-        f"stop this, and type: maesn prior {run.typed} {options}"
+        f"min at {speed:,.0f} steps per second. A rougher one takes {100 * fewer / steps:.0f} % "
+        f"of them: stop this, and type: maesn prior {run.typed} {options}"
     )
 
 
