@@ -154,7 +154,7 @@ def prior(
         run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         settings: of the archive.
         reward: Reward of the new tasks.
-        sparse_radius: Of the new tasks, in metres; None: the run's own.
+        sparse_radius: Sparse radius of the new tasks, in metres; None: the run's own.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
 

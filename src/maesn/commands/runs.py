@@ -23,7 +23,7 @@ from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
-from maesn.studies.comparison import compare as compare_runs
+from maesn.studies import comparison
 from maesn.studies.execution import Execution
 from maesn.studies.executors import ExecutorName
 from maesn.studies.study import JOBS, FailedJobsError, Results, Study
@@ -148,10 +148,10 @@ def _jobs_of(study: Path) -> TextTable:
 
 
 @command
-@wraps(compare_runs)
+@wraps(comparison.compare)
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
-    _say_results(partial(compare_runs, *runs, **options | {"say": print}))
+    _say_results(partial(comparison.compare, *runs, **options | {"say": print}))
 
 
 def _say_results(compute: Callable[[], Results]) -> None:

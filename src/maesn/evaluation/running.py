@@ -96,8 +96,9 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
 
     TASKS is the name of a set, or `file-STEM-DIGEST` for a user's own file. Behind it stand number
     of tasks, sparse radius and engine where they are not the usual ones: those never share a
-    figure. Behind the reward stand rule and wrappers, then budgets and seed where they are not the
-    usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another name.
+    figure. Behind the reward stand rule and wrappers, then budgets, seed and noise where they are
+    not the usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another
+    name.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
@@ -125,6 +126,8 @@ def _unusual(evaluation: Evaluation) -> Iterator[str]:
         yield "-".join(map(str, ("after", *evaluation.deploy_after)))
     if evaluation.seed:
         yield f"seed-{evaluation.seed}"
+    if evaluation.action_noise:
+        yield "action-noise"
 
 
 class Adapted(NamedTuple):

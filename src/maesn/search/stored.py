@@ -33,6 +33,13 @@ logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
 _ARRAYS = ("latents", "excess", "noise")
+# What a prior is bound to, as its file names it -> how a refusal begins.
+_ANOTHER = {
+    "checkpoint": "other weights than those of the latest checkpoint of",
+    "training task set": "another training task set than that of",
+    "reward": "another reward than that of",
+    "action noise": "another choice of `--action-noise` than this adaptation of",
+}
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 _STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
 _SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
@@ -127,7 +134,7 @@ def find_prior(
         any_reward: whether a prior that was made for another reward will do.
 
     Raises:
-        RunError: it belongs to another checkpoint, other training tasks or another reward.
+        RunError: it belongs to other weights, other training tasks or another reward.
     """
     path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
@@ -138,12 +145,12 @@ def find_prior(
             _, prior = run_prior(
                 run, settings, reward=env.reward_kind, sparse_radius=radius, progress=progress
             )
-            return prior
+        return prior
     prior, metadata = read_prior(path)
     for what, wanted in bound_to(run, state, world, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             raise RunError(
-                f"`{path}` was made for another {what} than that of `{run.directory}`"
+                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`"
                 f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
             )
     return prior
