@@ -86,7 +86,7 @@ def resume(
         method: The run's method as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
             outer.trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record.
-        keep: Latest checkpoints that stay, beside the first; 0: all of them.
+        keep: Number of latest checkpoints to keep, beside the first. 0: keep all.
         sharing: several devices or processes that go on with it together.
 
     Raises:

@@ -73,7 +73,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     Args:
         run: Directory of the run; a demo that was interrupted goes on where it stopped.
         iterations: Meta-iterations. 300 explore better, in three times as long.
-        seed: Every random draw of the run follows from this number.
+        seed: Seed of all random draws of the run.
     """
     print(f"1. MAESN learns to explore: {iterations} meta-iterations on dense reward")
     with refusals():

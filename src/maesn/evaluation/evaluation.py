@@ -24,7 +24,7 @@ class Evaluation:
     """test (report on these), validation (choose on these), training, ood (unlike all of these),
     final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
     num_tasks: int | None = None
-    """The first so many of them; None: all."""
+    """Number of tasks, the first ones of the set. None: all."""
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
@@ -52,7 +52,8 @@ class Evaluation:
     seed: int = 0
     """Seed of the episodes."""
     sparse_radius: float | None = None
-    """Metres around the goal in which sparse reward tells the distance; None: the run's own."""
+    """Radius around the goal, in metres, within which sparse reward tells the distance. None: that
+    of the run."""
     engine: EngineName | None = None
     """Engine that moves the world, native or mjx; None: the run's own."""
     num_threads: int | None = None

@@ -1,9 +1,13 @@
 """The prior over returns of a run, made once and kept beside its checkpoints."""
 
+import dataclasses
+import datetime
 import json
 import logging
+import math
+import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +16,16 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
-from maesn.envs import RewardKind, describe_env
+from maesn.envs import AnyEnv, RewardKind, describe_env
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
+from maesn.runs.log import TIMING
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_of
 from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
-from maesn.storage import RunError, refusals
+from maesn.storage import RunError, read_json_lines, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -36,6 +41,8 @@ _ANOTHER = {
     "action noise": "another choice of `--action-noise` than this adaptation of",
 }
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
+_STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
+_SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
 
 
 def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
@@ -131,10 +138,9 @@ def find_prior(
     """
     path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
-        logger.warning("`%s` is missing: making it, which happens once.", path)
-        env = world.env
+        env, settings = world.env, PriorSettings(action_noise=action_noise)
+        logger.warning("`%s` is missing. %s", path, _effort(run, env, settings))
         with played_live() as progress:
-            settings = PriorSettings(action_noise=action_noise)
             radius = env.sparse_radius or None
             _, prior = run_prior(
                 run, settings, reward=env.reward_kind, sparse_radius=radius, progress=progress
@@ -150,13 +156,76 @@ def find_prior(
     return prior
 
 
+def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
+    """Say how long it takes to make the prior of a run, and which command makes a cheaper one."""
+    cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False)
+    options = "--draws 100 --episodes 1 --adapted False"
+    if settings.action_noise:
+        options += " --action-noise True"
+    if env.reward_kind != "sparse":
+        options += f" --reward {env.reward_kind}"
+    if env.sparse_radius != run.env().sparse_radius:
+        options += f" --sparse-radius {env.sparse_radius:g}"
+    steps, fewer = (_steps(run, env, one) for one in (settings, cheaper))
+    speed = _speed(run)
+    return (
+        f"It is made now, once: {steps:,} environment steps, about {math.ceil(steps / speed / 60)} "
+        f"min at {speed:,.0f} steps per second. A rougher one takes {100 * fewer / steps:.0f} % "
+        f"of them: stop this, and type: maesn prior {run.typed} {options}"
+    )
+
+
+def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
+    """Return the environment steps of a prior, with those that adapt to the training tasks."""
+    adapting = settings.adapted * _EPISODES_TO_ADAPT * len(run.training_tasks) * env.horizon
+    return settings.steps(env, run.training_tasks) + adapting
+
+
+def _speed(run: Run) -> float:
+    """Return the steps per second of the run's last iteration, or a guess."""
+    with suppress(RunError, LookupError, TypeError):  # missing or damaged: it is but an estimate
+        return float(read_json_lines(run.directory / TIMING)[-1]["steps_per_second"])
+    return _STEPS_PER_SECOND
+
+
 @contextmanager
 def played_live() -> Iterator[Progress]:
-    """Show how much of an archive has been played; nothing where there is no terminal."""
+    """Show how much of an archive has been played, and the time left.
+
+    A terminal shows a bar; a log file gets a line every ten seconds, and one at the end.
+    """
     console = Console(stderr=True)
-    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
-        line = bar.add_task("latents played", total=None)
-        yield lambda played, of: bar.update(line, completed=played, total=of)
+    if not console.is_terminal:
+        yield _Lines(console)
+        return
+    with ProgressBar(console=console, transient=True) as bar:
+        shown = bar.add_task("latents played", total=None)
+        yield lambda played, of: bar.update(shown, completed=played, total=of)
+
+
+class _Lines:
+    """Progress in lines of text. The first batch also compiles: the speed is that of the others."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._begun: tuple[float, int] | None = None
+        self._said = 0.0
+
+    def __call__(self, played: int, of: int) -> None:
+        now = time.monotonic()
+        if self._begun is None:
+            self._begun, self._said = (now, played), now
+        begun, before = self._begun
+        if played == of:
+            self._say(f"all {of:,}")
+        elif now - self._said >= _SECONDS_BETWEEN_LINES:
+            seconds = (now - begun) * (of - played) / (played - before)
+            left = datetime.timedelta(seconds=round(seconds))
+            self._say(f"{played:,} of {of:,}, {left} left")
+            self._said = now
+
+    def _say(self, text: str) -> None:
+        self._console.print(f"latents played: {text}", highlight=False, soft_wrap=True)
 
 
 def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
