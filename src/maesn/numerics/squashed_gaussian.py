@@ -87,8 +87,9 @@ class SquashedGaussian(AbstractDistribution):
 
     def std(self) -> Float[Array, "*batch dim"]:
         """Standard deviation of every component of x, by quadrature."""
-        first, second = self._expectation(jnp.tanh), self._expectation(lambda u: jnp.tanh(u) ** 2)
-        return jnp.sqrt(jnp.maximum(second - first**2, 0.0))
+        mean = self._expectation(jnp.tanh)
+        # Centred, because near the limits both moments are 1 up to rounding.
+        return jnp.sqrt(self._expectation(lambda u: (jnp.tanh(u) - mean) ** 2))
 
     def fisher_product(self, tangent: "SquashedGaussian") -> "SquashedGaussian":
         """Product of the Fisher information with a tangent, equal to that before squashing."""
