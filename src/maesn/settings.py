@@ -24,9 +24,13 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def check_choice(name: str, value: str, choices: Any) -> None:
-    """Refuse by ValueError what is not in a `Literal`: misspelt, it would count as another one."""
-    if value not in get_args(choices):
-        known = " or ".join(map(repr, get_args(choices)))
+    """Refuse by ValueError what is not in a `Literal`: misspelt, it would count as another one.
+
+    The choices may be a tuple as well.
+    """
+    known = choices if isinstance(choices, tuple) else get_args(choices)
+    if value not in known:
+        known = " or ".join(map(repr, known))
         raise ValueError(f"`{name}` must be {known}, got {value!r}.")
 
 

@@ -8,7 +8,10 @@ from maesn.envs import FAMILIES, AnyEnv, find_family, point
 
 
 def test_a_family_is_found_by_its_name() -> None:
-    assert list(FAMILIES) == ["point", "wheeled", "ant", "blockpush"]
+    assert list(FAMILIES) == [
+        *("point", "wheeled", "ant", "blockpush"),
+        *("sparse_point", "grid_navi"),
+    ]
     for name, family in FAMILIES.items():
         assert find_family(name) is family
         assert family.name == family.make_env().name == name
@@ -27,11 +30,16 @@ def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str | None) 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_takes_the_same_settings(name: str) -> None:
-    settings = {"variant": "paper", "reward_kind": "sparse", "sparse_radius": 0.125}
+    default = find_family(name).make_env()
+    settings = {
+        "variant": default.variants[-1],
+        "reward_kind": "sparse",
+        "sparse_radius": 0.125,
+    }
     env: AnyEnv = find_family(name).make_env(**settings)
     assert {setting: getattr(env, setting) for setting in settings} == settings
-    default = find_family(name).make_env()
-    assert (default.variant, default.reward_kind) == ("reference", "dense")
+    assert (default.variant, default.reward_kind) == (default.variants[0], "dense")
+    assert find_family(name).make_env(variant="reference") == default
     # A compiled program has the environment as a constant: equal ones must share it.
     assert env == find_family(name).make_env(**settings)
     assert hash(env) == hash(find_family(name).make_env(**settings))

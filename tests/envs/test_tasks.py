@@ -20,11 +20,13 @@ DIGESTS = {
     "wheeled": ("e16cc188bb14fa38", "2aca6d26ad7350a1", "70ca09ac6fbf6f4a", "431567cbaf096259"),
     "ant": ("5a00652a6cbdf857", "8a7f1a1858bb9a0b", "382f92979d32b94b", "a761d25c914d74a3"),
     "blockpush": ("bb4c755eeb5004bb", "9e05bbfed1a37ae9", "9b61958360ed389a", "b422aeb160123c89"),
+    "sparse_point": ("a869c7739be8e8e3", "38a43f676b1a7c98", "f15ab50bbfc8bf4f", "34df464ee14f5afd"),
     "bandit": ("97273fe932b95947", "0f8d6e0d8c0c3648", "5b5558cbd4929caa", "137d588515fc5670"),
     "chain": ("c6665112796f4675", "b2e80fa0939368d4", "aad02583d45623f1", "e68350dc3745fd54"),
 }
-ON_HALF_CIRCLES = ("point", "wheeled", "ant")
+ON_HALF_CIRCLES = {"point": 2.0, "wheeled": 2.0, "ant": 2.0, "sparse_point": 1.0}
 EVERY = FAMILIES | {"bandit": bandit, "chain": chain}
+DRAWN = [name for name, family in EVERY.items() if family.num_tasks is None]
 
 
 def rows(family: TaskFamily, name: str) -> np.ndarray:
@@ -32,17 +34,25 @@ def rows(family: TaskFamily, name: str) -> np.ndarray:
     return np.concatenate([np.asarray(leaf).reshape(100, -1) for leaf in leaves], axis=1)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", DRAWN)
 def test_sets_of_a_hundred_tasks_that_never_change(name: str) -> None:
     sets = [EVERY[name].task_set(which) for which in SETS]
     assert [len(tasks) for tasks in sets] == [100] * 4
     assert tuple(tasks.digest() for tasks in sets) == DIGESTS[name]
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", DRAWN)
 def test_no_task_comes_twice(name: str) -> None:
     tasks = np.concatenate([rows(EVERY[name], which) for which in SETS])
     assert len(np.unique(tasks, axis=0)) == 400
+
+
+def test_every_set_of_a_family_with_few_tasks_is_all_of_them() -> None:
+    family = FAMILIES["grid_navi"]
+    sets = [family.task_set(which) for which in SETS]
+    assert [len(tasks) for tasks in sets] == [21] * 4
+    assert {tasks.digest() for tasks in sets} == {"03584e89fb510693"}
+    np.testing.assert_array_equal(family.task_set("test", 5).tasks, sets[0].tasks[:5])
 
 
 def test_families_have_seeds_of_their_own() -> None:
@@ -61,7 +71,8 @@ def test_the_sets_are_the_same_in_another_process() -> None:
 def test_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
     many = EVERY[name].draw_tasks(np.random.default_rng(3), 20_000)
     for goals in (*(rows(EVERY[name], which) for which in SETS), many):
-        np.testing.assert_allclose(np.linalg.norm(goals.astype(float), axis=1), 2.0, rtol=1e-6)
+        radius = np.linalg.norm(goals.astype(float), axis=1)
+        np.testing.assert_allclose(radius, ON_HALF_CIRCLES[name], rtol=1e-6)
         angles = np.degrees(np.arctan2(*goals.astype(float).T[::-1]))
         assert angles.min() >= 0
         assert angles.max() < 180
@@ -72,7 +83,7 @@ def test_goals_are_uniform_on_the_upper_half_circle(name: str) -> None:
 
 @pytest.mark.parametrize("name", ON_HALF_CIRCLES)
 def test_goals_out_of_distribution_are_none_that_training_shows(name: str) -> None:
-    goals = rows(EVERY[name], "ood").astype(np.float64)
+    goals = rows(EVERY[name], "ood").astype(np.float64) * 2.0 / ON_HALF_CIRCLES[name]
     radius = np.linalg.norm(goals, axis=1)
     below, near, far = goals[:, 1] < 0, radius < 1.61, radius > 2.39
     assert (below.astype(int) + near + far == 1).all()

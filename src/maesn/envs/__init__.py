@@ -14,11 +14,15 @@ from maesn.envs.blockpush import BlockPushTask as BlockPushTask
 from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import find_family as find_family
+from maesn.envs.grid_navi import GridNavi as GridNavi
+from maesn.envs.grid_navi import grid_navi as grid_navi
 from maesn.envs.point import Point as Point
 from maesn.envs.point import point as point
 from maesn.envs.recorded import EnvRecord as EnvRecord
 from maesn.envs.recorded import describe_env as describe_env
 from maesn.envs.recorded import rebuild_env as rebuild_env
+from maesn.envs.sparse_point import SparsePoint as SparsePoint
+from maesn.envs.sparse_point import sparse_point as sparse_point
 from maesn.envs.tasks import NAMED_SETS as NAMED_SETS
 from maesn.envs.tasks import SETS as SETS
 from maesn.envs.tasks import SetName as SetName

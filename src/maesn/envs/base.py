@@ -23,8 +23,9 @@ from maesn.settings import check_choice, check_number
 RewardKind: TypeAlias = Literal["dense", "sparse"]
 """Dense in meta-training, sparse in meta-testing (section "Comparisons")."""
 
-Variant: TypeAlias = Literal["reference", "paper"]
-"""`reference` follows the code behind the published curves, `paper` the formulas as printed."""
+Variant: TypeAlias = Literal["reference", "paper", "pearl", "varibad", "metacure"]
+"""`reference` follows the code behind the published curves, `paper` the formulas as printed, the
+others the code of a paper that uses the same family with other numbers. Families have some each."""
 
 Task = TypeVar("Task")
 
@@ -75,11 +76,13 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     sparse_radius: eqx.AbstractVar[float]
     """Radius of the goal region."""
     variant: eqx.AbstractVar[Variant]
+    variants: ClassVar[tuple[str, ...]] = ("reference", "paper")
+    """What `variant` can be."""
     planar: ClassVar[bool] = True
     """Whether `position` and `goal` mean something, so that figures can show them."""
 
     def __check_init__(self) -> None:
-        check_choice("variant", self.variant, Variant)
+        check_choice("variant", self.variant, self.variants)
         check_choice("reward_kind", self.reward_kind, RewardKind)
         check_number("horizon", self.horizon, 1)
         if not self.sparse_radius >= 0:

@@ -2,15 +2,18 @@
 
 from maesn.envs.ant import ant
 from maesn.envs.blockpush import blockpush
+from maesn.envs.grid_navi import grid_navi
 from maesn.envs.point import point
+from maesn.envs.sparse_point import sparse_point
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.wheeled import wheeled
 from maesn.settings import suggestion
 
 FAMILIES: dict[str, TaskFamily] = {
-    family.name: family for family in (point, wheeled, ant, blockpush)
+    family.name: family
+    for family in (point, wheeled, ant, blockpush, sparse_point, grid_navi)
 }
-"""The families to learn: a point mass and three robots."""
+"""The families to learn: a point mass, three robots, and tasks of other papers."""
 
 
 def find_family(name: str) -> TaskFamily:

@@ -25,8 +25,8 @@ EnvRecord: TypeAlias = dict[str, Any]
 
 # What `TaskFamily.make_env` is called with.
 _FAMILY_SETTINGS = ("variant", "reward_kind", "sparse_radius")
-# Names, and what only figures need. A digest stands for the model. `typing.Generic` sets the last.
-_LEFT_OUT = ("name", "engine", "planar", "model", "_is_protocol")
+# Names, what only figures need, and choices of which one is recorded. A digest stands for the model. `typing.Generic` sets the last.
+_LEFT_OUT = ("name", "engine", "planar", "variants", "model", "_is_protocol")
 _MODEL_DIGEST = "model_digest"
 _CONSTANTS = (bool, int, float, str, tuple, np.ndarray, np.generic)
 _MISSING = object()

@@ -72,9 +72,14 @@ class TaskFamily(NamedTuple):
     check_tasks: Callable[[Any], None] = accept_all
     """Raises a `ValueError`, which says what was expected and what came, at tasks that have the
     right shapes and types and yet no meaning, such as an index out of range."""
+    num_tasks: int | None = None
+    """How many tasks there are, if they are few: every set is then all of them, in the order in
+    which `draw_tasks` gives them. None: sets are drawn, and differ."""
 
     def task_set(self, name: SetName, size: int = SET_SIZE) -> TaskSet:
-        """Return one of the family's disjoint sets, the same in every process.
+        """Return one of the family's sets, the same in every process.
+
+        Sets are disjoint, unless the family has few tasks: then each is all of them.
 
         Raises:
             ValueError: the family has no tasks out of distribution, or draws no tasks.
@@ -86,6 +91,8 @@ class TaskFamily(NamedTuple):
                 f"family `{self.name}` has the task sets {', '.join(SETS)}, but none called "
                 f"`{name}`: give tasks of another kind as an .npz file."
             )
+        if self.num_tasks is not None:
+            size = min(size, self.num_tasks)
         stream = np.random.default_rng([self.seed, NAMED_SETS.index(name)])
         tasks = draw(stream, size)
         if not _has_rows(tasks, size):

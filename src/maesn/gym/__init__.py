@@ -20,6 +20,8 @@ IDS: dict[str, str] = {
     "ant": "maesn/Ant-v0",
     "blockpush": "maesn/BlockPush-v0",
     "point": "maesn/Point-v0",
+    "sparse_point": "maesn/SparsePoint-v0",
+    "grid_navi": "maesn/GridNavi-v0",
 }
 """Family -> the name under which Gymnasium makes it."""
 

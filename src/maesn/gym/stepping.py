@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from jaxtyping import Array, Bool, Int
 
 from maesn.axes import HostReadings, Readings
@@ -17,7 +17,7 @@ from maesn.envs import AnyEnv, RewardKind, TaskFamily, Variant
 from maesn.envs.base import Reward, Start
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.settings import RENDER_MODES, TaskChoice, checked_task
-from maesn.gym.units import box_to_action
+from maesn.gym.units import box_to_action, one_hot
 from maesn.settings import check_choice
 from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
 from maesn.worlds.outcome import observe
@@ -66,16 +66,16 @@ class Stepper:
         check_choice("reward", reward, RewardKind)  # environments know it by another name
         radius = {} if sparse_radius is None else {"sparse_radius": sparse_radius}
         self.env: AnyEnv = family.make_env(variant=variant, reward_kind=reward, **radius)
-        if self.env.action_kind != "continuous" or self.env.engine == "gymnasium":
+        if self.env.engine == "gymnasium":
             raise ValueError(
-                "`family` must have continuous actions and be moved by the library, but "
-                f"`{family.name}` has {self.env.action_kind} actions and is moved by "
-                f"{self.env.engine}: play it with `maesn.Collector`."
+                f"`family` must be moved by the library, but `{family.name}` is a Gymnasium "
+                "environment already: play it with `maesn.Collector`."
             )
         self.tasks = find_tasks(tasks, family)
         self.num_episodes = num_episodes
         self._chosen = checked_task(task, len(self.tasks), num_episodes)
-        self._to_action = box_to_action(self.env)
+        self._is_discrete = self.env.action_kind == "discrete"
+        self._to_action = one_hot(self.env) if self._is_discrete else box_to_action(self.env)
         self._stepper = open_stepper(self.env, num_threads)
         self._scene: Scene | None = None
         self.task_index = np.zeros(num_episodes, np.int64)
@@ -96,8 +96,13 @@ class Stepper:
         return Box(-np.inf, np.inf, (self.env.observation_size,), np.float32)
 
     @property
-    def action_space(self) -> Box:
-        """Space of one episode: [-1, 1] is the actuators' range, see `docs/howto/gymnasium.md`."""
+    def action_space(self) -> Box | Discrete:
+        """Space of one episode: [-1, 1] is the actuators' range, see `docs/howto/gymnasium.md`.
+
+        The numbers of the choices, if actions are discrete.
+        """
+        if self._is_discrete:
+            return Discrete(self.env.action_size)
         return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
 
     def choose(self, task: TaskChoice = None) -> Int[np.ndarray, " episode"] | None:
@@ -165,10 +170,11 @@ class Stepper:
         Raises:
             EpisodeError: the physics of an episode blew up, or an observation or a reward is not
                 finite.
-            ValueError: the actions have another shape than their space.
+            ValueError: the actions have another shape than their space, or are no choices.
         """
         before, action = self._readings, np.asarray(action, np.float32)
-        wanted = (self.num_episodes, self.env.action_size)
+        size = () if self._is_discrete else (self.env.action_size,)
+        wanted = (self.num_episodes, *size)
         if action.shape != wanted:
             raise ValueError(f"`action` must have the shape {wanted}, got {action.shape}.")
         action, over = self._to_action(action), self.ended

@@ -1,4 +1,4 @@
-"""From the box [-1, 1] of the Gymnasium environments to the actions that policies choose."""
+"""From the action spaces of the Gymnasium environments to the actions that policies choose."""
 
 from collections.abc import Callable
 
@@ -9,6 +9,7 @@ from maesn.envs import AnyEnv
 from maesn.runs.probing import probe_actuators
 
 _ROUNDING = 1e-5  # of what is read off `control` in single precision
+Choices = Float[np.ndarray, " episode"]
 Actions = Float[np.ndarray, "episode action"]
 
 
@@ -30,3 +31,17 @@ def box_to_action(env: AnyEnv) -> Callable[[Actions], Actions]:
         return lambda action: action
     shift, factor = shift.astype(np.float32), factor.astype(np.float32)
     return lambda action: shift + factor * action
+
+
+def one_hot(env: AnyEnv) -> Callable[[Choices], Actions]:
+    """Return the map from the numbers of choices to the vectors that discrete actions are."""
+    table = np.eye(env.action_size, dtype=np.float32)
+
+    def to_action(choice: Choices) -> Actions:
+        if not np.isin(choice, np.arange(env.action_size)).all():
+            raise ValueError(
+                f"`action` must be a choice from 0 to {env.action_size - 1}, got {choice.tolist()}."
+            )
+        return table[choice.astype(int)]
+
+    return to_action

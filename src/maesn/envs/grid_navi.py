@@ -1,0 +1,106 @@
+"""GridNavi of VariBAD: a grid of cells, one of which is the goal.
+
+Source: `GridNavi` of lmzintgraf/varibad (`environments/navigation/gridworld.py`, registered as
+`GridNavi-v0` with 5 x 5 cells and 15 steps). There are 21 tasks, and every set is all of them: as in
+the paper, new tasks are the old ones.
+
+Observation (2 components; the goal is not among them):
+
+| index | quantity              | unit           |
+|-------|-----------------------|----------------|
+| 0-1   | column and row        | cells, 0 to 4  |
+
+Action (one of 5): stay, up, right, down, left. A move against a wall leaves the agent where it is.
+
+Every episode starts in cell (0, 0) and has 15 steps; the goal does not end it. The goal is any cell
+but the start and the three cells next to it, corners included. The reward, dense and sparse, is 1 if
+the agent is in the goal's cell after the step, else -0.1.
+
+VariBAD plays four episodes as one long one: a trial of 60 steps. The control period is a name: a
+step counts as a second.
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from maesn.axes import ActionKind, Key, Readings
+from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
+from maesn.envs.reaching import AbstractReaching, Goal
+from maesn.envs.tasks import TaskFamily
+
+CELLS = 5  # of a side
+MOVES = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))  # stay, up, right, down, left
+GOAL_REWARD, OTHER_REWARD = 1.0, -0.1
+
+
+def goal_cells(cells: int = CELLS) -> np.ndarray:
+    """Return all goals of a grid with that many cells a side, `[task, 2]`: columns and rows."""
+    every = np.stack(np.meshgrid(*[np.arange(cells)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    return every[every.max(axis=1) > 1].astype(np.float32)
+
+
+class GridNavi(AbstractReaching, AbstractPureEnv[Goal]):
+    """GridNavi of VariBAD: 5 x 5 cells, discrete actions, 21 tasks."""
+
+    name: ClassVar[str] = "grid_navi"
+    control_period: ClassVar[float] = 1.0
+    action_kind: ClassVar[ActionKind] = "discrete"
+    variants: ClassVar[tuple[str, ...]] = ("reference",)
+
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    sparse_radius: float = 0.5
+    """In cells: the goal's cell and no other."""
+    horizon: int = 15
+    observation_size: int = 2
+    action_size: int = len(MOVES)
+
+    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+        return jnp.zeros(2), jnp.zeros(2)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
+        return action
+
+    def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
+        here = readings["qpos"]
+        there = jnp.clip(here + control @ jnp.asarray(MOVES, float), 0.0, CELLS - 1.0)
+        return {"qpos": there, "qvel": there - here}
+
+    def observe(self, readings: Readings) -> Float[Array, " 2"]:
+        return readings["qpos"]
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Goal,
+    ) -> Reward:
+        there = self.solved(next_readings, task)
+        return Reward(jnp.where(there, GOAL_REWARD, OTHER_REWARD), jnp.zeros(()))
+
+    @property
+    def uninformative_reward(self) -> float:
+        return OTHER_REWARD
+
+    def far_reward(self, task: Goal) -> Float[Array, ""]:
+        return jnp.asarray(OTHER_REWARD)
+
+    def situation(self, task: Goal) -> tuple[()]:
+        """Return nothing: the goal decides the reward alone."""
+        return ()
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
+
+
+def _first_goals(stream: np.random.Generator, size: int) -> np.ndarray:
+    return goal_cells()[:size]
+
+
+grid_navi = TaskFamily(
+    "grid_navi", GridNavi, _first_goals, ("goal",), seed=21, num_tasks=len(goal_cells())
+)
