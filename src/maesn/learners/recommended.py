@@ -16,6 +16,8 @@ RECOMMENDED: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(
     (files("maesn.learners") / "recommended.toml").read_text(encoding="utf-8")
 )
 """Family -> method -> settings of the learner, nested; those of the run are under `run`."""
+ANY = "any"
+"""Stands for every family in `RECOMMENDED`; a family's own settings override its."""
 
 
 def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
@@ -38,8 +40,12 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
 
 def recommended_settings(method: str, family: str) -> dict[str, Any]:
     """Return the settings of the learner that suit a family, by path; none where none are known."""
-    table = RECOMMENDED.get(family, {}).get(method, {})
-    found = leaves({name: value for name, value in table.items() if name != "run"})
+    found: dict[str, Any] = {}
+    for name in (ANY, family):
+        table = RECOMMENDED.get(name, {}).get(method, {})
+        found |= leaves({key: value for key, value in table.items() if key != "run"})
+    # TOML has no tuples, of which settings are made.
+    found = {path: tuple(x) if isinstance(x, list) else x for path, x in found.items()}
     if "policy" in found:
         found["policy"] = getattr(policies, found["policy"])()
     return found
@@ -47,7 +53,9 @@ def recommended_settings(method: str, family: str) -> dict[str, Any]:
 
 def recommended_run(method: str, family: str) -> dict[str, Any]:
     """Return the settings of a run that suit a method on a family, by name."""
-    found: dict[str, Any] = RECOMMENDED.get(family, {}).get(method, {}).get("run", {})
+    found: dict[str, Any] = {}
+    for name in (ANY, family):
+        found |= RECOMMENDED.get(name, {}).get(method, {}).get("run", {})
     return found
 
 
