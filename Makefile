@@ -19,7 +19,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
-demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures
+demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
 	@$(BIN)/maesn demo
 
 check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under a minute
@@ -111,12 +111,12 @@ $(BIN)/python:
 
 $(RUN_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn into $(VENV)"
-	@$(INSTALL) --editable .
+	@$(INSTALL) --editable '.[page]'  # for the page of `make demo`
 	@touch $@
 
 $(DOCS_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn and Sphinx into $(VENV)"
-	@$(INSTALL) --editable '.[docs]'
+	@$(INSTALL) --editable '.[docs,page]'
 	@touch $(RUN_READY) $@
 
 $(BROWSER_READY): $(TEST_READY)

@@ -37,8 +37,8 @@ from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, pack_task
 from maesn.learners import Problem, maesn
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory, make_world
+from maesn.worlds.budget import num_cpus
 from maesn.worlds.collector import Collector
-from maesn.worlds.foreign import default_num_workers
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def measure(settings: Settings) -> Measurement:
     family = resolve_family(settings.family)
     env, tasks = family.make_env(), family.task_set("training", settings.num_tasks)
     assert isinstance(env, AbstractGymnasiumEnv), f"{settings.family} is not a foreign family"
-    learner, num_workers = maesn(), settings.num_workers or default_num_workers()
+    learner, num_workers = maesn(), settings.num_workers or num_cpus()
     state = learner.init(
         jax.random.key(0), Problem(env.observation_size, env.action_size, len(tasks))
     )

@@ -82,7 +82,7 @@ def search(settings: Settings) -> Searched:
         state: Any = learner.init(keys)
         for episode in range(max(SHOWN) + 1):
             searches.append(state.searches[0])
-            played.append(state.searches[0].latent(state.chosen[0]))
+            played.append(state.searches[0].latent(state.chosen[0][0]))
             episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
             episodes = collect(episode_keys, learner.agents(state), slot)
             paths.append(np.asarray(jax.vmap(world.env.position)(episodes.observation[0, 0])))

@@ -6,7 +6,7 @@ meta-learning run, from the directory of the repository:
     pip install -e '.[gym]'
     export PYTHONPATH=examples
     maesn train maesn --family half_cheetah_velocity:family --run runs/cheetah \
-        --normalize-observations True --trust-region.damping 0.1
+        --normalize-observations True --outer.trust-region.damping 0.1
     maesn adapt runs/cheetah --family half_cheetah_velocity:family
 
 Dense reward is minus the distance from the target speed, minus the environment's own control cost.

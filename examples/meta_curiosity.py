@@ -92,6 +92,9 @@ class Curious(maesn.AbstractMetaLearner[CuriousState, CuriousInfo]):
     def weights(self, state: CuriousState) -> Any:
         return self.learner.weights(state.learner), state.curiosity
 
+    def replay(self, state: CuriousState) -> Any:
+        return self.learner.replay(state.learner)
+
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return self.learner.planned_episodes(episodes_per_task, iterations)
 

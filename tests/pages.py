@@ -30,8 +30,11 @@ def blocks_of(page: Path, wanted: str) -> list[str]:
 
 def commands_of(page: Path) -> list[list[str]]:
     """The library's commands in the blocks of a page for a terminal, as lists of words."""
-    blocks = blocks_of(page, "console") + blocks_of(page, "bash")
-    text = "\n".join(blocks).replace("\\\n", " ")
-    lines = [line.removeprefix("$ ") for line in text.splitlines()]
-    split = [shlex.split(line, comments=True) for line in lines if line.startswith("maesn ")]
-    return [words[1:] for words in split]
+    return commands_in("\n".join(blocks_of(page, "console") + blocks_of(page, "bash")))
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """The library's commands among lines of text."""
+    lines = text.replace("\\\n", " ").splitlines()
+    found = [re.match(r"\s*(?:\$ )?(?:\S*/)?maesn (.*)", line) for line in lines]
+    return [shlex.split(one[1], comments=True) for one in found if one]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from guides import Guide
-from pages import PAGES, ROOT, blocks_of, commands_of, name_of, prose
+from pages import PAGES, ROOT, blocks_of, commands_in, commands_of, name_of, prose
 
 import maesn
 from maesn import cli
@@ -24,6 +24,7 @@ from maesn.numerics.trust_region import TrustRegionInfo
 LONG = [
     "README.md",
     "docs/tutorials/point.md",
+    "docs/howto/evaluate.md",
     "docs/howto/latents.md",
     "docs/howto/own_environment_gymnasium.md",
     "docs/howto/own_environment_mujoco.md",
@@ -102,6 +103,10 @@ def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.Mon
     # Results keep the commands of their time.
     pages = [page for page in PAGES if not page.is_relative_to(ROOT / "results")]
     commands = [(name_of(page), words) for page in pages for words in commands_of(page)]
+    for example in EXAMPLES.glob("*.py"):
+        usage = ast.get_docstring(ast.parse(example.read_text("utf-8"))) or ""
+        indented = "\n".join(re.findall(r"^    .*", usage, re.MULTILINE))
+        commands += [(example.name, words) for words in commands_in(indented)]
     assert {"train", "resume", "adapt", "report"} <= {words[0] for _, words in commands}
     for page, words in commands:
         here = [sys.executable if word.endswith("bin/python") else word for word in words]

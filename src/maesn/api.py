@@ -86,7 +86,7 @@ def resume(
         method: The run's method as `module:name`, if it is your own.
         change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
             outer.trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record.
-        keep: Latest checkpoints that stay, beside the first; 0: all of them.
+        keep: Number of latest checkpoints to keep, beside the first. 0: keep all.
         sharing: several devices or processes that go on with it together.
 
     Raises:
@@ -154,7 +154,7 @@ def prior(
         run: Directory of the run, or the name of a policy, as for `maesn adapt`.
         settings: of the archive.
         reward: Reward of the new tasks.
-        sparse_radius: Of the new tasks, in metres; None: the run's own.
+        sparse_radius: Sparse radius of the new tasks, in metres; None: the run's own.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
 

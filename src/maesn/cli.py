@@ -20,7 +20,7 @@ COMMANDS = {
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
     "study": "train, adapt and compare what a file says; go on with it, show how far it is",
     "report": "draw the figures of runs, or figures and tables of a study",
-    "export": "write a trained policy as one file for the NumPy runtime",
+    "export": "write a trained policy as one file: for the NumPy runtime, or as an ONNX network",
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
     "doctor": "show versions, engine, cores, graphics card and cache; let a robot drive",
@@ -50,8 +50,8 @@ Meta-reinforcement learning of structured exploration strategies.
 commands:
 {}
 
-`maesn COMMAND --help` lists the options of a command; `maesn --version` the version. With
-`--python PATH/bin/python`, environments of others run in that interpreter.""".format(
+`maesn COMMAND --help` lists the options of a command; `maesn --version` the version.
+Those that play take `--python PATH/bin/python`: environments of others run there.""".format(
     "\n".join(f"  {name:8s}  {text}" for name, text in COMMANDS.items())
 )
 _ANSWERS = {"--version": f"maesn {__version__}", "--help": _HELP, "-h": _HELP}
@@ -109,14 +109,20 @@ def run(arguments: list[str]) -> int:
 @contextmanager
 def _interpreter(options: list[str]) -> Iterator[list[str]]:
     """Take `--python PATH` out of a command's options; until it ends, environments run there."""
-    if "--python" not in options:
+    words = [word for one in options for word in _words(one)]
+    if "--python" not in words:
         yield options
         return
     from maesn.foreign import hosted_in
 
-    place = options.index("--python")
-    with hosted_in(*options[place + 1 : place + 2]):
-        yield options[:place] + options[place + 2 :]
+    place = words.index("--python")
+    with hosted_in(*words[place + 1 : place + 2]):
+        yield words[:place] + words[place + 2 :]
+
+
+def _words(option: str) -> list[str]:
+    """Split `--python=PATH`; leave all other options as they are."""
+    return option.split("=", 1) if option.startswith("--python=") else [option]
 
 
 def _notes(error: BaseException | None) -> list[str]:
@@ -128,9 +134,11 @@ def _commands(error: Exception, arguments: list[str]) -> list[str]:
     """Return the whole command to type where only a name was missing."""
     from maesn.runs.config import NotNamedError
 
-    if isinstance(error, NotNamedError):
-        return [f"Type: maesn {shlex.join(arguments)}{error.options}"]
-    return []
+    if not isinstance(error, NotNamedError):
+        return []
+    if set(error.options.split()) & set(arguments):
+        return ["One option names one module: give one that imports what all the runs need."]
+    return [f"Type: maesn {shlex.join(arguments)}{error.options}"]
 
 
 def _is_mistake(error: Exception) -> bool:

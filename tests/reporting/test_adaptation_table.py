@@ -75,7 +75,7 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
         ),
         (
             {"rule": SearchRule(), "episodes": 10, "deploy_after": (0, 10)},
-            "test-sparse-search-ee78bb-with-10-episodes-after-0-10",
+            "test-sparse-search-39fae0-with-10-episodes-after-0-10",
             "search with 10 episodes after 0 10",
         ),
     ],
@@ -113,7 +113,7 @@ def test_the_usual_table_is_by_the_methods_own_rule_and_the_usual_budget_if_ther
 ) -> None:
     assert usual_table(tmp_path) is None
     folder = tmp_path / "adaptation"
-    for name in ("test-sparse-search-ee78bb", "test-dense", "ood-sparse"):
+    for name in ("test-sparse-search-39fae0", "test-dense", "ood-sparse"):
         write_adaptation(folder / f"{name}.csv", adaptation_table())
     assert usual_table(tmp_path) is None
     for name in ("test-sparse-with-100-episodes", "test-sparse"):
@@ -131,9 +131,8 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     assert table.episodes_per_update == 1
     assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
-    assert adaptation_tables(path)[0].notes[0] == (
-        "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
-    )
+    said = "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
+    assert said in adaptation_tables(path)[0].notes
 
 
 def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:

@@ -73,13 +73,21 @@ def test_the_terminal_shows_means_and_half_widths_in_80_columns(file: Path) -> N
     assert "Adaptation: test-sparse" in lines[0]
     rows = [line for line in lines if re.match(r"\s*\d+\s+\d+\s", line)]
     assert max(map(len, rows)) <= 80
-    assert f"± half the {INTERVAL}" in text
+    assert f"± half the {INTERVAL}" in " ".join(text.split())
     assert "Judged on the episodes that were learned from" in text
     assert len(rows) == NUM_UPDATES + 1
     np.testing.assert_allclose(numbers(rows[-1]), np.ravel(halves(-1)), atol=0.0501)
     fresh = shown(summarised(file, TABLE, FRESH))
     assert f"{FRESH.mean_return[:, -1].mean():.1f}" in fresh
     assert "Judged on fresh episodes of the deployed agent." in fresh
+
+
+def test_the_last_point_is_said_with_its_interval(file: Path) -> None:
+    said = summarised(file, TABLE, FRESH)[0].notes[0]
+    assert said.startswith("After 150 episodes in each of 30 tasks: reaches goal (%)")
+    for name, scale in (("success_rate", 100), ("mean_return", 1)):
+        end = bootstrap(mean, scale * getattr(FRESH, name)[None, :, -1])
+        assert f"{end.mean:.1f} [{end.low:.1f}, {end.high:.1f}]" in said
 
 
 def test_tasks_solved_at_reset_are_counted_and_left_out_of_a_second_table(file: Path) -> None:

@@ -66,6 +66,17 @@ def test_reading_a_run_imports_nothing_and_says_what_to_type(
     assert Run.open(unnamed).latest().iteration == 4
 
 
+def test_no_command_is_printed_that_would_not_work(
+    unnamed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begun = ["train", "maesn", "--run", str(tmp_path / "begun"), "--init-from", str(unnamed)]
+    for words in ([*begun, *USUAL], ["resume", str(unnamed), "--method", "small_runs:tiny_maesn"]):
+        assert cli.run(words) == cli.USAGE_ERROR
+        said = capsys.readouterr().err
+        assert "module" in said
+        assert "Type:" not in said
+
+
 def test_its_own_advice_works_as_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,6 +143,18 @@ def test_another_run_starts_from_the_weights_alone(tmp_path: Path) -> None:
     state = begun.latest_state()
     np.testing.assert_array_equal(state.position, source.position)
     assert (int(state.iteration), int(state.visits), float(abs(state.past).max())) == (0, 0, 0.0)
+
+
+def test_weights_that_are_no_part_of_the_state_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import walk
+
+    train(tmp_path / "source", iterations=0)
+    monkeypatch.setattr(walk.Walk, "weights", lambda self, state: np.array(state.position))
+    settings = RunSettings(family="point", iterations=0)
+    with pytest.raises(RunError, match="parts of its state"):
+        Run.create(tmp_path / "run", walk.Walk(), settings, init_from=tmp_path / "source")
 
 
 def test_the_weights_are_the_identity_of_a_run(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_the_file_says_what_a_robot_must_know(tmp_path: Path) -> None:
     assert (said["latent_mean"], said["updates"]) == ([0.5, -1.0], 3)
     np.testing.assert_allclose(said["latent_std"], np.exp([-0.25, 0.125]))
     np.testing.assert_allclose(said["action_std"], [0.3, 0.3], rtol=1e-6)
-    assert said["is_noisy"] == {"explore": True, "deploy": True}
+    assert said["is_noisy"] == {"explore": True, "deploy": False}
 
 
 def test_what_is_no_network_of_observation_and_z_is_refused(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import (
     OUTLIER,
+    ROUGHNESS,
     Posterior,
     Reading,
     ReturnModel,
     ReturnPrior,
+    matern,
+    roughness,
 )
 
 
@@ -33,8 +37,8 @@ def random_prior(
     )
 
 
-def model_of(prior: ReturnPrior) -> ReturnModel:
-    return ReturnModel(prior, residual=0.2, length_scale=1.5)
+def model_of(prior: ReturnPrior, *, jumps: bool = True) -> ReturnModel:
+    return ReturnModel(prior, residual=0.2, length_scale=1.5, jumps=jumps)
 
 
 def random_readings(model: ReturnModel, number: int, seed: int) -> list[Reading]:
@@ -120,7 +124,82 @@ def test_training_tasks_are_fitted_as_scikit_learn_does(noise: float) -> None:
     ).fit(prior.latents, (prior.excess - average).T)
     more = np.random.default_rng(1).standard_normal((7, 2))
     expected = average + process.predict(more).T
-    np.testing.assert_allclose(model_of(prior).task_means(more), expected, rtol=1e-6)
+    found = model_of(prior, jumps=False).task_means(more)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_roughness_is_what_makes_each_left_out_latent_most_probable() -> None:
+    """Against scikit-learn, which is fitted anew without each latent."""
+    prior = random_prior(1, latents=9, tasks=6)
+    centred = prior.excess - prior.excess.mean()
+    spread = (centred**2).mean()
+    scores = []
+    for share in ROUGHNESS:
+        kernel = ConstantKernel((1 - share) * spread) * Matern(length_scale=1.5, nu=2.5)
+        score = 0.0
+        for left_out in range(9):
+            rest = np.delete(np.arange(9), left_out)
+            process = GaussianProcessRegressor(kernel, alpha=share * spread, optimizer=None)
+            process.fit(prior.latents[rest], centred[:, rest].T)
+            mean, std = process.predict(prior.latents[[left_out]], return_std=True)
+            variance = np.ravel(std)[0] ** 2 + share * spread
+            error = centred[:, left_out] - mean[0]
+            score += (error**2 / variance + np.log(variance)).mean()
+        scores.append(score)
+    kernel_matrix = matern(prior.latents, prior.latents, 1.5)
+    expected = ROUGHNESS[np.argmin(scores)] * spread
+    np.testing.assert_allclose(roughness(kernel_matrix, centred), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.2])
+def test_roughness_finds_the_jumps_of_drawn_returns(share: float) -> None:
+    """Within a factor of 1.5: 40 tasks of 150 latents know their variance to a few per cent."""
+    stream = np.random.default_rng(5)
+    latents = 2.0 * stream.standard_normal((150, 2))
+    kernel = matern(latents, latents, 1.0)
+    covariance = (1 - share) * kernel + share * np.eye(150)
+    drawn = stream.multivariate_normal(np.zeros(150), covariance, 40)
+    assert share / 1.5 < roughness(kernel, drawn) < share * 1.5
+
+
+def exact_prior(latents: int = 12, **changes: Any) -> ReturnPrior:
+    """A prior of episodes without noise, in tasks whose offsets differ."""
+    return replace(random_prior(4, latents), noise=np.zeros(latents), episodes=1, **changes)
+
+
+def test_without_noise_a_latent_that_was_played_is_known_and_teaches_nothing_more() -> None:
+    model = model_of(exact_prior())
+    once = posterior_of(model, random_readings(model, 6, 1))
+    again = once
+    for reading in once.readings:
+        again = again.conditioned(model, reading)
+    for name in ("task_mean", "task_weights", "std"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(once, name))
+    np.testing.assert_array_equal(again.extended(model, 1.0 + model.archive).mean[:12], once.mean)
+
+
+@pytest.mark.parametrize("offset_std", [0.0, 2.0])
+def test_without_noise_everything_stays_finite_and_no_task_takes_all_the_weight(
+    offset_std: float,
+) -> None:
+    model = model_of(exact_prior(offset_std=offset_std))
+    stream = np.random.default_rng(2)
+    # A task that is none of the training tasks.
+    returns = model.prior.excess[:3].mean(axis=0) + 3.0 * stream.standard_normal(12)
+    posterior = posterior_of(model, [Reading(j, returns[j] - 3.0) for j in range(12)])
+    assert np.isfinite(posterior.mean).all()
+    assert np.isfinite(posterior.std).all()
+    assert posterior.task_weights.max() < 1 - 1e-6
+    if not offset_std:
+        np.testing.assert_allclose(posterior.mean, returns, atol=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_an_archive_of_one_latent_is_enough(noise: float) -> None:
+    one = random_prior(4, latents=1)
+    model = model_of(replace(one, noise=np.full(1, noise), episodes=1))
+    posterior = posterior_of(model, [Reading(0, 5.0), Reading(0, 5.0)])
+    assert np.isfinite([posterior.mean, posterior.std]).all()
 
 
 def test_mean_and_std_are_those_of_the_mixture() -> None:

@@ -161,7 +161,6 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
         z = explorer.begin_episode()
         search, point = search.proposed(generator)
         assert z.tolist() == search.latent(point).tolist()
-        generator.standard_normal((Point().horizon, 2))  # the robot's actions
         value = float(peak(z, target)) - 20.0
         episode(explorer, value)
         explorer.adapt()

@@ -2,7 +2,9 @@
 
 import json
 import math
+import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,9 @@ from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.search.prior import PriorSettings
-from maesn.search.stored import read_prior, run_prior
+from maesn.search.stored import played_live, read_prior, run_prior
 from maesn.storage import RunError
+from maesn.worlds.collector import Collector
 from maesn.worlds.device import DeviceWorld
 
 SMALL = ["--draws", "10", "--episodes", "2", "--simulations", "20"]
@@ -59,7 +62,7 @@ def test_the_prior_says_what_training_tasks_return(trained: Path) -> None:
     assert prior.excess.min() >= -4
     assert -4 < np.median(prior.excess) < 0
     assert prior.offset_mean == pytest.approx(-2.0 * 40, rel=1e-3)
-    assert set(bound) == {"checkpoint", "training task set", "reward", "numbers"}
+    assert set(bound) == {"checkpoint", "training task set", "reward", "action noise", "numbers"}
 
 
 def test_a_prior_plays_no_more_episodes_at_once_than_the_world_can_hold(
@@ -110,15 +113,33 @@ def test_tasks_do_not_depend_on_how_many_there_are(trained: Path, few: str, tmp_
 
 
 def test_a_missing_prior_is_made_and_said(
-    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("maesn.search.stored.USUAL", PriorSettings(draws=4, episodes=2))
-    run = tmp_path / "run"
     learner = latent_space(policy=GaussianMLP((8,)), meta_batch_size=2)
-    Run.create(run, learner, tiny_settings())
-    assert adapted(run, few, "--episodes", "1", "--deploy-episodes", "1") == 0
-    assert f"`{run / FILE}` is missing: making it" in caplog.text
-    assert (run / FILE).exists()
+    run = Run.create(tmp_path / "run", learner, tiny_settings())
+    path, env, tasks = run.directory / FILE, run.env(), run.training_tasks
+    assert adapted(run.directory, few, "--episodes", "1", "--deploy-episodes", "1") == 0
+    steps = PriorSettings().steps(env, tasks) + 20 * len(tasks) * env.horizon
+    assert f"`{path}` is missing." in caplog.text
+    assert f"{steps:,} environment steps" in caplog.text
+    latents = read_prior(path)[0].latents
+    assert f"latents played: all {len(latents)}" in capsys.readouterr().err
+    # The cheaper command works as printed.
+    command = caplog.text.split("type: maesn ")[1].splitlines()[0]
+    assert cli.run(shlex.split(command)) == 0
+    assert len(read_prior(path)[0].latents) == 100 < len(latents)
+
+
+def test_progress_in_a_log_file_says_the_time_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([0.0, 5.0, 20.0, 90.0])
+    monkeypatch.setattr("maesn.search.stored.time.monotonic", lambda: next(clock))
+    with played_live() as progress:
+        for played in (100, 150, 300, 1000):
+            progress(played, 1000)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["latents played: 300 of 1,000, 0:01:10 left", "latents played: all 1,000"]
 
 
 def test_a_method_that_also_moves_its_weights_searches_with_those_of_training(
@@ -198,3 +219,62 @@ def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(meta_batch_size=1), settings)
     with pytest.raises(RunError, match="trained on one task"):
         maesn.prior(run)
+
+
+def test_an_update_of_four_episodes_plays_four_latents_that_were_proposed_together(
+    trained: Path, few: str
+) -> None:
+    run, ask = Run.open(trained), Evaluation(few, rule=SearchRule(), episodes=8)
+    ask = ask.changed(episodes_per_update=4, deploy_episodes=1)
+    with new_tasks(run, ask) as (world, learner):
+        collect = Collector(world, 4)
+        keys = jax.random.split(jax.random.key(0), 3)
+        state = learner.init(keys)
+        episodes = collect(keys, learner.agents(state), jax.numpy.arange(3))
+        after = learner.update(state, episodes)
+    for task, (search, points) in enumerate(zip(state.searches, state.chosen, strict=True)):
+        assert len(set(points)) == 4
+        np.testing.assert_allclose(episodes.z[task], search.points[list(points)], rtol=1e-6)
+        readings = after.searches[task].posterior.readings
+        assert tuple(one.point for one in readings) == points
+        returns = [one.episode_return for one in readings]
+        np.testing.assert_allclose(returns, episodes.undiscounted_return[task], rtol=1e-5)
+    assert learner.agents(after, "deploy").context.mean.shape == (3, 2)
+
+
+@pytest.mark.parametrize("action_noise", [False, True])
+@pytest.mark.parametrize("rule", [SearchRule(), None])
+def test_the_latent_explores_and_not_the_actions_unless_that_is_asked_for(
+    rule: SearchRule | None,
+    action_noise: bool,
+    trained: Path,
+    few: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    noisy: dict[int, set[bool]] = {2: set(), 3: set()}  # by episodes of a call: explore, deploy
+    play = Collector.__call__
+
+    def watched(self: Collector, keys: Any, agents: Any, *more: Any) -> Any:
+        noisy[self.episodes_per_task].add(agents.is_noisy)
+        return play(self, keys, agents, *more)
+
+    run = shutil.copytree(trained, tmp_path / "run")
+    noise = ["--action-noise", str(action_noise)]
+    assert cli.run(["prior", str(run), *SMALL, *noise]) == 0
+    monkeypatch.setattr(Collector, "__call__", watched)
+    ask = Evaluation(few, rule=rule, episodes=2, episodes_per_update=2, deploy_episodes=3)
+    api.adapt(run, ask.changed(action_noise=action_noise), out=tmp_path / "table.csv")
+    assert noisy == {2: {action_noise or rule is None}, 3: {action_noise}}
+
+
+def test_without_noise_a_prior_plays_a_latent_once_and_learns_the_noise_from_a_few(
+    tmp_path: Path,
+) -> None:
+    run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings())
+    settings = PriorSettings(draws=30, adapted=False, episodes=1)
+    _, prior = run_prior(run, settings)
+    assert prior.episodes == 1
+    assert len(set(prior.noise)) == 1
+    again = run_prior(run, replace(settings, episodes=4))[1]
+    np.testing.assert_allclose(prior.noise[0], again.noise.mean(), rtol=1.0)

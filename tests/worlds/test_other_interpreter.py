@@ -146,7 +146,7 @@ def test_commands_take_the_interpreter_and_runs_do_not_name_it(
     small = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
     train = ["train", "maesn", "--run", "run", "--iterations", "1", *small, *family]
     assert cli.run([*train, "--python", str(python)]) == 0
-    assert cli.run(["resume", "run", "--iterations", "2", "--python", str(python), *family]) == 0
+    assert cli.run(["resume", "run", "--iterations", "2", f"--python={python}", *family]) == 0
     assert len(metrics(Run.open("run", "there_family:family"))) == 2
     texts = [path.read_text() for path in Path("run").glob("*.json*")]
     assert texts

@@ -1,7 +1,6 @@
 """The commands `maesn list` and `maesn doctor`."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from importlib.metadata import distributions
 from typing import Any
@@ -23,6 +22,7 @@ from maesn.runs.serialization import fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
 from maesn.settings import leaves
 from maesn.storage import RunError, check_writable
+from maesn.worlds.budget import num_cpus
 
 # Packages that extras of the installation bring.
 _EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "plotly", "onnx")
@@ -35,7 +35,7 @@ def doctor() -> None:
     facts: dict[str, Sequence[object]] = {
         "versions": [f"{name} {number}" for name, number in packages.items()],
         "extras": [name for name in _EXTRAS if any(distributions(name=name))],
-        "cores": [len(os.sched_getaffinity(0))],
+        "cores": [num_cpus()],
         "JAX runs on": jax.devices(),
         "cache": [cache_directory() or "off"],
         "policies": policy_names(),

@@ -23,7 +23,7 @@ from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.storage import RunError, read_json, refusals
-from maesn.studies.comparison import compare as compare_runs
+from maesn.studies import comparison
 from maesn.studies.execution import Execution
 from maesn.studies.executors import ExecutorName
 from maesn.studies.study import JOBS, FailedJobsError, Results, Study
@@ -73,7 +73,7 @@ def demo(run: Path = Path("runs/demo"), iterations: int = 80, seed: int = 0) -> 
     Args:
         run: Directory of the run; a demo that was interrupted goes on where it stopped.
         iterations: Meta-iterations. 300 explore better, in three times as long.
-        seed: Every random draw of the run follows from this number.
+        seed: Seed of all random draws of the run.
     """
     print(f"1. MAESN learns to explore: {iterations} meta-iterations on dense reward")
     with refusals():
@@ -148,10 +148,10 @@ def _jobs_of(study: Path) -> TextTable:
 
 
 @command
-@wraps(compare_runs)
+@wraps(comparison.compare)
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
-    _say_results(partial(compare_runs, *runs, **options | {"say": print}))
+    _say_results(partial(comparison.compare, *runs, **options | {"say": print}))
 
 
 def _say_results(compute: Callable[[], Results]) -> None:

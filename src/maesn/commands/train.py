@@ -29,16 +29,16 @@ class Options:
     run_settings: Annotated[RunSettings, tyro.conf.arg(name="")]
     learner: Annotated[AbstractMetaLearner[Any, Any], tyro.conf.arg(name="")]
     settings: Literal["recommended", "reference"] = "recommended"
-    """recommended: the defaults are what was found to work on the family, where that is known;
-    reference: they are the published ones."""
+    """Which settings are the defaults. recommended: those that were found to work on the family,
+    where they are known. reference: the published ones."""
     run: Path | None = None
-    """Directory of the new run, which must not hold one. None: runs/METHOD-FAMILY-SEED."""
+    """Directory of the new run; it must not hold a run yet. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
-    """Directory of a run, or name of a policy that comes with the library, whose policy and step
-    sizes to start from."""
+    """Run whose policy and step sizes training starts from: its directory, or the name of a policy
+    that comes with the library."""
     sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE
     keep: int = KEEP
-    """Latest checkpoints that stay, beside the first; 0: all of them."""
+    """Number of latest checkpoints to keep, beside the first. 0: keep all."""
 
 
 _HELP = f"""usage: maesn train METHOD --run DIR [OPTIONS]

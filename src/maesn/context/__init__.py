@@ -29,5 +29,6 @@ from maesn.context.settings import OracleContext as OracleContext
 from maesn.context.values import AbstractContext as AbstractContext
 from maesn.context.values import Bias as Bias
 from maesn.context.values import Latent as Latent
+from maesn.context.values import LatentPerEpisode as LatentPerEpisode
 from maesn.context.values import Nothing as Nothing
 from maesn.context.values import TaskDescription as TaskDescription

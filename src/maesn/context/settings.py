@@ -127,7 +127,7 @@ class BiasContext(AbstractContextSettings[Bias]):
     """
 
     size: int = 8
-    """Components of the bias. The reference's ant run had 8."""
+    """Number of components of the bias. Reference: 8 on ant."""
 
     def __check_init__(self) -> None:
         if self.size < 0:
@@ -165,13 +165,13 @@ class LatentContext(AbstractContextSettings[Latent]):
     """
 
     size: int = 2
-    """Components of the latent z (2 in all reported runs)."""
+    """Number of components of the latent z. Reference: 2 in all reported runs."""
     kl_weight: float = 0.1
     """Weight of the KL divergence to the prior. Reference: 0.1 on wheeled and ant."""
     initial_spread: float = 1.0
-    """Standard deviation of the latents' means at the start. Reference: 1."""
+    """Standard deviation of the latents' means before training. Reference: 1."""
     gradient: LatentGradient = "likelihood_ratio"
-    """How the inner loss is differentiated through the draw of z. Reference: likelihood ratio."""
+    """Estimator of the inner gradient of the latent. Reference: likelihood ratio."""
 
     def __check_init__(self) -> None:
         if self.size < 1:

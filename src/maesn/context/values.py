@@ -6,7 +6,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
 from maesn.numerics import DiagonalGaussian
@@ -46,8 +46,13 @@ class AbstractContext(eqx.Module):
         """Number of components of the description that z is made of; 0 except for an oracle."""
         return 0
 
-    def noise(self, key: Key) -> Float[Array, " noise"]:
-        """Draw the noise of the z of one episode: standard normal, by default."""
+    def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " noise"]:
+        """Draw the noise of the z of one episode: standard normal, by default.
+
+        Args:
+            key: random key of the episode.
+            episode: index of the episode among those that are played side by side.
+        """
         return jax.random.normal(key, (self.noise_size,))
 
     def at_mean(self) -> "AbstractContext":
@@ -123,6 +128,29 @@ class Latent(AbstractContext):
     def widened(self, factor: float) -> "Latent":
         """Return N(mean, (factor std)^2 I)."""
         return Latent(self.mean, self.log_std + math.log(factor))
+
+
+class LatentPerEpisode(AbstractContext):
+    """A latent for each of the episodes that are played side by side in a task."""
+
+    latents: Float[Array, "*batch episode z"]
+
+    @property
+    def size(self) -> int:
+        return self.latents.shape[-1]
+
+    @property
+    def noise_size(self) -> int:
+        return self.latents.shape[-1]
+
+    def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " z"]:
+        """Return the episode's latent: nothing is random."""
+        return self.latents[episode]
+
+    def draw(
+        self, noise: Float[Array, " noise"], description: Float[Array, " description"]
+    ) -> Float[Array, " z"]:
+        return noise
 
 
 class TaskDescription(AbstractContext):

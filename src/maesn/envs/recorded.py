@@ -111,13 +111,17 @@ def _json(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [_json(part) for part in value]
     if isinstance(value, dict):
-        content = json.dumps({name: _json(part) for name, part in value.items()}, sort_keys=True)
-        return hashlib.sha256(content.encode()).hexdigest()[:16]
+        text = json.dumps({name: _json(part) for name, part in value.items()}, sort_keys=True)
+        return _digest(text.encode())
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         array = np.ascontiguousarray(value)
         content = f"{array.dtype.str}{array.shape}".encode() + array.tobytes()
-        return hashlib.sha256(content).hexdigest()[:16]
+        return _digest(content)
     raise TypeError
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _from_family(family: TaskFamily, wanted: EnvRecord) -> AnyEnv:

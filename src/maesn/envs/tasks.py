@@ -11,13 +11,17 @@ from jaxtyping import Array, Int
 
 from maesn.envs.base import AnyEnv
 
-SetName: TypeAlias = Literal["training", "validation", "test", "ood", "final"]
+SetName: TypeAlias = Literal["training", "validation", "test", "ood", "final", "final-2"]
 
-SETS: tuple[SetName, ...] = ("training", "validation", "test", "final")
+SETS: tuple[SetName, ...] = ("training", "validation", "test", "final", "final-2")
 """The disjoint sets that every family has, all of one distribution."""
 OUT_OF_DISTRIBUTION: SetName = "ood"
 """Tasks of a kind that training never shows; not every family has them."""
-NAMED_SETS: tuple[SetName, ...] = ("training", "validation", "test", OUT_OF_DISTRIBUTION, "final")
+NAMED_SETS: tuple[SetName, ...] = (
+    *("training", "validation", "test"),
+    OUT_OF_DISTRIBUTION,
+    *("final", "final-2"),
+)
 """The place of a name decides the set's random stream."""
 SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
 

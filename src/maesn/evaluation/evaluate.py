@@ -1,6 +1,7 @@
 """Adaptation to new tasks: every method's curve, through the fast-learner interface alone."""
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -95,9 +96,7 @@ def adapt(
     for start in range(0, len(chosen), size):
         # Chunks of one size share compiled programs: the last task fills the last of them.
         slots = chosen[np.minimum(np.arange(start, start + size), len(chosen) - 1)]
-        parts.append(
-            _adapt_chunk(learner, collect, deploy, judged, slots, updates, evaluation.seed)
-        )
+        parts.append(_adapt_chunk(learner, collect, deploy, judged, slots, updates, evaluation))
     explored, deployed, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
@@ -114,14 +113,17 @@ def _adapt_chunk(
     judged: Collection[int],
     slots: np.ndarray,
     updates: range,
-    seed: int,
+    evaluation: Evaluation,
 ) -> Any:
     """Return curves of both purposes and contexts of some tasks, `[task, update, ...]`."""
+    seed, action_noise = evaluation.seed, evaluation.action_noise
     state = learner.init(_task_keys(seed, _START, slots))
 
     def play(plays: Collector, purpose: Purpose, keys: TaskKeys, update: int) -> Episodes:
+        agents = learner.agents(state, purpose)
+        is_noisy = action_noise or (purpose == "explore" and agents.is_noisy)
         try:
-            return plays(keys, learner.agents(state, purpose), jnp.asarray(slots), update)
+            return plays(keys, replace(agents, is_noisy=is_noisy), jnp.asarray(slots), update)
         except EpisodeError as error:
             raise error.after(update) from error
 

@@ -22,9 +22,9 @@ class Evaluation:
 
     tasks: str = "test"
     """test (report on these), validation (choose on these), training, ood (unlike all of these),
-    final (for a last look, when all is chosen), or the path of an `.npz` file."""
+    final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
     num_tasks: int | None = None
-    """The first so many of them; None: all."""
+    """Number of tasks, the first ones of the set. None: all."""
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
@@ -46,10 +46,14 @@ class Evaluation:
     are learned from."""
     deploy_after: tuple[int, ...] = ()
     """Numbers of episodes after which the deployed agent is judged; none: after every update."""
+    action_noise: bool = False
+    """Whether actions have the noise of training in the episodes of a search and in deployed ones.
+    False: there each is the most probable one, for the latent alone explores."""
     seed: int = 0
-    """Of the episodes."""
+    """Seed of the episodes."""
     sparse_radius: float | None = None
-    """Metres around the goal in which sparse reward tells the distance; None: the run's own."""
+    """Radius around the goal, in metres, within which sparse reward tells the distance. None: that
+    of the run."""
     engine: EngineName | None = None
     """Engine that moves the world, native or mjx; None: the run's own."""
     num_threads: int | None = None

@@ -129,7 +129,7 @@ def record_explorer(run: Run) -> None:
     if has_prior:
         try:
             write_arrays(run.directory / SEARCHES, vars(_searches(run)))
-        except RunError as error:  # the prior may be that of an earlier checkpoint
+        except RunError as error:  # the prior may be that of earlier weights
             (run.directory / SEARCHES).unlink(missing_ok=True)
             logger.warning("no search is shown: %s", error)
 

@@ -58,7 +58,8 @@ def new_tasks(
     with closing(world):
         state = run.latest_state()
         check_policy(run.learner.player(state), world.env)
-        trained = Trained(run.learner, state, partial(find_prior, run, state, world))
+        of_run = partial(find_prior, run, state, world, evaluation.action_noise)
+        trained = Trained(run.learner, state, of_run, evaluation.budget.per_update)
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 
 
@@ -82,6 +83,7 @@ def evaluate(
         "episodes_per_update": budget.per_update,
         "deploy_episodes": budget.deploy,
         "deploy_after": list(evaluation.deploy_after),
+        "action_noise": evaluation.action_noise,
         "seed": evaluation.seed,
         "num_tasks": evaluation.count(world.tasks),
         "episodes": budget.episodes,
@@ -94,8 +96,9 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
 
     TASKS is the name of a set, or `file-STEM-DIGEST` for a user's own file. Behind it stand number
     of tasks, sparse radius and engine where they are not the usual ones: those never share a
-    figure. Behind the reward stand rule and wrappers, then budgets and seed where they are not the
-    usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another name.
+    figure. Behind the reward stand rule and wrappers, then budgets, seed and noise where they are
+    not the usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another
+    name.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
@@ -123,6 +126,8 @@ def _unusual(evaluation: Evaluation) -> Iterator[str]:
         yield "-".join(map(str, ("after", *evaluation.deploy_after)))
     if evaluation.seed:
         yield f"seed-{evaluation.seed}"
+    if evaluation.action_noise:
+        yield "action-noise"
 
 
 class Adapted(NamedTuple):

@@ -18,14 +18,14 @@ from maesn.settings import check_number, check_positive
 
 
 class InnerStep(eqx.Module):
-    """How one part of an agent moves along its policy gradient."""
+    """The inner step of one part of an agent, along its policy gradient."""
 
     initial_size: float = 1.0
-    """Step size of every parameter before it is learned."""
+    """Step size of every parameter before training."""
     learned: bool = True
-    """Whether each parameter's step size is meta-learned (the paper calls this crucial)."""
+    """Whether the step size of each parameter is meta-learned. The paper calls this crucial."""
     first_iteration: int = 0
-    """First meta-iteration in which this part moves (stage-wise training)."""
+    """First meta-iteration in which this part moves, for stage-wise training."""
 
     def __check_init__(self) -> None:
         if not math.isfinite(self.initial_size):
@@ -187,11 +187,12 @@ class StepSchedule(eqx.Module):
     """
 
     full_steps: int = 2
-    """Number of updates with the whole step size. Reference: 2 for MAESN, 3 for LatentSpace."""
+    """Number of first updates with the whole step size. Reference: 2 for MAESN, 3 for
+    LatentSpace."""
     factor: float = 0.5
-    """Factor on the step size in every later update; 1 keeps it."""
+    """Factor on the step size from each later update to the next. 1: the size stays."""
     scale: float = 1.0
-    """Factor on every step size."""
+    """Factor on all step sizes."""
 
     def __check_init__(self) -> None:
         check_number("full_steps", self.full_steps, 1)

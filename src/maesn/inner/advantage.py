@@ -42,17 +42,17 @@ class AdvantageEstimator(eqx.Module):
     """
 
     discount: float = 0.99
-    """gamma, the weight of a reward one step later."""
+    """Discount factor gamma of the rewards."""
     gae_lambda: float = 1.0
-    """lambda of generalised advantage estimation; 1 is return minus baseline."""
+    """Lambda of generalised advantage estimation. 1: the advantage is return minus baseline."""
     ridge: float = 1e-5
-    """Weight of the squared coefficients in the fit of the baseline."""
+    """Weight of the penalty on squared coefficients in the fit of the baseline."""
     drifts: bool = False
-    """Whether to learn from episodes that all have the same rewards, as the reference does.
+    """Whether to learn from a task's episodes if all of them have the same rewards. Reference: yes.
 
-    There is nothing to learn from such episodes. But the baseline does not fit them exactly, and
-    its errors are standardised like any other advantages: a step with a bound on the KL then goes
-    as far as ever, in a random direction. If all rewards are 0 the fit is exact, and nothing
+    Such episodes do not tell good actions from bad ones. But the baseline does not fit them
+    exactly, and standardised advantages make its small errors large: a trust region step then has
+    its full length, in a random direction. If all rewards are 0, the fit is exact and nothing
     moves."""
 
     def __check_init__(self) -> None:

@@ -99,8 +99,12 @@ class AbstractSettableLatent(eqx.Module):
         """Standard deviation, per component, of latents that are worth trying."""
 
     @abstractmethod
-    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
-        """Return one agent per row, whose z is that row in every episode."""
+    def holding(self, latents: Float[ArrayLike, "task *episode z"]) -> Agents:
+        """Return one agent per task, whose z is its latent in every episode.
+
+        With an axis `episode`, z is another latent in each of the episodes that are played side by
+        side.
+        """
 
     @abstractmethod
     def of_tasks(

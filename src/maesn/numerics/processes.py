@@ -25,14 +25,15 @@ class Sharing:
     """Which devices and processes share the tasks of a meta-batch. No result depends on it."""
 
     devices: int = 1
-    """Devices of each process that share the tasks of a meta-batch. On a CPU they are threads."""
+    """Number of devices of each process, which share the tasks of a meta-batch. On a CPU, devices
+    are threads."""
     coordinator: str | None = None
-    """HOST:PORT at which process 0 listens, if several processes train one run; `auto` under Slurm
-    and Open MPI, where JAX finds it and the next two by itself."""
+    """Address of process 0 as HOST:PORT, if several processes train one run. auto: under Slurm and
+    Open MPI, JAX finds the address, the number of processes and their indices by itself."""
     num_processes: int | None = None
     """Number of processes that train one run."""
     process: int | None = None
-    """Index of this process, from 0 on. Process 0 writes and prints."""
+    """Index of this process, counted from 0. Process 0 writes and prints."""
 
     def __post_init__(self) -> None:
         given = self.num_processes, self.process

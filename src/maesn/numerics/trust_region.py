@@ -53,14 +53,14 @@ class TrustRegion(eqx.Module):
     max_kl: float = 0.01
     """Bound on the mean KL divergence of one step. Reference: 0.01."""
     cg_steps: int = 20
-    """Steps of the conjugate gradient method. Reference: 10, with a curvature product by finite
-    differences. docs/explanation/design.md compares runs with 10 and with 20."""
+    """Number of steps of the conjugate gradient method. Reference: 10, with curvature by finite
+    differences. `docs/explanation/design.md` compares runs with 10 and with 20."""
     damping: float = 1e-5
-    """Added to the curvature of every parameter. Reference: 1e-5."""
+    """Number that is added to the diagonal of the curvature. Reference: 1e-5."""
     backtrack_ratio: float = 0.8
-    """Factor between the lengths of two candidates. Reference: 0.8."""
+    """Factor from one candidate's length to the next in the line search. Reference: 0.8."""
     max_backtracks: int = 15
-    """Number of candidates, the first one included. Reference: 15."""
+    """Number of candidates in the line search, the first one included. Reference: 15."""
 
     def __check_init__(self) -> None:
         if not self.max_kl > 0:

@@ -31,9 +31,9 @@ class GaussianMLP(AbstractPolicySettings):
     """Settings of `GaussianMLPPolicy`."""
 
     hidden_sizes: tuple[int, ...] = (100, 100)
-    """Widths of the hidden layers (appendix "Experimental Details": two layers of 100)."""
+    """Widths of the hidden layers. Paper: two layers of 100 (appendix "Experimental Details")."""
     initial_std: float = 1.0
-    """Standard deviation of the actions at the start. Reference: 1."""
+    """Standard deviation of the actions before training. Reference: 1."""
 
     def __check_init__(self) -> None:
         if any(size < 1 for size in self.hidden_sizes):

@@ -17,8 +17,8 @@ from maesn.runtime import archive
 from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
-# `-search-ee78bb-with-10-episodes`.
-_NUMBERS = r"(?:-\d+-(?:episodes|per-update|deployed)|-after(?:-\d+)+|-seed-\d+)+"
+# `-search-39fae0-with-10-episodes`.
+_NUMBERS = r"(?:-\d+-(?:episodes|per-update|deployed)|-after(?:-\d+)+|-seed-\d+|-action-noise)+"
 _NAME = re.compile(rf"(.+)-(dense|sparse)(-.+?)??(-with{_NUMBERS})?")
 
 # Beside a table, of the same stem: the adapted latents, and how both were made.
@@ -34,7 +34,7 @@ class TableName(NamedTuple):
     tasks: str
     reward: str  # empty if the file has another kind of name
     rule: str = ""  # rule, wrappers and digest, after a hyphen; empty for the method as it is
-    budget: str = ""  # budgets and seed, as in `-with-10-episodes`; empty for the usual ones
+    budget: str = ""  # budgets, seed and noise, as in `-with-10-episodes`; empty for the usual ones
 
     @classmethod
     def of(cls, table: Path) -> "TableName":

@@ -124,9 +124,10 @@ def _by_update(line: Line, title: str) -> TextTable:
         ("update", "episodes", *(unit.heading for unit in UNITS.values())),
         tuple(zip(map(str, table.updates), map(str, table.episodes), *columns, strict=True)),
         sentences(
+            _end_in_words(line),
             note_on_solved(table.is_solved_at_reset),
             line.beyond,
-            f"± half the {INTERVAL}",
+            f"± half the {INTERVAL}; brackets hold its ends",
             note_on_judging([line]),
             f"no episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
             "adaptation had nothing to learn from"
@@ -134,6 +135,15 @@ def _by_update(line: Line, title: str) -> TextTable:
             else "",
         ),
     )
+
+
+def _end_in_words(line: Line) -> str:
+    success, returns = (
+        UNITS[name].text(bootstrap(statistics.mean, line.column(-1, name)))
+        for name in ("success_rate", "mean_return")
+    )
+    done = f"after {line.table.episodes[-1]} episodes in each of {line.table.num_tasks} tasks"
+    return f"{done}: reaches goal (%) {success}, return {returns}"
 
 
 def _by_task(table: AdaptationTable) -> TextTable:

@@ -26,6 +26,9 @@ class Trained(NamedTuple):
     """Loads the prior of a search. Its arguments are the file's path, empty for the run's own
     prior, and whether a prior that was made for another reward will do. None without a run."""
 
+    per_update: int = 1
+    """Episodes of each task that one update will learn from."""
+
     def fast_learner(self) -> AbstractFastLearner[Any]:
         """Return the learner of new tasks that the method itself prescribes."""
         return self.learner.fast_learner(self.state)

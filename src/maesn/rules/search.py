@@ -11,8 +11,9 @@ from maesn.search import SearchFastLearner, SearchSettings, latent_of
 class SearchRule(AbstractRule):
     """Search for the best latent, with the returns of the training tasks as the prior.
 
-    Plays one latent per episode, and deploys the one with the highest posterior mean
-    (`docs/explanation/methods/latent_search.md`).
+    Plays one latent per episode, and deploys the one with the highest posterior mean. If an update
+    learns from several episodes, they are of different latents, which are proposed together (
+    `docs/explanation/methods/latent_search.md`).
     """
 
     budget: ClassVar[Budget] = Budget(20, 1, 5)
@@ -38,4 +39,4 @@ class SearchRule(AbstractRule):
         if trained.return_prior is None:
             raise ValueError("a search needs a prior over returns, which is made of a run.")
         model = self.settings.model(trained.return_prior(self.prior, self.any_reward))
-        return SearchFastLearner(latent, model, self.settings)
+        return SearchFastLearner(latent, model, self.settings, trained.per_update)

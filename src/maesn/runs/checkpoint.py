@@ -46,9 +46,16 @@ def named_leaves(tree: Any) -> dict[str, Any]:
 
 
 def names_of(part: Any, tree: Any) -> set[str]:
-    """Return the names of those leaves of a tree that are also leaves of `part`."""
+    """Return the names of those leaves of a tree that are also leaves of `part`.
+
+    Raises:
+        RunError: `part` has other leaves, which could not be found again.
+    """
     held = set(map(id, jax.tree.leaves(part)))
-    return {name for name, leaf in named_leaves(tree).items() if id(leaf) in held}
+    names = {name for name, leaf in named_leaves(tree).items() if id(leaf) in held}
+    if len(names) < len(held):
+        raise RunError("`weights` and `replay` of a method must return parts of its state as is.")
+    return names
 
 
 def digest_of_arrays(tree: Any) -> str:

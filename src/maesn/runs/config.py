@@ -65,27 +65,28 @@ class RunSettings:
     family: str = "wheeled"
     """Family of tasks: one that comes with the library, or `module:name` of your own."""
     variant: Variant = "reference"
-    """Rewards of the code behind the published curves, or as printed in the paper."""
+    """Source of the reward formulas. reference: the code behind the published curves. paper: the
+    paper, as printed."""
     reward: RewardKind = "dense"
     """Reward in training. The paper trains on dense reward and adapts to sparse."""
     sparse_radius: float | None = None
-    """Metres around the goal in which sparse reward depends on the distance; None: the family's
-    own."""
+    """Radius around the goal, in metres, within which sparse reward tells the distance. None: that
+    of the family."""
     tasks: str = "training"
     """Tasks to train on: training, validation, test, ood, final, or the path of an `.npz` file."""
     seed: int = 0
-    """Every random draw of the run follows from this number."""
+    """Seed of all random draws of the run."""
     iterations: int = 300
-    """Meta-iterations in total."""
+    """Number of meta-iterations in total."""
     episodes_per_task: int = 20
-    """Episodes that are played of each task before, and again after, an inner update."""
+    """Number of episodes of each task before an inner update, and again after it."""
     checkpoint_every: int = 10
-    """Iterations between two checkpoints; one more is written at the end and on Ctrl-C."""
+    """Number of iterations between two checkpoints. Another is written at the end and on Ctrl-C."""
     num_threads: int = 0
-    """Threads of the physics engine; 0: one for each CPU."""
+    """Number of threads of the physics engine. 0: one for each CPU."""
     engine: EngineName = "native"
-    """native: MuJoCo on the CPU, and whatever moves other families. mjx: MuJoCo on the accelerator,
-    for families on a MuJoCo model."""
+    """Engine that computes the motion. native: MuJoCo on the CPU, or the family's own code. mjx:
+    MuJoCo on the accelerator, for families with a MuJoCo model."""
 
     def __post_init__(self) -> None:
         check_choice("variant", self.variant, Variant)

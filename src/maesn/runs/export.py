@@ -16,7 +16,7 @@ from maesn.runs.onnx_file import is_onnx, read_facts, write_onnx
 from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
-from maesn.runtime.episode import PURPOSES
+from maesn.runtime.arrays import float64
 from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
@@ -88,7 +88,7 @@ def exported_policy(
     latent, update = prior, 0
     if start is not None:
         given, update = start
-        latent = RuntimeLatent(_float64(given.mean), _float64(given.log_std))
+        latent = RuntimeLatent(float64(given.mean), float64(given.log_std))
     if latent.mean.shape != prior.mean.shape:
         raise ValueError(
             f"the latents have {latent.mean.size} components, but the policy's z has "
@@ -109,7 +109,8 @@ def exported_policy(
             **description,
         },
         search=None if search is None else ExportedSearch(*search, env.horizon),
-        is_noisy={purpose: learner.agents(state, purpose).is_noisy for purpose in PURPOSES},
+        # As in an evaluation: where the latent explores, and in deployed episodes, there is none.
+        is_noisy={"explore": search is None and learner.agents(state).is_noisy, "deploy": False},
     )
 
 
@@ -172,7 +173,3 @@ def exported_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
     if is_onnx(path):
         return read_facts(path)
     return facts(read_snapshot(path).exported)
-
-
-def _float64(values: Any) -> np.ndarray:
-    return np.asarray(values, np.float64)

@@ -22,6 +22,11 @@ SUFFIX = ".onnx"
 _OPSET, _IR_VERSION = 17, 8
 _FACTS = "facts"
 
+NO_SEARCH = (
+    "an ONNX file is a network, which cannot search: leave out `rule`, and give the latents of an "
+    "adaptation, or search with the `.npz` file."
+)
+
 
 def is_onnx(path: str | os.PathLike[str]) -> bool:
     """Whether a path names an ONNX file."""
@@ -36,10 +41,7 @@ def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
         OSError: the file cannot be written.
     """
     if exported.search is not None:
-        raise ValueError(
-            "an ONNX file is a network, which cannot search: leave out `rule`, and give the "
-            "latents of an adaptation, or search with the `.npz` file."
-        )
+        raise ValueError(NO_SEARCH)
     onnx = _onnx()
     model = onnx.helper.make_model(
         _graph(onnx.helper, onnx.TensorProto.FLOAT, exported),

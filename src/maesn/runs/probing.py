@@ -15,6 +15,7 @@ from jaxtyping import Array
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
 from maesn.physics import load_model, reading_owners, resting_readings
 from maesn.runtime import Actuators, Sensors
+from maesn.runtime.arrays import float64
 
 Shapes: TypeAlias = tuple[tuple[str, tuple[int, ...]], ...]
 """Name and shape of each of some readings."""
@@ -36,7 +37,7 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     """
 
     def control(action: float | np.ndarray) -> np.ndarray:
-        return _float64(_controls(env, np.full((1, env.action_size), action, np.float32)))[0]
+        return float64(_controls(env, np.full((1, env.action_size), action, np.float32)))[0]
 
     lower, upper = _limits(control)
     offset = control(0.0)
@@ -52,7 +53,7 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         names=env.actuators().names,
     )
     actions = _probes(env.action_size)
-    wanted = _float64(_controls(env, actions.astype(np.float32)))
+    wanted = float64(_controls(env, actions.astype(np.float32)))
     fits = np.isclose(own.control(actions), wanted, _TOLERANCE, _TOLERANCE).all(axis=1)
     if not fits.all():
         index = int(np.argmin(fits))
@@ -91,10 +92,10 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
     rest = np.concatenate([np.ravel(value) for value in readings.values()])
 
     def observe(flat: np.ndarray) -> np.ndarray:
-        return _float64(_observations(env, shapes, flat.astype(np.float32)))
+        return float64(_observations(env, shapes, flat.astype(np.float32)))
 
     near = rest + _NEAR * np.random.default_rng(1).standard_normal(rest.size)
-    slope = _float64(_slopes(env, shapes, near.astype(np.float32)))
+    slope = float64(_slopes(env, shapes, near.astype(np.float32)))
     offset = observe(near[None])[0]
     source = np.abs(slope).argmax(axis=1)
     scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
@@ -173,7 +174,3 @@ def _limits(function: Callable[[float], np.ndarray]) -> tuple[np.ndarray, np.nda
     far, half = (np.stack([function(-x), function(x)]) for x in (_FAR, _FAR / 2))
     limits = np.where(far == half, far, np.copysign(np.inf, far))
     return limits.min(axis=0), limits.max(axis=0)
-
-
-def _float64(values: Any) -> np.ndarray:
-    return np.asarray(values, np.float64)

@@ -296,8 +296,14 @@ class Run:
 
     def source(self, init_from: str | Path) -> "Run":
         """Open the run that this one is to start from; see `create`."""
-        same_family = read_config(sources.find_run(init_from)).family == self.config.family
-        return Run.open(init_from, self.family if same_family else None)
+        try:
+            same_family = read_config(sources.find_run(init_from)).family == self.config.family
+            return Run.open(init_from, self.family if same_family else None)
+        except NotNamedError as error:  # no option names the modules of a second run
+            raise RunError(
+                f"`{init_from}` needs a module of your own, which must be imported before: train "
+                "from Python, or import it in the module of your method or family."
+            ) from error
 
     def _begun_state(self, fresh: Any, source: "Run") -> Any:
         """Return a fresh state with the weights of another run; see `create`."""

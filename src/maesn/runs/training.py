@@ -259,6 +259,6 @@ def _cannot_change(name: str) -> RunError:
     return RunError(
         f"`{name}` cannot change in a run that has begun. What can: {', '.join(CHANGEABLE)}, and "
         "those settings of the learner that leave its arrays as they are, such as "
-        "`outer.trust_region.damping`. "
-        "For anything else start a new run (`maesn train --init-from`)."
+        "`outer.trust_region.damping`. For anything else start a new run (`maesn train "
+        "--init-from`)."
     )

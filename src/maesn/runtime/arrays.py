@@ -1,13 +1,18 @@
 """Checked conversion of what comes from outside: observations, rewards, arrays of a file."""
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Arrays: TypeAlias = dict[str, NDArray[np.generic]]
+
+
+def float64(values: Any) -> FloatArray:
+    """Return an array, of JAX as well, in double precision."""
+    return np.asarray(values, np.float64)
 
 
 def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> FloatArray:

@@ -28,6 +28,10 @@ BEYOND = 2.0
 # Lower bound on the noise of the archive's returns, as a share of their variance: two equal latents
 # must not make the kernel matrix singular.
 _LEAST_NOISE = 1e-6
+# Shares of the variance of the archive's returns that may be rough; the best of them is taken.
+ROUGHNESS = np.geomspace(1e-4, 0.6, 20)
+# Episodes have no noise if its variance is less than this share of that of returns.
+KNOWN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,14 @@ class ReturnModel:
         residual: variance of R, as a share of the variance of x_i(z) over the training tasks,
             averaged over the archive.
         length_scale: length scale of k and of R, a distance in z.
+        jumps: whether returns may jump from a latent to the next, where one comes near the goal and
+            the other does not. Their variance, as found in the archive (`roughness`), is then added
+            to k and to R for each latent by itself.
     """
 
-    def __init__(self, prior: ReturnPrior, residual: float, length_scale: float) -> None:
+    def __init__(
+        self, prior: ReturnPrior, residual: float, length_scale: float, jumps: bool = True
+    ) -> None:
         self.prior = prior
         self.archive = prior.latents
         self._length_scale = length_scale
@@ -98,8 +107,10 @@ class ReturnModel:
         centred = prior.excess - self._average
         spread = float((centred**2).mean())
         noise = np.maximum(prior.noise / prior.episodes, _LEAST_NOISE * spread)
-        signal = max(spread - float(noise.mean()), _LEAST_NOISE * spread)
-        gram = signal * self._kernel(self.archive, self.archive) + np.diag(noise)
+        kernel, average_noise = self._kernel(self.archive, self.archive), float(noise.mean())
+        self._jump = max(roughness(kernel, centred) - average_noise, 0.0) if jumps else 0.0
+        signal = max(spread - average_noise - self._jump, _LEAST_NOISE * spread)
+        gram = signal * kernel + np.diag(noise + self._jump)
         self._weights = (
             signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
         )
@@ -123,8 +134,9 @@ class ReturnModel:
         return average
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return R(z, z'), the covariance of the residual, `[first, second]`."""
-        return self._residual * self._kernel(first, second)
+        """Return R(z, z'), the covariance of residual and jumps, `[first, second]`."""
+        same = (first[:, None] == second[None]).all(axis=-1)
+        return self._residual * self._kernel(first, second) + self._jump * same
 
     def explained(self, length: float = 1.0) -> tuple[float, float]:
         """Return the smallest and the largest return of one episode that the prior explains.
@@ -133,7 +145,7 @@ class ReturnModel:
             length: l, steps of the episode as a share of the horizon.
         """
         prior = self.prior
-        std = np.sqrt(prior.noise + self._residual + (length * prior.offset_std) ** 2)
+        std = np.sqrt(prior.noise + self._residual + self._jump + (length * prior.offset_std) ** 2)
         low, high = self._extremes + length * prior.offset_mean
         return float((low - BEYOND * std).min()), float((high + BEYOND * std).max())
 
@@ -221,6 +233,17 @@ class Posterior:
         between = self.task_weights @ (self.task_mean - self.mean) ** 2
         return np.sqrt(between + np.maximum(self.variance, 0.0))
 
+    def expected(self, point: int) -> Reading:
+        """Return the reading that is expected of a whole episode with a latent."""
+        predicted = self.task_mean[:, point] + self.task_offset
+        return Reading(point, float(self.task_weights @ predicted))
+
+    def is_known(self, model: ReturnModel, point: int) -> bool:
+        """Whether a latent would return what it returned before: its episodes have no noise."""
+        played = any(one.point == point for one in self.readings)
+        z = self.points[point : point + 1]
+        return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
+
     def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         j, length = reading.point, reading.length
@@ -231,8 +254,10 @@ class Posterior:
         offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
         variance = float(covariance[j]) + length * offset + float(model.noise(point)[0])
         error = reading.episode_return - (self.task_mean[:, j] + length * self.task_offset)
-        std = float(np.sqrt(max(variance, np.finfo(np.float64).tiny)))
-        scale = max(std, float(np.abs(error).min()) / OUTLIER)
+        if self.is_known(model, j):
+            scale = np.inf  # it teaches nothing, so its row is zero
+        else:
+            scale = max(float(np.sqrt(variance)), float(np.abs(error).min()) / OUTLIER)
         innovation, row, offset_row = error / scale, covariance / scale, offset / scale
         return replace(
             self,
@@ -264,6 +289,28 @@ class Posterior:
             variance=np.append(self.variance, variance),
             rows=np.hstack([self.rows, rows]),
         )
+
+
+def roughness(kernel: FloatArray, centred: FloatArray) -> float:
+    """Return the variance of the returns that near latents do not share: noise and jumps.
+
+    The share of the variance that makes each latent's returns, predicted from those of all other
+    latents, most probable (Rasmussen and Williams 2006, section 5.4.2).
+    """
+    spread = float((centred**2).mean())
+    if not spread:
+        return 0.0
+    values, vectors = np.linalg.eigh(kernel)
+    rotated, squares = vectors.T @ centred.T, vectors**2
+    best, found = np.inf, 0.0
+    for share in ROUGHNESS:
+        inverse = 1.0 / (spread * ((1.0 - share) * np.maximum(values, 0.0) + share))
+        precision = squares @ inverse
+        error = (vectors @ (inverse[:, None] * rotated)) / precision[:, None]
+        score = float((error**2 * precision[:, None]).mean() - np.log(precision).mean())
+        if score < best:
+            best, found = score, share * spread
+    return found
 
 
 def matern(first: FloatArray, second: FloatArray, length_scale: float) -> FloatArray:

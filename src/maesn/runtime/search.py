@@ -1,6 +1,6 @@
 """Search in the latent space: which latent to play next in a new task, and which to deploy."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
@@ -31,6 +31,7 @@ class SearchSettings:
         residual: variance of a new task's returns that no training task explains, as a share of
             the mean variance over training tasks.
         length_scale: distance in z over which returns vary.
+        jumps: whether the model allows for jumps of the return between near latents.
 
     Raises:
         ValueError: a setting is out of its range.
@@ -42,6 +43,7 @@ class SearchSettings:
     draw_std: float = 0.2
     residual: float = 0.1
     length_scale: float = 1.0
+    jumps: bool = True
 
     def __post_init__(self) -> None:
         if self.acquisition not in get_args(AcquisitionName):
@@ -56,7 +58,7 @@ class SearchSettings:
 
     def model(self, prior: ReturnPrior) -> ReturnModel:
         """Return the model of returns with a prior."""
-        return ReturnModel(prior, self.residual, self.length_scale)
+        return ReturnModel(prior, self.residual, self.length_scale, self.jumps)
 
 
 class Beliefs(NamedTuple):
@@ -112,24 +114,54 @@ class LatentSearch:
         """Return z of a point, `[z]`."""
         return self.points[point]
 
-    def proposed(self, generator: np.random.Generator) -> "tuple[LatentSearch, int]":
+    def proposed(
+        self, generator: np.random.Generator, taken: Collection[int] = ()
+    ) -> "tuple[LatentSearch, int]":
         """Choose the point to play next.
 
         Args:
             generator: draws the points around the best one, and the task of Thompson sampling.
+            taken: points that others play already.
 
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
         task = generator.choice(self.model.num_tasks, p=self.posterior.task_weights)
-        chosen = self.highest(self.scores(task))
-        if self.settings.draws == 0 or chosen != self.best or self._plays(chosen) < PLAYS:
+        chosen = self.highest(self.open_scores(task, taken))
+        is_explored = self._is_known[self.best] or (
+            chosen == self.best and self._plays(chosen) >= PLAYS
+        )
+        if self.settings.draws == 0 or not is_explored:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = wider.highest(wider.scores(task))
+        refined = wider.highest(wider.open_scores(task, taken))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
+
+    def proposed_together(
+        self, generator: np.random.Generator, count: int
+    ) -> "tuple[LatentSearch, tuple[int, ...]]":
+        """Choose several points to play at the same time, by several robots.
+
+        Each is chosen as if those before it had returned what the model expects of them.
+
+        Args:
+            generator: as in `proposed`.
+            count: number of points.
+
+        Returns:
+            The search, which may have more points, and the indices of the chosen points.
+        """
+        search, believed = self, self
+        chosen: list[int] = []
+        for _ in range(count):
+            believed, point = believed.proposed(generator, taken=chosen)
+            if point == len(search.points):
+                search = search.with_latent(believed.latent(point))
+            chosen.append(point)
+            believed = believed.after([believed.posterior.expected(point)])
+        return search, tuple(chosen)
 
     def with_latent(self, z: FloatArray) -> "LatentSearch":
         """Return the search with one more point."""
@@ -183,6 +215,19 @@ class LatentSearch:
         if self.settings.acquisition == "thompson":
             return self.posterior.task_mean[task]
         return self.posterior.mean + self.settings.exploration * self.posterior.std
+
+    def open_scores(self, task: int, taken: Collection[int]) -> FloatArray:
+        """Return the scores of the points that are worth an episode, -inf for the others."""
+        closed = self._is_known
+        closed[list(taken)] = True
+        return np.where(closed, -np.inf, self.scores(task))
+
+    @property
+    def _is_known(self) -> NDArray[np.bool_]:
+        known = np.zeros(len(self.points), bool)
+        for point in {one.point for one in self.posterior.readings}:
+            known[point] = self.posterior.is_known(self.model, point)
+        return known
 
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file: all that this search has done."""

@@ -1,9 +1,10 @@
 """The fast learner that searches the latent space, by a model of the returns."""
 
 import copy
+import itertools
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -24,65 +25,71 @@ class SearchState:
     """State of a `SearchFastLearner`, one element per task."""
 
     searches: tuple[LatentSearch, ...]
-    chosen: tuple[int, ...]
-    """The points to play next, indices into `LatentSearch.points`."""
+    chosen: tuple[tuple[int, ...], ...]
+    """The points to play next at the same time, indices into `LatentSearch.points`."""
     generators: tuple[np.random.Generator, ...]
 
 
 class SearchFastLearner(AbstractFastLearner[SearchState]):
-    """Plays the latent that the acquisition function chooses; deploys the best posterior mean."""
+    """Plays the latents that the acquisition function chooses; deploys the best posterior mean."""
 
     steered: AbstractSettableLatent
     """The latent that the search chooses."""
     model: ReturnModel
     settings: SearchSettings
+    at_once: int = 1
+    """Latents that are played in a task at the same time; an update reads one episode of each."""
 
     def init(self, keys: TaskKeys) -> SearchState:
         seeds = np.asarray(jax.vmap(jax.random.key_data)(keys))
         generators = [np.random.default_rng(seed.tolist()) for seed in seeds]
         start = LatentSearch.start(self.model, self.settings)
-        return _propose([start] * len(generators), generators)
+        return self._propose([start] * len(generators), generators)
 
     def agents(self, state: SearchState, purpose: Purpose = "explore") -> Agents:
-        explores = purpose == "explore"
-        return self._holding(state, state.chosen if explores else _best(state))
+        if purpose == "deploy" or self.at_once == 1:
+            points = _best(state) if purpose == "deploy" else [one for (one,) in state.chosen]
+            return self._holding(state, points)
+        return self._holding(state, [list(points) for points in state.chosen])
 
     def adapted(self, state: SearchState) -> AbstractContext:
         """Return the latents to deploy."""
         return self._holding(state, _best(state)).context
 
-    def _holding(self, state: SearchState, points: Sequence[int]) -> Agents:
+    def _holding(self, state: SearchState, points: Sequence[int | list[int]]) -> Agents:
         pairs = zip(state.searches, points, strict=True)
-        latents = [search.latent(point) for search, point in pairs]
-        return self.steered.holding(np.asarray(latents, np.float32))
+        latents = [search.points[point] for search, point in pairs]
+        # The latents explore, so the actions need no noise.
+        return replace(self.steered.holding(np.asarray(latents, np.float32)), is_noisy=False)
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
         searches, complaints = [], []
-        for search, point, *per_episode in zip(
+        for search, points, *per_episode in zip(
             state.searches, state.chosen, returns, lengths, strict=True
         ):
-            readings = [Reading(point, *one) for one in zip(*per_episode, strict=True)]
+            played = zip(itertools.cycle(points), *per_episode, strict=False)
+            readings = list(itertools.starmap(Reading, played))
             complaints.append(search.complaint(readings))
             searches.append(search.after(readings))
         if any(complaints) and not any(search.is_surprised for search in state.searches):
             number = sum(map(bool, complaints))
             said = next(filter(None, complaints))
             logger.warning("In %d of %d tasks, %s", number, len(complaints), said)
-        return _propose(searches, state.generators)
+        return self._propose(searches, state.generators)
+
+    def _propose(
+        self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
+    ) -> SearchState:
+        """Return the state in which each search has chosen the points to play next."""
+        own = copy.deepcopy(tuple(generators))  # those of the state before stay as they are
+        pairs = zip(searches, own, strict=True)
+        # A search may have added points that it proposes.
+        proposed = [search.proposed_together(one, self.at_once) for search, one in pairs]
+        searches_after, chosen = zip(*proposed, strict=True)
+        return SearchState(searches_after, chosen, own)
 
 
 def _best(state: SearchState) -> tuple[int, ...]:
     return tuple(search.best for search in state.searches)
-
-
-def _propose(
-    searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
-) -> SearchState:
-    """Return the state in which each search has chosen the point to play next."""
-    own = copy.deepcopy(tuple(generators))  # those of the state before stay as they are
-    proposed = [search.proposed(one) for search, one in zip(searches, own, strict=True)]
-    # A search may have added the point that it proposes.
-    searches_after, chosen = zip(*proposed, strict=True)
-    return SearchState(searches_after, chosen, own)

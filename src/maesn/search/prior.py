@@ -1,7 +1,9 @@
 """The prior over returns: an archive of latents, played in the training tasks after training."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,6 +12,7 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskSet
+from maesn.experience.agent import Agents
 from maesn.learners import AbstractSettableLatent
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.judging import returns_under, situations
@@ -21,6 +24,9 @@ from maesn.worlds.collector import Collector
 # few episodes may agree by chance.
 LEAST_NOISE = 0.05
 
+# Keys of batches count up from 0, those of other streams down from here.
+STREAMS = 2**32 - 1
+
 Progress = Callable[[int, int], None]
 """Called with the number of latents played so far, and of all."""
 
@@ -29,15 +35,19 @@ Progress = Callable[[int, int], None]
 class PriorSettings:
     """Settings of the archive and of the episodes that the prior over returns is made of."""
 
-    draws: int = 400
-    """Latents of the archive that are drawn from the widened prior N(0, spread^2 I)."""
+    draws: int | None = None
+    """Latents of the archive that are drawn from the widened prior N(0, spread^2 I). None: 400;
+    250 if the tasks differ in more than their rewards, and so do not share episodes."""
     spread: float | None = None
     """Standard deviation of the widened prior; None: that of the latent, 3 for MAESN."""
     adapted: bool = True
     """Whether the archive also holds each training task's latent, after one more update with the
     dense reward."""
-    episodes: int = 4
-    """Episodes of each latent, in each situation."""
+    episodes: int | None = None
+    """Episodes of each latent, for all tasks that can share them. None: 4, or 1 if tasks do not
+    share episodes. The noise of returns is then learned from a few latents alone."""
+    action_noise: bool = False
+    """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
     seed: int = 0
     """Seed of the draws and the episodes."""
     simulations: int = 1000
@@ -45,18 +55,34 @@ class PriorSettings:
 
     def __post_init__(self) -> None:
         check_number("draws", self.draws, 0 if self.adapted else 1)
-        check_number("episodes", self.episodes, 2)  # for their variance
+        check_number("episodes", self.episodes, 1)
         check_number("seed", self.seed, 0, 2**32 - 1)
         check_number("simulations", self.simulations, 1)
         check_positive(self, "spread")
 
+    def chosen(self, env: AnyEnv, tasks: TaskSet) -> "tuple[int, int]":
+        """Return the numbers of draws and of episodes that are meant for these tasks."""
+        is_cheap = len(situations(env, tasks)) <= FEW
+        usual = (400, 4) if is_cheap or self.action_noise else (250, 1)
+        given = self.draws, self.episodes
+        draws, episodes = (u if g is None else g for u, g in zip(usual, given, strict=True))
+        return draws, episodes
+
     def steps(self, env: AnyEnv, tasks: TaskSet) -> int:
         """Return the number of environment steps to play the archive."""
-        latents = self.draws + self.adapted * len(tasks)
-        return len(situations(env, tasks)) * latents * self.episodes * env.horizon
+        draws, episodes = self.chosen(env, tasks)
+        latents, groups = draws + self.adapted * len(tasks), len(situations(env, tasks))
+        repeated = min(latents, REPEATED) * min(groups, FEW) * REPEATS if episodes == 1 else 0
+        return (groups * latents * episodes + repeated) * env.horizon
 
 
 USUAL = PriorSettings()
+# Tasks that differ in their rewards alone share episodes; they make one situation. With so many
+# situations or fewer, the larger archive costs seconds.
+FEW = 5
+# Where each latent is played once, the noise of returns is learned from so many latents, played so
+# often in the first few situations.
+REPEATED, REPEATS = 20, 4
 
 
 def make_prior(
@@ -75,18 +101,26 @@ def make_prior(
         settings: numbers of episodes, and the seed.
         progress: called after each batch.
     """
-    returns, length = play_archive(latent, world, latents, settings, progress)
+    _, episodes = settings.chosen(world.env, world.tasks)
+    play = partial(_play_groups, latent, world, settings=settings)
+    groups = situations(world.env, world.tasks)
+    returns, length = play(latents, groups, episodes, progress=progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
         # The environment does not say. Most latents of an archive never find the goal.
         offset = np.median(returns, axis=(1, 2))
     excess = returns - length * offset[:, None, None]
-    noise = excess.var(axis=2, ddof=1).mean(axis=0)
+    if episodes > 1:
+        noise = excess.var(axis=2, ddof=1).mean(axis=0)
+    else:
+        again, _ = play(latents[:REPEATED], groups[:FEW], REPEATS, stream=1)
+        played = np.concatenate(groups[:FEW])
+        noise = np.full(len(latents), again[played].var(axis=2, ddof=1).mean())
     return ReturnPrior(
         latents=np.asarray(latents, np.float64),
         excess=excess.mean(axis=2),
         noise=np.maximum(noise, LEAST_NOISE * noise.mean()),
-        episodes=settings.episodes,
+        episodes=episodes,
         offset_mean=float(offset.mean()),
         offset_std=float(offset.std(ddof=1)),
     )
@@ -105,29 +139,47 @@ def play_archive(
         Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of the
         same situation share their episodes.
     """
+    _, episodes = settings.chosen(world.env, world.tasks)
     groups = situations(world.env, world.tasks)
-    collector = Collector(world, settings.episodes)
-    size = max(1, min(settings.simulations // settings.episodes, collector.most_tasks))
-    shape = (len(world.tasks), len(latents), settings.episodes)
+    return _play_groups(latent, world, latents, groups, episodes, settings, progress)
+
+
+def _play_groups(
+    latent: AbstractSettableLatent,
+    world: AbstractWorld,
+    latents: np.ndarray,
+    groups: Sequence[np.ndarray],
+    episodes: int,
+    settings: PriorSettings,
+    progress: Progress = lambda played, of: None,
+    stream: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Play latents in some situations; returns of other tasks are 0. `stream` is one of seeds."""
+    collector = Collector(world, episodes)
+    size = max(1, min(settings.simulations // episodes, collector.most_tasks))
+    shape = (len(world.tasks), len(latents), episodes)
     returns, length = np.zeros(shape), np.zeros(shape)
     key, played = jax.random.key(settings.seed), 0
+    if stream:
+        key = jax.random.fold_in(key, np.uint32(STREAMS - stream))
     for group in groups:
         for first in range(0, len(latents), size):
             chunk = latents[first : first + size]
             rows = np.ix_(group, np.arange(first, first + len(chunk)))
             chunk_key = jax.random.fold_in(key, played)
-            returns[rows], length[rows] = _play_group(latent, collector, chunk, group, chunk_key)
+            agents = replace(latent.holding(chunk), is_noisy=settings.action_noise)
+            returns[rows], length[rows] = _play_group(agents, collector, group, chunk_key)
             played += len(chunk)
             progress(played, len(groups) * len(latents))
     return returns, length
 
 
 def _play_group(
-    latent: AbstractSettableLatent, collector: Collector, latents: np.ndarray, group: Any, key: Key
+    agents: Agents, collector: Collector, group: Any, key: Key
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in the first task of a group, and compute their returns in all of its tasks."""
-    world, count = collector.world, len(latents)
-    agents, slots = latent.holding(latents), jnp.full(count, group[0])
+    """Play agents in the first task of a group, and compute their returns in all of its tasks."""
+    world, count = collector.world, len(jax.tree.leaves(agents.context)[0])
+    slots = jnp.full(count, group[0])
     episodes, readings = collector.play(jax.random.split(key, count), agents, slots)
     action, valid = (x.reshape(-1, *x.shape[2:]) for x in (episodes.action, episodes.valid))
     returns = returns_under(world.env, readings, action, valid, world.tasks[group])

@@ -1,9 +1,13 @@
 """The prior over returns of a run, made once and kept beside its checkpoints."""
 
+import dataclasses
+import datetime
 import json
 import logging
+import math
+import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +16,16 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
-from maesn.envs import RewardKind, describe_env
+from maesn.envs import AnyEnv, RewardKind, describe_env
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
+from maesn.runs.log import TIMING
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_of
 from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
-from maesn.storage import RunError, refusals
+from maesn.storage import RunError, read_json_lines, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -28,20 +33,30 @@ logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
 _ARRAYS = ("latents", "excess", "noise")
+# What a prior is bound to, as its file names it -> how a refusal begins.
+_ANOTHER = {
+    "checkpoint": "other weights than those of the latest checkpoint of",
+    "training task set": "another training task set than that of",
+    "reward": "another reward than that of",
+    "action noise": "another choice of `--action-noise` than this adaptation of",
+}
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
+_STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
+_SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
 
 
-def prior_file(run: Run, world: AbstractWorld) -> Path:
+def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
     """Return where a run's prior for a world's reward is, or will be if there is none.
 
     A policy that comes with the library is never written to: a missing prior goes into its copy.
     """
-    path = run.directory / PRIORS / _file_name(world)
+    path = run.directory / PRIORS / _file_name(world, action_noise)
     return path if path.exists() else working_copy(run.directory) / PRIORS / path.name
 
 
-def _file_name(world: AbstractWorld) -> str:
-    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}.safetensors"
+def _file_name(world: AbstractWorld, action_noise: bool) -> str:
+    noisy = "-noisy" if action_noise else ""
+    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}{noisy}.safetensors"
 
 
 def run_prior(
@@ -77,7 +92,8 @@ def run_prior(
         if len(run.training_tasks) < 2:
             raise ValueError("it was trained on one task, and a search needs several to compare.")
     spread = latent.spread if settings.spread is None else settings.spread
-    latents = [drawn_latents(latent.size, settings.draws, spread, settings.seed)]
+    draws, _ = settings.chosen(run.env(), run.training_tasks)
+    latents = [drawn_latents(latent.size, draws, spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)
@@ -86,16 +102,26 @@ def run_prior(
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
         prior = make_prior(latent, world, archive, settings, progress)
-        path = (directory or working_copy(run.directory)) / PRIORS / _file_name(world)
+        path = (
+            (directory or working_copy(run.directory))
+            / PRIORS
+            / _file_name(world, settings.action_noise)
+        )
         arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
         numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
-        metadata = bound_to(run, state, world) | {"numbers": json.dumps(numbers)}
+        bound = bound_to(run, state, world, settings.action_noise)
+        metadata = bound | {"numbers": json.dumps(numbers)}
     save_checkpoint(path, arrays, metadata)
     return path, read_prior(path)[0]
 
 
 def find_prior(
-    run: Run, state: Any, world: AbstractWorld, name: str, any_reward: bool
+    run: Run,
+    state: Any,
+    world: AbstractWorld,
+    action_noise: bool,
+    name: str = "",
+    any_reward: bool = False,
 ) -> ReturnPrior:
     """Return the prior of a run for a world. Make it if it is missing.
 
@@ -103,46 +129,112 @@ def find_prior(
         run: the run that the prior belongs to.
         state: the run's latest state.
         world: the world of the new tasks; only its reward matters.
+        action_noise: whether the archive was played with the noise of training.
         name: path of a prior; empty for the run's own.
         any_reward: whether a prior that was made for another reward will do.
 
     Raises:
-        RunError: it belongs to another checkpoint, other training tasks or another reward.
+        RunError: it belongs to other weights, other training tasks or another reward.
     """
-    path = Path(name) if name else prior_file(run, world)
+    path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
-        logger.warning("`%s` is missing: making it, which happens once.", path)
-        env = world.env
+        env, settings = world.env, PriorSettings(action_noise=action_noise)
+        logger.warning("`%s` is missing. %s", path, _effort(run, env, settings))
         with played_live() as progress:
             radius = env.sparse_radius or None
-            return run_prior(run, reward=env.reward_kind, sparse_radius=radius, progress=progress)[
-                1
-            ]
+            _, prior = run_prior(
+                run, settings, reward=env.reward_kind, sparse_radius=radius, progress=progress
+            )
+        return prior
     prior, metadata = read_prior(path)
-    for what, wanted in bound_to(run, state, world).items():
+    for what, wanted in bound_to(run, state, world, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             raise RunError(
-                f"`{path}` was made for another {what} than that of `{run.directory}`"
+                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`"
                 f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
             )
     return prior
 
 
+def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
+    """Say how long it takes to make the prior of a run, and which command makes a cheaper one."""
+    cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False)
+    options = "--draws 100 --episodes 1 --adapted False"
+    if settings.action_noise:
+        options += " --action-noise True"
+    if env.reward_kind != "sparse":
+        options += f" --reward {env.reward_kind}"
+    if env.sparse_radius != run.env().sparse_radius:
+        options += f" --sparse-radius {env.sparse_radius:g}"
+    steps, fewer = (_steps(run, env, one) for one in (settings, cheaper))
+    speed = _speed(run)
+    return (
+        f"It is made now, once: {steps:,} environment steps, about {math.ceil(steps / speed / 60)} "
+        f"min at {speed:,.0f} steps per second. A rougher one takes {100 * fewer / steps:.0f} % "
+        f"of them: stop this, and type: maesn prior {run.typed} {options}"
+    )
+
+
+def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
+    """Return the environment steps of a prior, with those that adapt to the training tasks."""
+    adapting = settings.adapted * _EPISODES_TO_ADAPT * len(run.training_tasks) * env.horizon
+    return settings.steps(env, run.training_tasks) + adapting
+
+
+def _speed(run: Run) -> float:
+    """Return the steps per second of the run's last iteration, or a guess."""
+    with suppress(RunError, LookupError, TypeError):  # missing or damaged: it is but an estimate
+        return float(read_json_lines(run.directory / TIMING)[-1]["steps_per_second"])
+    return _STEPS_PER_SECOND
+
+
 @contextmanager
 def played_live() -> Iterator[Progress]:
-    """Show how much of an archive has been played; nothing where there is no terminal."""
+    """Show how much of an archive has been played, and the time left.
+
+    A terminal shows a bar; a log file gets a line every ten seconds, and one at the end.
+    """
     console = Console(stderr=True)
-    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
-        line = bar.add_task("latents played", total=None)
-        yield lambda played, of: bar.update(line, completed=played, total=of)
+    if not console.is_terminal:
+        yield _Lines(console)
+        return
+    with ProgressBar(console=console, transient=True) as bar:
+        shown = bar.add_task("latents played", total=None)
+        yield lambda played, of: bar.update(shown, completed=played, total=of)
 
 
-def bound_to(run: Run, state: Any, world: AbstractWorld) -> dict[str, str]:
-    """Return digests of the checkpoint, the training tasks and the reward of a prior."""
+class _Lines:
+    """Progress in lines of text. The first batch also compiles: the speed is that of the others."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._begun: tuple[float, int] | None = None
+        self._said = 0.0
+
+    def __call__(self, played: int, of: int) -> None:
+        now = time.monotonic()
+        if self._begun is None:
+            self._begun, self._said = (now, played), now
+        begun, before = self._begun
+        if played == of:
+            self._say(f"all {of:,}")
+        elif now - self._said >= _SECONDS_BETWEEN_LINES:
+            seconds = (now - begun) * (of - played) / (played - before)
+            left = datetime.timedelta(seconds=round(seconds))
+            self._say(f"{played:,} of {of:,}, {left} left")
+            self._said = now
+
+    def _say(self, text: str) -> None:
+        self._console.print(f"latents played: {text}", highlight=False, soft_wrap=True)
+
+
+def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
+    """Return what a prior belongs to: digests of weights, training tasks and reward, and noise."""
     return {
         "checkpoint": digest_of_arrays(run.learner.weights(state)),
         "training task set": run.config.task_digest,
         "reward": json.dumps(describe_env(world.env), sort_keys=True),
+        "action noise": str(action_noise),
     }
 
 

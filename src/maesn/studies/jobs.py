@@ -22,6 +22,7 @@ from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.log import METRICS
 from maesn.runs.run import Run
 from maesn.runs.training import train
+from maesn.search.prior import PriorSettings
 from maesn.search.stored import bound_to, prior_file, read_prior, run_prior
 from maesn.studies.members import RUN, AbstractMember, TrainedRun
 
@@ -85,9 +86,11 @@ def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[s
     """Make the prior over returns that a search needs, beside the run's checkpoints."""
     run = member.open(directory.parent)
     with closing(run.world(None, asked.reward, sparse_radius=asked.sparse_radius)) as world:
-        path, wanted = prior_file(run, world), bound_to(run, run.latest_state(), world).items()
+        path = prior_file(run, world, asked.action_noise)
+        wanted = bound_to(run, run.latest_state(), world, asked.action_noise).items()
     if not (path.exists() and wanted <= read_prior(path)[1].items()):
-        run_prior(run, reward=asked.reward, sparse_radius=asked.sparse_radius)
+        settings = PriorSettings(action_noise=asked.action_noise)
+        run_prior(run, settings, reward=asked.reward, sparse_radius=asked.sparse_radius)
     return {"file": path.name}
 
 

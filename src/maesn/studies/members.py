@@ -173,7 +173,8 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
     if not is_for(family, spec):
         return []
     with (Place(study.file) / "runs" / name).refusing():
-        members = [_existing(one, study, family) for one in spec.directories] or [
+        own = spec.preset if ":" in spec.preset else None
+        members = [_existing(one, study, family, own) for one in spec.directories] or [
             _to_train(study, name, family, seed) for seed in spec.seeds or study.seeds
         ]
     return [dataclasses.replace(one, label=spec.label) for one in members]
@@ -194,8 +195,8 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
     )
 
 
-def _existing(directory: str, study: StudySpec, family: str) -> TrainedRun:
-    run = Run.open(directory, family)
+def _existing(directory: str, study: StudySpec, family: str, method: str | None) -> TrainedRun:
+    run = Run.open(directory, family, method)
     if run.env().variant != study.variant:
         raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
     where = str(run.directory.resolve())

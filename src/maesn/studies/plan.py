@@ -16,7 +16,7 @@ from maesn.evaluation.exploration import RECORDED_EPISODES
 from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
-from maesn.search.prior import USUAL as USUAL_PRIOR
+from maesn.search.prior import PriorSettings
 from maesn.storage import RunError
 from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run
 from maesn.studies.members import (
@@ -224,10 +224,13 @@ class _Planner:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
         tasks, budget, env, needs = self.tasks(asked), asked.budget, member.env(asked), member.needs
         who = f"{env.name}-{member.method or name}"
+        without_noise = {} if asked.action_noise else {"action_noise": False}
         is_search = asked.rule is not None and asked.rule.needs_return_prior
         if is_search and isinstance(member, TrainedRun):
-            steps = USUAL_PRIOR.steps(env, member.run.training_tasks)
-            prior = f"prior-{who}-seed-{member.seed}-{_digest(member, env)}"
+            settings = PriorSettings(action_noise=asked.action_noise)
+            steps = settings.steps(env, member.run.training_tasks)
+            digest = _digest(member, env, **without_noise)
+            prior = f"prior-{who}-seed-{member.seed}-{digest}"
             needs += (self.add(prior, needs, steps, partial(make_prior, member, asked)),)
         if isinstance(member, Untrained) and member.method:
             # From scratch, the seed is that of fresh policies and of the episodes.
@@ -242,6 +245,8 @@ class _Planner:
             "seed": asked.seed,
             "threads": self.study.threads,
         }
+        if is_search or budget.deploy:
+            document |= without_noise
         number = asked.count(tasks)
         for part in np.array_split(np.arange(number), -(-number // asked.tasks_at_once)):
             first, count = int(part[0]), len(part)

@@ -58,7 +58,7 @@ class RunSpec:
     """
 
     preset: str = ""
-    """Method, or `module:name` of your own; empty: NAME."""
+    """Method, or `module:name` of your own, which `directories` of its runs need; empty: NAME."""
     label: str = ""
     """Name in figures and tables; empty: that of the method."""
     source: Literal["recommended", "reference"] = "recommended"

@@ -1,7 +1,6 @@
 """Studies: any comparison, from what a file says to figures and tables."""
 
 import contextlib
-import os
 from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
@@ -20,6 +19,7 @@ from maesn.studies.manifest import files_of, write_manifest
 from maesn.studies.plan import make_plan
 from maesn.studies.reading import read_study
 from maesn.studies.spec import StudySpec
+from maesn.worlds.budget import num_cpus
 
 JOBS = "jobs"
 
@@ -122,7 +122,7 @@ class Study:
         """Return how many jobs run at a time; None: as many as there are CPUs for."""
         with storage.refusals():
             check_number("workers", asked, 1)
-        return asked or max(1, len(os.sched_getaffinity(0)) // self.spec.threads)
+        return asked or max(1, num_cpus() // self.spec.threads)
 
     def write_results(self, out: str | Path) -> None:
         """Write tables of what is done, and the manifest that names them, for the report."""

@@ -1,4 +1,4 @@
-"""Estimates of the memory and time of episodes, before the first one is played."""
+"""Estimates of the memory and time of episodes before the first one is played; and the CPUs."""
 
 import contextlib
 import logging
@@ -51,3 +51,10 @@ def memory() -> int:
     with contextlib.suppress(OSError, ValueError):
         bytes_ = min(bytes_, int(Path("/sys/fs/cgroup/memory.max").read_text()))
     return bytes_
+
+
+def num_cpus() -> int:
+    """Return the number of CPUs that this process may use, where the system says."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

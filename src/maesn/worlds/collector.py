@@ -161,7 +161,7 @@ class _Batch(NamedTuple):
                 jax.random.fold_in(key, episode), 3
             )
             context = agent.context
-            noise = context.noise(context_key)
+            noise = context.noise(context_key, episode)
             # For an oracle alone: the episodes of other learners must not contain their task.
             description = env.describe(task) if context.description_size else jnp.zeros(0)
             action_noise = distribution.noise(action_key, (env.horizon, env.action_size))

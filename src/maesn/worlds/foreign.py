@@ -2,7 +2,6 @@
 
 import contextlib
 import logging
-import os
 import weakref
 from collections.abc import Iterator
 from typing import Any
@@ -17,16 +16,10 @@ from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
 from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
+from maesn.worlds.budget import num_cpus
 from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Rows
 
 logger = logging.getLogger(__name__)
-
-
-def default_num_workers() -> int:
-    """Return the number of CPUs that this process may use, where the system says."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class HostedStepper(AbstractStepper):
@@ -40,7 +33,7 @@ class HostedStepper(AbstractStepper):
     def __init__(self, env: AbstractGymnasiumEnv, num_workers: int = 0) -> None:
         self.max_simulations = env.recipe.max_environments
         self._env = env
-        self._num_workers = num_workers or default_num_workers()
+        self._num_workers = num_workers or num_cpus()
         self._pool: WorkerPool | None = None
 
     @property

@@ -10,6 +10,7 @@ from maesn.policies import GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import ExportedLearner, GaussianPolicy, LearningRule
 from maesn.runtime import Latent as RuntimeLatent
+from maesn.runtime.arrays import float64
 
 if TYPE_CHECKING:
     from maesn.learners.gradient.fast_learner import GradientFastLearner
@@ -36,7 +37,7 @@ def exported_learner(learner: "GradientFastLearner") -> ExportedLearner:
     context: AbstractContextSettings[Any] = learner.context
     start = context.start_new(learner.context_table, 1).widened(learner.start_std)
     prior = jax.tree.map(lambda x: x[0], start)
-    latent = RuntimeLatent(_float64(prior.mean), _float64(prior.log_std))
+    latent = RuntimeLatent(float64(prior.mean), float64(prior.log_std))
     return ExportedLearner(_policy(learner), latent, _rule(learner))
 
 
@@ -48,13 +49,13 @@ def _policy(learner: "GradientFastLearner") -> GaussianPolicy:
         # Observations are normalised by the first layer. With D = diag(1 / scale):
         # ((o - mean) D) W + b = o (D W) + (b - mean D W).
         # In double precision, because the two parts may cancel.
-        mean, scaled = _float64(learner.statistics.mean), _float64(weights[0]).copy()
-        scaled[: len(mean)] /= _float64(learner.statistics.scale)[:, None]
+        mean, scaled = float64(learner.statistics.mean), float64(weights[0]).copy()
+        scaled[: len(mean)] /= float64(learner.statistics.scale)[:, None]
         weights[0], biases[0] = scaled, biases[0] - mean @ scaled[: len(mean)]
     return GaussianPolicy(
         weights=tuple(weight.astype(np.float32) for weight in weights),
         biases=tuple(bias.astype(np.float32) for bias in biases),
-        std=np.maximum(np.exp(_float64(learner.policy.log_std)), MINIMUM_STD),
+        std=np.maximum(np.exp(float64(learner.policy.log_std)), MINIMUM_STD),
     )
 
 
@@ -65,14 +66,10 @@ def _rule(learner: "GradientFastLearner") -> LearningRule:
     mean, log_std = (learned.mean, learned.log_std) if step.learned else (fixed, fixed)
     size, scale = learner.context_table.size, float(learner.schedule.scale)
     return LearningRule(
-        mean_step=scale * np.full(size, _float64(mean)),
-        log_std_step=scale * np.full(size, _float64(log_std)),
+        mean_step=scale * np.full(size, float64(mean)),
+        log_std_step=scale * np.full(size, float64(log_std)),
         full_steps=learner.schedule.full_steps,
         factor=float(learner.schedule.factor),
         discount=float(learner.advantage.discount),
         ridge=float(learner.advantage.ridge),
     )
-
-
-def _float64(values: Any) -> np.ndarray:
-    return np.asarray(values, np.float64)

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import TaskKeys
-from maesn.context import AbstractContext, AbstractContextSettings, Latent
+from maesn.context import AbstractContext, AbstractContextSettings, Latent, LatentPerEpisode
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
@@ -124,8 +124,9 @@ class GradientLatent(AbstractSettableLatent):
         """Three standard deviations of the prior: adapted latents are that far out."""
         return 3.0
 
-    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
-        learner, context = self.learner, Latent.fixed(jnp.asarray(latents, jnp.float32))
+    def holding(self, latents: Float[ArrayLike, "task *episode z"]) -> Agents:
+        learner, held = self.learner, jnp.asarray(latents, jnp.float32)
+        context = Latent.fixed(held) if held.ndim == 2 else LatentPerEpisode(held)
         return Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
 
     def of_tasks(

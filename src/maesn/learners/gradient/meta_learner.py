@@ -60,19 +60,19 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     advantage: AdvantageEstimator = AdvantageEstimator()
     """The estimator of advantages."""
     outer: AbstractOuterStep = TrustRegionOuterStep()
-    """The outer step."""
+    """The outer step, which improves what all tasks share."""
     schedule: StepSchedule = StepSchedule()
     """Step sizes in a new task, update by update."""
     meta_batch_size: int = 20
-    """Training tasks per meta-iteration, drawn without replacement. (The reference draws with
-    replacement.)"""
+    """Number of training tasks in a meta-iteration, drawn without replacement. Reference: with
+    replacement."""
     inner_updates: int = 1
-    """Inner updates per meta-iteration, each on episodes of its own."""
+    """Number of inner updates in a meta-iteration. Each learns from new episodes."""
     outer_batches: int = 1
-    """Batches of episodes that the outer step learns from."""
+    """Number of batches of episodes that the outer step learns from."""
     normalize_observations: bool = False
-    """Whether the policy sees observations divided by their standard deviation, less their mean.
-    The paper does not."""
+    """Whether observations are normalised: less their mean, divided by their standard deviation.
+    Paper: no."""
 
     def __check_init__(self) -> None:
         for name in ("meta_batch_size", "outer_batches"):

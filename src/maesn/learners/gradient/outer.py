@@ -63,14 +63,14 @@ class TrustRegionOuterStep(AbstractOuterStep):
     """TRPO on the meta-parameters (Schulman et al. 2015), the outer step of the paper."""
 
     trust_region: TrustRegion = TrustRegion()
-    """Direction and length of the step."""
+    """Direction and length of the outer step."""
     curvature_stride: int = 20
-    """The curvature is averaged over one of so many time steps (neighbouring steps resemble each
-    other); 1 for all. Chosen for episodes of 50 to 200 steps. The reference uses all."""
+    """Distance between the time steps that the curvature is averaged over. 1: all steps, as the
+    reference. Neighbouring steps resemble each other; 20 suits episodes of 50 to 200 steps."""
     hessian_stride: int | None = None
-    """Likewise for the Hessian of the inner loss, which is part of the curvature where an inner
-    step runs through the policy (`maesn.learners.gradient.curvature`); None: as `curvature_stride`.
-    Its terms are of both signs and nearly cancel, so it needs more steps."""
+    """The same distance for the Hessian of the inner loss. None: `curvature_stride`. The Hessian is
+    part of the curvature where an inner step runs through the policy
+    (`maesn.learners.gradient.curvature`). Its terms nearly cancel, so it needs more steps."""
 
     def __check_init__(self) -> None:
         for name in ("curvature_stride", "hessian_stride"):

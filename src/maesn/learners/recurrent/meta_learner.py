@@ -75,7 +75,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     trial_episodes: int = 2
     """Episodes of a trial. With 2, a meta-iteration takes as many steps as one of MAESN."""
     discount: float = 0.99
-    """gamma, the weight of a reward one step later; it runs on across the episodes of a trial."""
+    """Discount factor gamma of the rewards, across the episodes of a trial."""
     gae_lambda: float = 0.95
     """lambda of generalised advantage estimation. garage's RL2: 0.95."""
 

@@ -103,6 +103,10 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         tuning = None
         if int(count) >= self.after:
             # The latents to deploy, not those that a search would try next.
-            agents = replace(self.learner.agents(learned), context=self.learner.adapted(learned))
+            agents = replace(
+                self.learner.agents(learned),
+                context=self.learner.adapted(learned),
+                is_noisy=True,  # policy gradient learns from the noise, which a search does without
+            )
             tuning = self.improvement.begin(keys, agents)
         return FineTuningState(learned, tuning, keys, count)
