@@ -20,10 +20,10 @@ from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOut
 from maesn.learners.pearl.encoder import EncoderSettings as EncoderSettings
 from maesn.learners.pearl.fast_learner import PearlFastLearner as PearlFastLearner
 from maesn.learners.pearl.fast_learner import PearlFastState as PearlFastState
-from maesn.learners.pearl.meta_learner import PearlInfo as PearlInfo
 from maesn.learners.pearl.meta_learner import PearlMetaLearner as PearlMetaLearner
-from maesn.learners.pearl.meta_learner import PearlState as PearlState
 from maesn.learners.pearl.sac import SoftActorCritic as SoftActorCritic
+from maesn.learners.pearl.state import PearlInfo as PearlInfo
+from maesn.learners.pearl.state import PearlState as PearlState
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.policy_steps import ProximalStep as ProximalStep
 from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
