@@ -38,12 +38,14 @@ from maesn.learners import AbstractOuterStep as AbstractOuterStep
 from maesn.learners import AbstractSettableLatent as AbstractSettableLatent
 from maesn.learners import BonusFastLearner as BonusFastLearner
 from maesn.learners import Capabilities as Capabilities
+from maesn.learners import EncoderSettings as EncoderSettings
 from maesn.learners import FineTuning as FineTuning
 from maesn.learners import FirstOrderOuterStep as FirstOrderOuterStep
 from maesn.learners import FixedPolicy as FixedPolicy
 from maesn.learners import GradientMetaLearner as GradientMetaLearner
 from maesn.learners import MetaObjective as MetaObjective
 from maesn.learners import MetaParameters as MetaParameters
+from maesn.learners import PearlMetaLearner as PearlMetaLearner
 from maesn.learners import PolicyGradient as PolicyGradient
 from maesn.learners import PolicyImprovement as PolicyImprovement
 from maesn.learners import Problem as Problem
@@ -51,6 +53,7 @@ from maesn.learners import ProximalOuterStep as ProximalOuterStep
 from maesn.learners import ProximalStep as ProximalStep
 from maesn.learners import RecurrentMetaLearner as RecurrentMetaLearner
 from maesn.learners import RecurrentValue as RecurrentValue
+from maesn.learners import SoftActorCritic as SoftActorCritic
 from maesn.learners import TrustRegionOuterStep as TrustRegionOuterStep
 from maesn.learners import TrustRegionStep as TrustRegionStep
 from maesn.learners import latent_space as latent_space
@@ -60,6 +63,7 @@ from maesn.learners import maml as maml
 from maesn.learners import maml_bias as maml_bias
 from maesn.learners import maml_bias_only as maml_bias_only
 from maesn.learners import oracle as oracle
+from maesn.learners import pearl as pearl
 from maesn.learners import recommended as recommended
 from maesn.learners import rl2 as rl2
 from maesn.learners import rl2_trpo as rl2_trpo

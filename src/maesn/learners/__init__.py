@@ -17,6 +17,13 @@ from maesn.learners.gradient.outer import AbstractOuterStep as AbstractOuterStep
 from maesn.learners.gradient.outer import FirstOrderOuterStep as FirstOrderOuterStep
 from maesn.learners.gradient.outer import ProximalOuterStep as ProximalOuterStep
 from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOuterStep
+from maesn.learners.pearl.encoder import EncoderSettings as EncoderSettings
+from maesn.learners.pearl.fast_learner import PearlFastLearner as PearlFastLearner
+from maesn.learners.pearl.fast_learner import PearlFastState as PearlFastState
+from maesn.learners.pearl.meta_learner import PearlMetaLearner as PearlMetaLearner
+from maesn.learners.pearl.sac import SoftActorCritic as SoftActorCritic
+from maesn.learners.pearl.state import PearlInfo as PearlInfo
+from maesn.learners.pearl.state import PearlState as PearlState
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.policy_steps import ProximalStep as ProximalStep
 from maesn.learners.policy_steps import TrustRegionStep as TrustRegionStep
@@ -30,6 +37,7 @@ from maesn.learners.presets import maml_bias as maml_bias
 from maesn.learners.presets import maml_bias_only as maml_bias_only
 from maesn.learners.presets import method_name as method_name
 from maesn.learners.presets import oracle as oracle
+from maesn.learners.presets import pearl as pearl
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
 from maesn.learners.presets import with_curiosity as with_curiosity

@@ -1,4 +1,4 @@
-"""The methods that are meta-trained, as fillings of the slots of two learners.
+"""The methods that are meta-trained, as fillings of the slots of three learners.
 
 Each function cites what it follows. Settings that are not named here are the defaults of the
 slots, which follow the reference.
@@ -12,6 +12,7 @@ from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
+from maesn.learners.pearl.meta_learner import PearlMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
 from maesn.learners.scratch.policy_gradient import PolicyImprovement
@@ -160,6 +161,15 @@ def rl2_trpo(**settings: Any) -> RecurrentMetaLearner:
     return RecurrentMetaLearner(**{"policy_step": TrustRegionStep(), **settings})
 
 
+def pearl(**settings: Any) -> PearlMetaLearner:
+    """PEARL: a posterior over the task from its transitions, and off-policy actor-critic.
+
+    Source: Rakelly et al. 2019. Settings are the defaults of the authors' code;
+    docs/explanation/methods/pearl.md lists those of their point goals.
+    """
+    return PearlMetaLearner(**settings)
+
+
 def fine_tuned(
     learner: AbstractFastLearner[Any], improvement: PolicyImprovement, after: int
 ) -> AbstractFastLearner[Any]:
@@ -189,6 +199,7 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
         latent_space,
         rl2,
         rl2_trpo,
+        pearl,
         oracle,
     )
 }

@@ -16,6 +16,8 @@ RECOMMENDED: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(
     (files("maesn.learners") / "recommended.toml").read_text(encoding="utf-8")
 )
 """Family -> method -> settings of the learner, nested; those of the run are under `run`."""
+ANY = "any"
+"""Stands for every family in `RECOMMENDED`; a family's own settings override its."""
 
 
 def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
@@ -38,20 +40,23 @@ def recommended(method: str, family: str) -> AbstractMetaLearner[Any, Any]:
 
 def recommended_settings(method: str, family: str) -> dict[str, Any]:
     """Return the settings of the learner that suit a family, by path; none where none are known."""
-    table = RECOMMENDED.get(family, {}).get(method, {})
-    found = leaves({name: value for name, value in table.items() if name != "run"})
-    if "policy" in table:
-        own = table["policy"]
-        kind, settings = (own, {}) if isinstance(own, str) else (own["type"], dict(own))
-        settings.pop("type", None)
-        found = {path: value for path, value in found.items() if not path.startswith("policy.")}
-        found["policy"] = getattr(policies, kind)(**settings)
+    found: dict[str, Any] = {}
+    for name in (ANY, family):
+        table = dict(RECOMMENDED.get(name, {}).get(method, {}))
+        table.pop("run", None)
+        policy = table.pop("policy", None)
+        # TOML has no tuples, of which settings are made.
+        found |= {path: tuple(x) if isinstance(x, list) else x for path, x in leaves(table).items()}
+        if policy is not None:
+            found["policy"] = _policy(policy)
     return found
 
 
 def recommended_run(method: str, family: str) -> dict[str, Any]:
     """Return the settings of a run that suit a method on a family, by name."""
-    found: dict[str, Any] = RECOMMENDED.get(family, {}).get(method, {}).get("run", {})
+    found: dict[str, Any] = {}
+    for name in (ANY, family):
+        found |= RECOMMENDED.get(name, {}).get(method, {}).get("run", {})
     return found
 
 
@@ -61,3 +66,9 @@ def with_setting(settings: Settings, path: str, value: Any) -> Settings:
     if rest:
         value = with_setting(getattr(settings, name), rest, value)
     return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
+
+
+def _policy(named: str | dict[str, Any]) -> Any:
+    """Return the settings of a policy: the usual ones of a type, or a table of some others."""
+    settings = {"type": named} if isinstance(named, str) else dict(named)
+    return getattr(policies, settings.pop("type"))(**settings)

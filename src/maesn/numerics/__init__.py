@@ -16,3 +16,4 @@ from maesn.numerics.returns import standardize as standardize
 from maesn.numerics.returns import trial_advantages as trial_advantages
 from maesn.numerics.ridge import ridge_regression as ridge_regression
 from maesn.numerics.ring import Ring as Ring
+from maesn.numerics.squashed_gaussian import SquashedGaussian as SquashedGaussian

@@ -1,0 +1,1 @@
+"""PEARL: a posterior over the task from its transitions, and off-policy learning on top."""

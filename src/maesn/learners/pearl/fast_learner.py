@@ -1,0 +1,101 @@
+"""The fast learner of PEARL: posterior sampling, with a product of Gaussians as its memory."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+from maesn.axes import TaskKeys
+from maesn.context import Latent
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes
+from maesn.learners.base import AbstractFastLearner, AbstractSettableLatent, Purpose
+from maesn.learners.pearl.encoder import ContextEncoder, Factors
+from maesn.learners.pearl.policy import SquashedPolicy
+from maesn.learners.pearl.replay import transitions_of
+
+
+class PearlFastState(eqx.Module):
+    """State of a `PearlFastLearner`."""
+
+    factors: Factors
+    """The product of the factors of all transitions so far, `[task z]`."""
+    episodes: Int[Array, ""]
+    """Episodes of each task so far."""
+
+
+class PearlFastLearner(AbstractFastLearner[PearlFastState]):
+    """Draws z from its belief, acts on it for an episode, and multiplies in what it has seen."""
+
+    policy: SquashedPolicy
+    encoder: ContextEncoder
+    latent_scale: Float[Array, ""]
+    """Root mean square of the components of z in training."""
+    prior_episodes: int = 1
+    """Episodes of a task whose z is drawn from the prior."""
+    next_observation: bool = False
+    """Whether the next observation is part of the context."""
+
+    def init(self, keys: TaskKeys) -> PearlFastState:
+        """Nothing is random."""
+        return PearlFastState(self.encoder.none(keys.shape[0]), jnp.asarray(0))
+
+    def agents(self, state: PearlFastState, purpose: Purpose = "explore") -> Agents:
+        """Return agents without noise in their actions, as the reference evaluates them.
+
+        To explore, they draw one z per episode; to be judged, they act on the posterior mean.
+        """
+        posterior = state.factors.posterior()
+        if purpose == "deploy":
+            return self.holding(posterior.mean)
+        zeros = jnp.zeros_like(posterior.mean)
+        begins = state.episodes < self.prior_episodes
+        context = jax.tree.map(
+            lambda x, y: jnp.where(begins, x, y), Latent(zeros, zeros), posterior
+        )
+        return Agents(self.policy, context, shares_policy=True, is_noisy=False)
+
+    @eqx.filter_jit
+    def update(self, state: PearlFastState, episodes: Episodes) -> PearlFastState:
+        """Multiply in the factors of the episodes' transitions."""
+        batch, valid = transitions_of(episodes)
+        found = jax.vmap(self.encoder)(batch.context(self.next_observation), valid)
+        played = episodes.valid.shape[1]
+        return PearlFastState(state.factors.times(found), state.episodes + played)
+
+    @property
+    def latent(self) -> "PearlLatent":
+        return PearlLatent(self)
+
+    def holding(self, latents: Float[Array, "task z"]) -> Agents:
+        """Return agents that act on given latents, without noise."""
+        return Agents(self.policy, Latent.fixed(latents), shares_policy=True, is_noisy=False)
+
+
+class PearlLatent(AbstractSettableLatent):
+    """The latent of a `PearlFastLearner`."""
+
+    learner: PearlFastLearner
+
+    @property
+    def size(self) -> int:
+        return self.learner.encoder.size
+
+    @property
+    def spread(self) -> float:
+        """The root mean square of the latents of training, at least that of the prior."""
+        return max(float(self.learner.latent_scale), 1.0)
+
+    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
+        return self.learner.holding(jnp.asarray(latents, jnp.float32))
+
+    def of_tasks(
+        self, collect: Collect, keys: TaskKeys, task_index: Int[Array, " task"]
+    ) -> Float[np.ndarray, "task z"]:
+        """Return the posterior means after one batch of episodes on latents from the prior."""
+        learner = self.learner
+        state = learner.init(keys)
+        state = learner.update(state, collect(keys, learner.agents(state), task_index))
+        return np.asarray(state.factors.posterior().mean, np.float64)

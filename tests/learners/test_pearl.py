@@ -1,0 +1,344 @@
+"""PEARL: its belief, its replay, its meta-iterations, and what it is refused."""
+
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from learning_problems.probes import HiddenEnd
+from small_runs import create, finish, metrics, outcome, reopened, tensors
+
+from maesn.context import Latent
+from maesn.envs import TaskSet
+from maesn.learners import PearlMetaLearner, Problem, pearl
+from maesn.learners.pearl.encoder import ContextEncoder, EncoderSettings, Factors
+from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES, divergence
+from maesn.learners.pearl.replay import Replay, transitions_of
+from maesn.learners.pearl.sac import SoftActorCritic
+from maesn.numerics.mesh import sharing_tasks
+from maesn.runs.run import REPLAY
+from maesn.search import latent_of
+from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
+
+TASKS, EPISODES = 4, 3
+SMALL = {
+    "encoder": EncoderSettings(2, (4,), context_size=6),
+    "sac": SoftActorCritic((5,), batch_size=7),
+    "meta_batch_size": 3,
+    "gradient_steps": 4,
+    "visited_tasks": 2,
+    "initial_tasks": 3,
+    "posterior_batches": 1,
+    "replay_steps": 80,
+}
+
+
+def small(**settings: Any) -> PearlMetaLearner:
+    return pearl(**SMALL | settings)
+
+
+def mortal() -> Collector:
+    """Episodes of 2 to 6 steps; what follows is NaN."""
+    return Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([2, 3, 5, 9]))), EPISODES)
+
+
+PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
+
+
+@cache
+def encoder() -> ContextEncoder:
+    return EncoderSettings(3, (8,)).init(jax.random.key(3), 2, 1)
+
+
+def context(number: int) -> jax.Array:
+    return jax.random.normal(jax.random.key(number), (number, 4))
+
+
+# Belief.
+
+
+def test_the_posterior_is_the_product_of_the_densities_of_all_factors() -> None:
+    one, seen = encoder(), context(5)
+    posterior = one(seen, jnp.ones(5, bool)).posterior()
+    outputs = np.float64(jax.vmap(one.mlp)(seen))
+    mean, std = outputs[:, :3], np.sqrt(np.log1p(np.exp(outputs[:, 3:])))
+    for d in range(3):
+        x = np.linspace(-20.0, 20.0, 200_001)
+        log_product = sum(scipy.stats.norm.logpdf(x, mean[n, d], std[n, d]) for n in range(5))
+        density = np.exp(log_product - log_product.max())
+        density /= density.sum()
+        expected = (density * x).sum()
+        assert float(posterior.mean[d]) == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        spread = np.sqrt((density * (x - expected) ** 2).sum())
+        assert float(jnp.exp(posterior.log_std[d])) == pytest.approx(spread, rel=1e-3)
+
+
+def test_the_order_of_transitions_and_their_split_into_episodes_do_not_matter() -> None:
+    one, seen = encoder(), context(7)
+    order = np.random.default_rng(0).permutation(7)
+    whole = one(seen, jnp.ones(7, bool))
+    shuffled = one(seen[order], jnp.ones(7, bool))
+    parts = one(seen[:3], jnp.ones(3, bool)).times(one(seen[3:], jnp.ones(4, bool)))
+    masked = one(jnp.concatenate([seen, context(2)]), jnp.arange(9) < 7)
+    for other in (shuffled, parts, masked):
+        for x, y in zip(whole, other, strict=True):
+            np.testing.assert_allclose(x, y, rtol=1e-5, atol=1e-5)
+
+
+def test_nothing_seen_is_the_prior() -> None:
+    posterior = encoder().none(2).posterior()
+    np.testing.assert_array_equal(posterior.mean, jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(posterior.log_std, jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(divergence(posterior), jnp.zeros(2))
+
+
+def test_gradients_through_the_posterior_equal_finite_differences(x64: None) -> None:
+    one = jax.tree.map(lambda x: x.astype(jnp.float64), encoder())
+    seen = jnp.asarray(context(5), jnp.float64)
+    flat, unravel = jax.flatten_util.ravel_pytree(one)
+
+    def loss(parameters: Any) -> Any:
+        posterior = unravel(parameters)(seen, jnp.ones(5, bool)).posterior()
+        drawn = posterior.distribution.sample_from_noise(jnp.asarray([0.3, -1.0, 0.5]))
+        return jnp.sum(drawn**2) + 0.3 * divergence(posterior)
+
+    gradient, step = jax.grad(loss)(flat), 1e-6
+    for place in np.random.default_rng(1).choice(flat.size, 20, replace=False):
+        moved = jnp.zeros_like(flat).at[place].set(step)
+        slope = (loss(flat + moved) - loss(flat - moved)) / (2 * step)
+        assert float(gradient[place]) == pytest.approx(float(slope), rel=1e-5, abs=1e-8)
+
+
+# Replay.
+
+
+def test_transitions_end_with_their_episode() -> None:
+    learner, collect = small(), mortal()
+    state = learner.init(jax.random.key(0), PROBLEM)
+    agents = learner._agents(state.networks, None, jnp.arange(TASKS), jax.random.key(1))
+    keys = jax.random.split(jax.random.key(2), TASKS)
+    episodes = collect(keys, agents, jnp.arange(TASKS))
+    batch, valid = transitions_of(episodes)
+    assert all(np.isfinite(x).all() for x in batch)
+    # Every episode that terminates has one last transition, and those that run out of time none.
+    ends = (np.asarray(batch.terminal) * np.asarray(valid)).sum(1)
+    np.testing.assert_array_equal(ends, np.asarray(episodes.terminated).sum(1))
+    assert ends.sum() > 0
+    finite = np.isfinite(np.asarray(episodes.observation)[:, :, 1:]).all(-1)
+    lasts = np.asarray(batch.terminal, bool).reshape(finite.shape)
+    np.testing.assert_array_equal(
+        np.asarray(valid).reshape(finite.shape), np.asarray(episodes.valid) & (finite | lasts)
+    )
+
+
+def filled(capacity: int, visits: int) -> tuple[Replay, list[Any]]:
+    """A replay of tasks 1 and 3, each visit one batch of context and one for the critics alone."""
+    learner, collect, played = small(), mortal(), []
+    state = learner.init(jax.random.key(0), PROBLEM)
+    replay, tasks = Replay.empty(TASKS, capacity, 1, 1), jnp.asarray([1, 3])
+    for visit in range(visits):
+        for is_context in (True, False):
+            agents = learner._agents(state.networks, None, tasks, jax.random.key(0))
+            keys = jax.random.split(jax.random.key(2 * visit + is_context), 2)
+            played.append(collect(keys, agents, tasks))
+            replay = replay.add(tasks, played[-1], begins=is_context, is_context=is_context)
+    return replay, played
+
+
+@pytest.mark.parametrize("capacity", [200, 40])
+def test_the_context_is_of_the_latest_visit_and_the_critics_see_all(capacity: int) -> None:
+    replay, played = filled(capacity, visits=3)
+    np.testing.assert_array_equal(replay.is_played, [False, True, False, True])
+    tasks = jnp.asarray([3, 1])
+    drawn = replay.sample_context(jax.random.key(0), tasks, 200)
+    everything = replay.sample(jax.random.key(0), tasks, 400)
+    for slot, row in enumerate([1, 0]):
+
+        def actions(episodes: Any, row: int = row) -> set[float]:
+            batch, valid = transitions_of(episodes)
+            return set(np.asarray(batch.action)[row][np.asarray(valid)[row]].ravel().tolist())
+
+        latest = actions(played[-2])
+        assert set(np.asarray(drawn.action)[slot].ravel().tolist()) == latest
+        kept = set(np.asarray(everything.action)[slot].ravel().tolist())
+        assert actions(played[-1]) | latest <= kept
+        assert kept <= set().union(*map(actions, played))
+        assert len(kept) <= capacity
+
+
+# Meta-iterations.
+
+
+def test_a_meta_iteration_visits_infers_and_learns() -> None:
+    learner, collect = small(), mortal()
+    calls: list[tuple[int, Any]] = []
+
+    class Watching(Collector):
+        def __call__(self, keys: Any, agents: Any, index: Any, stage: int = 0) -> Any:
+            calls.append((stage, agents))
+            return super().__call__(keys, agents, index, stage)
+
+    watching = Watching(collect.world, EPISODES)
+    before = learner.init(jax.random.key(0), PROBLEM)
+    after, info = learner.step(jax.random.key(1), before, watching)
+    assert int(learner.iteration(after)) == 1
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
+    assert bool(info.accepted)
+    moved = jax.tree.map(lambda x, y: bool((x != y).any()), before.networks, after.networks)
+    assert all(jax.tree.leaves(moved))
+    # Three tasks beforehand, two at once; then one batch from the prior and two from the posterior.
+    assert [stage for stage, _ in calls] == [0, 0, 0, 1, 2]
+    is_prior = [bool((agents.context.mean == 0).all()) for _, agents in calls]
+    assert is_prior == [True, True, True, False, False]
+    assert learner.planned_episodes(EPISODES, 1) == (3 + 3 * 2) * EPISODES
+    calls.clear()
+    _, again = learner.step(jax.random.key(2), after, watching)
+    assert len(calls) == 3
+    assert float(again.losses.q) != float(info.losses.q)
+
+
+def test_networks_that_are_not_finite_are_not_taken() -> None:
+    learner = small(sac=SoftActorCritic((5,), batch_size=7, reward_scale=1e30))
+    before = learner.init(jax.random.key(0), PROBLEM)
+    after, info = learner.step(jax.random.key(1), before, mortal())
+    assert not bool(info.accepted)
+    for old, new in zip(*map(jax.tree.leaves, (before.networks, after.networks)), strict=True):
+        np.testing.assert_array_equal(old, new)
+    assert int(after.iteration) == 1
+
+
+# A new task.
+
+
+def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean() -> None:
+    learner, collect = small(prior_episodes=4), mortal()
+    fast = learner.fast_learner(learner.init(jax.random.key(0), PROBLEM))
+    tasks, keys = jnp.arange(TASKS), jax.random.split(jax.random.key(5), TASKS)
+    state, product = fast.init(keys), fast.encoder.none(TASKS)
+    for update in range(3):
+        explore, deploy = (fast.agents(state, purpose) for purpose in ("explore", "deploy"))
+        posterior = product.posterior()
+        # Three episodes an update, and four from the prior at least.
+        expected = Latent(jnp.zeros((4, 2)), jnp.zeros((4, 2))) if update < 2 else posterior
+        np.testing.assert_allclose(explore.context.mean, expected.mean, rtol=1e-5)
+        np.testing.assert_allclose(explore.context.log_std, expected.log_std, rtol=1e-5)
+        np.testing.assert_allclose(deploy.context.mean, posterior.mean, rtol=1e-5)
+        assert not explore.is_noisy
+        assert not deploy.is_noisy
+        episodes = collect(keys, explore, tasks)
+        assert np.unique(np.asarray(episodes.z), axis=1).shape[1] == EPISODES
+        state = fast.update(state, episodes)
+        batch, valid = transitions_of(episodes)
+        product = product.times(jax.vmap(fast.encoder)(batch.context(False), valid))
+    assert isinstance(state.factors, Factors)
+
+
+def test_a_search_may_set_its_latent() -> None:
+    learner, collect = small(), mortal()
+    state = learner.init(jax.random.key(0), PROBLEM)
+    scaled = eqx.tree_at(lambda state: state.networks.latent_scale, state, jnp.asarray(2.5))
+    latent = latent_of(learner.fast_learner(scaled))
+    assert (latent.size, latent.spread) == (2, 2.5)
+    assert latent_of(learner.fast_learner(state)).spread == 1.0
+    found = latent.of_tasks(collect, jax.random.split(jax.random.key(0), 2), jnp.arange(2))
+    assert found.shape == (2, 2)
+    held = latent.holding(found)
+    episodes = collect(jax.random.split(jax.random.key(1), 2), held, jnp.arange(2))
+    np.testing.assert_allclose(episodes.z[:, 0], found, atol=1e-4)
+
+
+# Runs.
+
+
+def tiny(**settings: Any) -> PearlMetaLearner:
+    return small(**{"replay_steps": 600, "initial_tasks": 2} | settings)
+
+
+create_pearl = partial(create, learner=tiny(), iterations=4, checkpoint_every=1)
+
+
+def test_an_interrupted_run_is_the_same_bit_for_bit_and_only_its_newest_checkpoint_has_replay(
+    tmp_path: Path,
+) -> None:
+    whole = finish(create_pearl(tmp_path / "whole"))
+    halves = finish(create_pearl(tmp_path / "halves"), iterations=2)
+    resumed = finish(reopened(halves))
+    assert outcome(whole) == outcome(resumed)
+    replays = [run.directory.rglob(f"{REPLAY}*") for run in (whole, resumed)]
+    (first,), (second,) = map(list, replays)
+    assert tensors(first) == tensors(second)
+    assert first.name == second.name
+    assert not [name for name in tensors(whole.checkpoints()[-1]) if "rings" in name]
+    planned = whole.learner.planned_episodes(3, 4)
+    assert metrics(whole)[-1]["environment_steps"] == planned * 40
+
+
+def test_the_context_may_show_sparse_reward_while_training_learns_from_dense(
+    tmp_path: Path,
+) -> None:
+    run = finish(create(tmp_path / "run", tiny(context_reward="sparse")), iterations=1)
+    replay = run.latest_state().replay
+    rows = replay._batch(replay.rings.rows)
+    is_row = np.asarray(rows.reward) != 0
+    assert (np.asarray(rows.reward)[is_row] < -1).all()
+    # Far from the goal the context shows the same in all tasks, but for the cost of control.
+    cost = -0.05 * (np.clip(np.asarray(rows.action), -1, 1) ** 2).sum(-1)
+    expected = run.env().uninformative_reward + cost[is_row]
+    np.testing.assert_allclose(np.asarray(rows.context_reward)[is_row], expected, atol=1e-5)
+
+
+# What is refused.
+
+
+def test_memory_is_bounded_and_a_visit_must_fit() -> None:
+    problem = PROBLEM._replace(observation_size=100, num_tasks=100)
+    state = jax.eval_shape(
+        partial(small(replay_steps=10**6).init, problem=problem), jax.random.key(0)
+    )
+    size = sum(4 * leaf.size for leaf in jax.tree.leaves(state.replay))
+    assert 0.9 * MOST_REPLAY_BYTES < size < 1.01 * MOST_REPLAY_BYTES < 2e8
+    with pytest.raises(ValueError, match="takes up to 54 steps, but the replay holds only 50"):
+        small(replay_steps=50).init(jax.random.key(0), PROBLEM)
+
+
+@pytest.mark.parametrize(
+    ("problem", "message"),
+    [
+        (PROBLEM._replace(action_kind="discrete"), "continuous actions only"),
+        (PROBLEM._replace(num_tasks=1), "`meta_batch_size` is 2"),
+        (PROBLEM._replace(num_tasks=2), "`initial_tasks` is 3, but .* only 2 tasks"),
+    ],
+)
+def test_tasks_that_it_cannot_learn_from_are_refused(problem: Problem, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        small().init(jax.random.key(0), problem)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        lambda: small(meta_batch_size=0),
+        lambda: small(extra_batches=-1),
+        lambda: EncoderSettings(kl_weight=-1.0),
+        lambda: EncoderSettings(hidden_sizes=(0,)),
+        lambda: SoftActorCritic(discount=1.5),
+        lambda: SoftActorCritic(learning_rate=0.0),
+        lambda: SoftActorCritic(output_penalty=-1.0),
+        lambda: SoftActorCritic(hidden_sizes=(0,)),
+    ],
+)
+def test_impossible_settings_are_refused(settings: Any) -> None:
+    with pytest.raises(ValueError, match="must"):
+        settings()
+
+
+def test_several_devices_are_refused() -> None:
+    devices = jax.devices("cpu")
+    with sharing_tasks([devices[0]] * 2), pytest.raises(ValueError, match="on one device"):
+        small().check_batch(3)
