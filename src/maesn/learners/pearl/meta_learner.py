@@ -245,7 +245,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         """Take the gradient steps; returns averages of divergence, spread and losses."""
 
         def one(now: Any, step_key: Key) -> Any:
-            networks, optimisers, described = self._gradient_step(step_key, *now, replay)
+            networks, optimisers, described = self._gradient_step(step_key, now[0], now[1], replay)
             return (networks, optimisers), described
 
         before = networks, optimisers
