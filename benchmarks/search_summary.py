@@ -8,7 +8,6 @@ import numpy as np
 from search_rows import read_row
 
 from maesn.runs.run import Run
-from maesn.search.judging import situations
 from maesn.search.prior import PriorSettings
 
 HALF = 1.96  # standard errors in half a 95 % interval
@@ -138,8 +137,7 @@ def steps(directory: Path) -> str:
     """Say how many environment steps training and prior took, and an episode takes."""
     run, usual = Run.open(directory), PriorSettings()
     env, tasks = run.env("sparse"), run.training_tasks
-    archive = usual.draws + len(tasks)
-    played = len(situations(env, tasks)) * archive * usual.episodes * env.horizon
+    played = usual.steps(env, tasks)
     dense = len(tasks) * TO_ADAPT * env.horizon
     return (
         f"Environment steps: {run.latest().environment_steps:,} of training, {played + dense:,} of "

@@ -52,7 +52,7 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
         *(("exploration", -1.0), ("draws", -1), ("draw_std", 0.0), ("length_scale", math.inf)),
     ],
     PriorSettings: [
-        *(("draws", -1), ("episodes", 1), ("spread", -1.0), ("seed", -1), ("simulations", 0)),
+        *(("draws", -1), ("episodes", 0), ("spread", -1.0), ("seed", -1), ("simulations", 0)),
     ],
     LatentContext: [
         *(("size", 0), ("kl_weight", -0.1), ("initial_spread", -1.0)),
