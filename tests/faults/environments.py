@@ -24,12 +24,12 @@ TASKS = np.float32([[0, 0, 0, 0], [1, 0, 0, 0]])
 
 
 def attempt(stream: random.Random, _: Material, __: Path, findings: Findings) -> None:
-    """Look at an environment, or play in it."""
-    name, played = stream.choice([*FAULTS, *ANSWERS]), stream.random() < 0.5
+    """Play in an environment, perhaps after a look at it, which most faults do not show in."""
+    name, looked = stream.choice([*FAULTS, *ANSWERS]), stream.random() < 0.5
     processes: list[int] = []
     with _quiet():
-        said = _attacked(name, played, processes)
-    what = f"{name}, {'played in' if played else 'looked at'}: {said[:LONGEST]}"
+        said = _attacked(name, looked, processes)
+    what = f"{name}, {'looked at' if looked else 'played in'}: {said[:LONGEST]}"
     left = any(map(is_running, processes))
     if left or len(said) > LONGEST or bool(said) == (name in HARMLESS):
         findings.add(LOSS, f"{what} ({len(said)} characters; a process is left: {left})")
@@ -37,13 +37,12 @@ def attempt(stream: random.Random, _: Material, __: Path, findings: Findings) ->
         findings.add(CLEAR if said else CONTINUED, what)
 
 
-def _attacked(name: str, played: bool, processes: list[int]) -> str:
+def _attacked(name: str, looked: bool, processes: list[int]) -> str:
     """Return what the library says of an environment; nothing if it can be played in."""
     try:
         env = family_of(partial(make, name), time_limit=TIME_LIMIT).make_env()
-        if not played:
+        if looked:
             check_env_contract(env, TASKS[1])
-            return ""
         with closing(env.open_pool(2)) as pool:
             pool.begin([pack_task(task) for task in TASKS], [3, 4])
             processes += pool.process_ids
