@@ -121,7 +121,7 @@ def test_gradients_through_the_posterior_equal_finite_differences(x64: None) -> 
 def test_transitions_end_with_their_episode() -> None:
     learner, collect = small(), mortal()
     state = learner.init(jax.random.key(0), PROBLEM)
-    agents = learner._agents(state.networks, None, jnp.arange(TASKS), jax.random.key(1))
+    agents = state.networks.agents(state.networks.encoder.none(TASKS).posterior())
     keys = jax.random.split(jax.random.key(2), TASKS)
     episodes = collect(keys, agents, jnp.arange(TASKS))
     batch, valid = transitions_of(episodes)
@@ -144,7 +144,7 @@ def filled(capacity: int, visits: int) -> tuple[Replay, list[Any]]:
     replay, tasks = Replay.empty(TASKS, capacity, 1, 1), jnp.asarray([1, 3])
     for visit in range(visits):
         for is_context in (True, False):
-            agents = learner._agents(state.networks, None, tasks, jax.random.key(0))
+            agents = state.networks.agents(state.networks.encoder.none(2).posterior())
             keys = jax.random.split(jax.random.key(2 * visit + is_context), 2)
             played.append(collect(keys, agents, tasks))
             replay = replay.add(tasks, played[-1], begins=is_context, is_context=is_context)
@@ -311,7 +311,7 @@ def test_memory_is_bounded_and_a_visit_must_fit() -> None:
     ("problem", "message"),
     [
         (PROBLEM._replace(action_kind="discrete"), "continuous actions only"),
-        (PROBLEM._replace(num_tasks=1), "`meta_batch_size` is 2"),
+        (PROBLEM._replace(num_tasks=1), "`visited_tasks` is 2"),
         (PROBLEM._replace(num_tasks=2), "`initial_tasks` is 3, but .* only 2 tasks"),
     ],
 )

@@ -65,6 +65,7 @@ class Replay(eqx.Module):
         """Whether there is a context of each task."""
         return self.context_end > self.context_start
 
+    @eqx.filter_jit
     def add(
         self, tasks: Int[Array, " task"], episodes: Episodes, *, begins: bool, is_context: bool
     ) -> "Replay":
