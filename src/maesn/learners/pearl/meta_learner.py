@@ -164,7 +164,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         if int(state.iteration) == 0:
             replay = self._begin(begin_key, state.networks, replay, collect)
         replay, played = self._visit(visit_key, state.networks, replay, collect)
-        networks, optimisers, averages, accepted = self._learn(
+        networks, optimisers, (kl, latent_std, losses), accepted = self._learn(
             learn_key, state.networks, state.optimisers, replay
         )
         last = played[-1]
@@ -172,9 +172,9 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
             return_before=played[0].undiscounted_return.mean(),
             return_after=last.undiscounted_return.mean(),
             success_after=last.success.mean(),
-            kl=averages[0],
-            latent_std=averages[1],
-            losses=averages[2],
+            kl=kl,
+            latent_std=latent_std,
+            losses=losses,
             accepted=accepted,
         )
         return PearlState(networks, optimisers, replay, state.iteration + 1), info
