@@ -5,12 +5,19 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from scripts import load_script
+from scripts import ROOT, load_script
 
 
-@pytest.fixture(scope="module")
-def limits() -> ModuleType:
-    return load_script("benchmarks/limits.py")
+@pytest.fixture
+def grid_navi(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    return load_script("benchmarks/limits_grid_navi.py")
+
+
+@pytest.fixture
+def sparse_point(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    return load_script("benchmarks/limits_sparse_point.py")
 
 
 def by_enumeration(size: int, steps: int, episodes: int) -> float:
@@ -47,15 +54,15 @@ def by_enumeration(size: int, steps: int, episodes: int) -> float:
 
 @pytest.mark.parametrize(("steps", "episodes"), [(4, 1), (7, 1), (4, 2)])
 def test_the_best_searcher_on_a_small_grid_is_that_of_enumeration(
-    limits: ModuleType, steps: int, episodes: int
+    grid_navi: ModuleType, steps: int, episodes: int
 ) -> None:
-    found = limits.navi_limits(limits.make_grid(3, steps, episodes))
+    found = grid_navi.navi_limits(grid_navi.make_grid(3, steps, episodes))
     np.testing.assert_allclose(found.below.sum(), by_enumeration(3, steps, episodes))
 
 
-def test_the_limits_of_the_paper_s_grid(limits: ModuleType) -> None:
-    grid = limits.make_grid()
-    found = limits.navi_limits(grid)
+def test_the_limits_of_the_paper_s_grid(grid_navi: ModuleType) -> None:
+    grid = grid_navi.make_grid()
+    found = grid_navi.navi_limits(grid)
     # Of 21 goals at distance D: -0.1 (D - 1) + 16 - D each.
     distance = np.array([x + y for x in range(5) for y in range(5) if max(x, y) > 1])
     oracle = (16 - distance - 0.1 * (distance - 1)).mean()
@@ -67,31 +74,33 @@ def test_the_limits_of_the_paper_s_grid(limits: ModuleType) -> None:
     np.testing.assert_allclose(found.below, [first, oracle, oracle, oracle])
 
 
-def test_the_oracle_of_the_sparse_point(limits: ModuleType) -> None:
-    point = limits.Point(0.2, 20, 1)
-    rewards = limits.oracle_rewards(point)
-    assert rewards.shape == (20, limits.NUM_ANGLES)
+def test_the_oracle_of_the_sparse_point(sparse_point: ModuleType) -> None:
+    point = sparse_point.Point(0.2, 20, 1)
+    rewards = sparse_point.oracle_rewards(point)
+    assert rewards.shape == (20, sparse_point.NUM_ANGLES)
     # A goal straight ahead, near (0, 1), is 0.2 away after 8 steps and reached after 10.
-    ahead = rewards[:, limits.NUM_ANGLES // 2]
+    ahead = rewards[:, sparse_point.NUM_ANGLES // 2]
     np.testing.assert_allclose(ahead[:7], 0.0)
     np.testing.assert_allclose(ahead[8:], [0.9, *[1.0] * 11], atol=0.01)
     np.testing.assert_allclose(rewards.sum(0).mean(), 13.38, atol=0.02)
     for variant, expected in (("varibad", 93.38), ("metacure", 26.06)):
-        settings = limits.PROTOCOLS[variant]
-        other = limits.Point(settings["sparse_radius"], settings["horizon"], 1)
-        np.testing.assert_allclose(limits.oracle_rewards(other).sum(0).mean(), expected, atol=0.02)
+        settings = sparse_point.PROTOCOLS[variant]
+        other = sparse_point.Point(settings["sparse_radius"], settings["horizon"], 1)
+        np.testing.assert_allclose(
+            sparse_point.oracle_rewards(other).sum(0).mean(), expected, atol=0.02
+        )
 
 
 @pytest.mark.parametrize("protocol", [(0.2, 20, 3), (0.3, 32, 2)])
 def test_a_sweep_lies_below_what_no_searcher_exceeds(
-    limits: ModuleType, protocol: tuple[float, int, int]
+    sparse_point: ModuleType, protocol: tuple[float, int, int]
 ) -> None:
-    point = limits.Point(*protocol)
-    oracle = limits.oracle_rewards(point)
-    above = limits.most_in_first_episode(point, oracle)
-    swept = limits.sweep(point, 0.92, 0.2, 0.2)
+    point = sparse_point.Point(*protocol)
+    oracle = sparse_point.oracle_rewards(point)
+    above = sparse_point.most_in_first_episode(point, oracle)
+    swept = sparse_point.sweep(point, 0.92, 0.2, 0.2)
     assert 1.0 < swept[0] < above < oracle.sum(0).mean()
     assert swept[-1] <= oracle.sum(0).mean() + 1e-9
-    path = limits.ring_path(point, 0.92, 0.2)
+    path = sparse_point.ring_path(point, 0.92, 0.2)
     steps = np.diff(path, axis=0, prepend=np.zeros((1, 2)))
     assert np.abs(steps).max() <= 0.1 + 1e-9

@@ -1,6 +1,6 @@
-"""PEARL: its belief, its replay, its meta-iterations, and what it is refused."""
+"""PEARL: its replay, its meta-iterations, new tasks, and what it is refused."""
 
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 from learning_problems.probes import HiddenEnd
 from small_runs import create, finish, metrics, outcome, reopened, tensors
 
 from maesn.context import Latent
 from maesn.envs import TaskSet
 from maesn.learners import PearlMetaLearner, Problem, pearl
-from maesn.learners.pearl.encoder import ContextEncoder, EncoderSettings, Factors
-from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES, divergence
+from maesn.learners.pearl.encoder import EncoderSettings, Factors
+from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES
 from maesn.learners.pearl.replay import Replay, transitions_of
 from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.numerics.mesh import sharing_tasks
@@ -51,77 +50,13 @@ def mortal() -> Collector:
 PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
 
 
-@cache
-def encoder() -> ContextEncoder:
-    return EncoderSettings(3, (8,)).init(jax.random.key(3), 2, 1)
-
-
-def context(number: int) -> jax.Array:
-    return jax.random.normal(jax.random.key(number), (number, 4))
-
-
-# Belief.
-
-
-def test_the_posterior_is_the_product_of_the_densities_of_all_factors() -> None:
-    one, seen = encoder(), context(5)
-    posterior = one(seen, jnp.ones(5, bool)).posterior()
-    outputs = np.float64(jax.vmap(one.mlp)(seen))
-    mean, std = outputs[:, :3], np.sqrt(np.log1p(np.exp(outputs[:, 3:])))
-    for d in range(3):
-        x = np.linspace(-20.0, 20.0, 200_001)
-        log_product = sum(scipy.stats.norm.logpdf(x, mean[n, d], std[n, d]) for n in range(5))
-        density = np.exp(log_product - log_product.max())
-        density /= density.sum()
-        expected = (density * x).sum()
-        assert float(posterior.mean[d]) == pytest.approx(expected, rel=1e-3, abs=1e-4)
-        spread = np.sqrt((density * (x - expected) ** 2).sum())
-        assert float(jnp.exp(posterior.log_std[d])) == pytest.approx(spread, rel=1e-3)
-
-
-def test_the_order_of_transitions_and_their_split_into_episodes_do_not_matter() -> None:
-    one, seen = encoder(), context(7)
-    order = np.random.default_rng(0).permutation(7)
-    whole = one(seen, jnp.ones(7, bool))
-    shuffled = one(seen[order], jnp.ones(7, bool))
-    parts = one(seen[:3], jnp.ones(3, bool)).times(one(seen[3:], jnp.ones(4, bool)))
-    masked = one(jnp.concatenate([seen, context(2)]), jnp.arange(9) < 7)
-    for other in (shuffled, parts, masked):
-        for x, y in zip(whole, other, strict=True):
-            np.testing.assert_allclose(x, y, rtol=1e-5, atol=1e-5)
-
-
-def test_nothing_seen_is_the_prior() -> None:
-    posterior = encoder().none(2).posterior()
-    np.testing.assert_array_equal(posterior.mean, jnp.zeros((2, 3)))
-    np.testing.assert_array_equal(posterior.log_std, jnp.zeros((2, 3)))
-    np.testing.assert_array_equal(divergence(posterior), jnp.zeros(2))
-
-
-def test_gradients_through_the_posterior_equal_finite_differences(x64: None) -> None:
-    one = jax.tree.map(lambda x: x.astype(jnp.float64), encoder())
-    seen = jnp.asarray(context(5), jnp.float64)
-    flat, unravel = jax.flatten_util.ravel_pytree(one)
-
-    def loss(parameters: Any) -> Any:
-        posterior = unravel(parameters)(seen, jnp.ones(5, bool)).posterior()
-        drawn = posterior.distribution.sample_from_noise(jnp.asarray([0.3, -1.0, 0.5]))
-        return jnp.sum(drawn**2) + 0.3 * divergence(posterior)
-
-    gradient, step = jax.grad(loss)(flat), 1e-6
-    for place in np.random.default_rng(1).choice(flat.size, 20, replace=False):
-        moved = jnp.zeros_like(flat).at[place].set(step)
-        slope = (loss(flat + moved) - loss(flat - moved)) / (2 * step)
-        assert float(gradient[place]) == pytest.approx(float(slope), rel=1e-5, abs=1e-8)
-
-
 # Replay.
 
 
 def test_transitions_end_with_their_episode() -> None:
     learner, collect = small(), mortal()
     state = learner.init(jax.random.key(0), PROBLEM)
-    agents = learner._agents(state.networks, None, jnp.arange(TASKS), jax.random.key(1))
+    agents = state.networks.agents(state.networks.encoder.none(TASKS).posterior())
     keys = jax.random.split(jax.random.key(2), TASKS)
     episodes = collect(keys, agents, jnp.arange(TASKS))
     batch, valid = transitions_of(episodes)
@@ -144,7 +79,7 @@ def filled(capacity: int, visits: int) -> tuple[Replay, list[Any]]:
     replay, tasks = Replay.empty(TASKS, capacity, 1, 1), jnp.asarray([1, 3])
     for visit in range(visits):
         for is_context in (True, False):
-            agents = learner._agents(state.networks, None, tasks, jax.random.key(0))
+            agents = state.networks.agents(state.networks.encoder.none(2).posterior())
             keys = jax.random.split(jax.random.key(2 * visit + is_context), 2)
             played.append(collect(keys, agents, tasks))
             replay = replay.add(tasks, played[-1], begins=is_context, is_context=is_context)
@@ -311,7 +246,7 @@ def test_memory_is_bounded_and_a_visit_must_fit() -> None:
     ("problem", "message"),
     [
         (PROBLEM._replace(action_kind="discrete"), "continuous actions only"),
-        (PROBLEM._replace(num_tasks=1), "`meta_batch_size` is 2"),
+        (PROBLEM._replace(num_tasks=1), "`visited_tasks` is 2"),
         (PROBLEM._replace(num_tasks=2), "`initial_tasks` is 3, but .* only 2 tasks"),
     ],
 )

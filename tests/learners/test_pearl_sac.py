@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from maesn.learners.pearl.replay import Batch
-from maesn.learners.pearl.sac import ActorCritic, SoftActorCritic, evaluate
+from maesn.learners.pearl.sac import ActorCritic, SoftActorCritic, predict
 from maesn.networks import MLP
 
 SAC = SoftActorCritic((6,), batch_size=5, discount=0.9, reward_scale=3.0)
@@ -73,11 +73,11 @@ def test_gradients_equal_finite_differences(x64: None) -> None:
         return SAC.policy_loss(policy, networks.q, batch.observation, z, noise)[0]
 
     # The target has no gradient, so finite differences in z hold it.
-    following = evaluate(networks.target, batch.next_observation, z)
+    following = predict(networks.target, batch.next_observation, z)
 
     def held(z: Any) -> Any:
         wanted = 3.0 * batch.reward + 0.9 * (1 - batch.terminal) * following
-        errors = (evaluate(q, batch.observation, batch.action, z) - wanted for q in networks.q)
+        errors = (predict(q, batch.observation, batch.action, z) - wanted for q in networks.q)
         return sum((error**2).mean() for error in errors)
 
     checks = (
@@ -158,7 +158,7 @@ def test_the_soft_value_of_a_linear_quadratic_problem_is_found() -> None:
     start = networks, sac.init_optimisers(networks, ())
     (networks, _), _ = jax.jit(lambda start: jax.lax.scan(one, start, keys))(start)
     s = jnp.linspace(-0.9, 0.9, 19)[:, None]
-    value = evaluate(networks.value, s)
+    value = predict(networks.value, s)
     np.testing.assert_allclose(value, constant - p * s[:, 0] ** 2, atol=0.3)
     actions = jax.vmap(networks.policy.actions)(s, jnp.zeros((19, 0)))
     expected = -discount * p * a * b / m * s

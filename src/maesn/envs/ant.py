@@ -139,10 +139,6 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         near = self.solved(readings, goal)
         return jnp.where(near, BONUS - distance, self.far_reward(goal))
 
-    def situation(self, task: Goal) -> tuple[()]:
-        """Return nothing: the goal decides the reward alone."""
-        return ()
-
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         far = C_MAX if self.variant == "paper" else jnp.abs(task).sum()
         return jnp.asarray(BONUS - far)

@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Key, Readings
-from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
-from maesn.envs.reaching import AbstractReaching, Goal
+from maesn.axes import ActionKind, Readings
+from maesn.envs.base import Reward, RewardKind, Variant
+from maesn.envs.reaching import AbstractPoint, Goal
 from maesn.envs.tasks import TaskFamily
 
 CELLS = 5  # of a side
@@ -42,7 +42,7 @@ def goal_cells(cells: int = CELLS) -> np.ndarray:
     return every[every.max(axis=1) > 1].astype(np.float32)
 
 
-class GridNavi(AbstractReaching, AbstractPureEnv[Goal]):
+class GridNavi(AbstractPoint):
     """GridNavi of VariBAD: 5 x 5 cells, discrete actions, 21 tasks."""
 
     name: ClassVar[str] = "grid_navi"
@@ -58,9 +58,6 @@ class GridNavi(AbstractReaching, AbstractPureEnv[Goal]):
     observation_size: int = 2
     action_size: int = len(MOVES)
 
-    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
-        return jnp.zeros(2), jnp.zeros(2)
-
     def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
         return action
 
@@ -68,9 +65,6 @@ class GridNavi(AbstractReaching, AbstractPureEnv[Goal]):
         here = readings["qpos"]
         there = jnp.clip(here + control @ jnp.asarray(MOVES, float), 0.0, CELLS - 1.0)
         return {"qpos": there, "qvel": there - here}
-
-    def observe(self, readings: Readings) -> Float[Array, " 2"]:
-        return readings["qpos"]
 
     def reward(
         self,
@@ -88,13 +82,6 @@ class GridNavi(AbstractReaching, AbstractPureEnv[Goal]):
 
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         return jnp.asarray(OTHER_REWARD)
-
-    def situation(self, task: Goal) -> tuple[()]:
-        """Return nothing: the goal decides the reward alone."""
-        return ()
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
 
 
 def _first_goals(stream: np.random.Generator, size: int) -> np.ndarray:

@@ -32,9 +32,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from maesn.axes import Key, Readings
-from maesn.envs.base import AbstractPureEnv, RewardKind, Variant
+from maesn.envs.base import RewardKind, Variant
 from maesn.envs.goals import half_circle_family
-from maesn.envs.reaching import AbstractDriving, Goal
+from maesn.envs.reaching import AbstractDriving, AbstractPoint, Goal
 
 GOAL_RADIUS = 2.0  # metres, as on the wheeled robot
 # Metres; a quarter of the way, so that a jittering point hardly ever gets there.
@@ -43,7 +43,7 @@ STEP_LENGTH = 0.1  # metres per unit of action: the goal is 20 full steps away
 POSITION_NOISE = 0.01  # standard deviation of the start in metres
 
 
-class Point(AbstractDriving, AbstractPureEnv[Goal]):
+class Point(AbstractDriving, AbstractPoint):
     """A point that slides to a hidden goal on a half circle: trains in seconds."""
 
     name: ClassVar[str] = "point"
@@ -70,9 +70,6 @@ class Point(AbstractDriving, AbstractPureEnv[Goal]):
             "qpos": readings["qpos"] + self.control_period * velocity,
             "qvel": velocity,
         }
-
-    def observe(self, readings: Readings) -> Float[Array, " 2"]:
-        return readings["qpos"]
 
 
 point = half_circle_family("point", Point, GOAL_RADIUS, seed=2)

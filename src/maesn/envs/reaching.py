@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Readings
-from maesn.envs.base import AbstractEnv, Reward
+from maesn.axes import Key, Readings
+from maesn.envs.base import AbstractEnv, AbstractPureEnv, Reward
 from maesn.envs.goals import goal_reward
 
 Goal: TypeAlias = Float[Array, " 2"]
@@ -25,6 +25,23 @@ class AbstractReaching(AbstractEnv[Goal]):
 
     def goal(self, task: Goal) -> Goal:
         return task
+
+    def situation(self, task: Goal) -> tuple[()]:
+        """Return nothing: the goal decides the reward alone."""
+        return ()
+
+
+class AbstractPoint(AbstractReaching, AbstractPureEnv[Goal]):
+    """A point that starts at the origin and sees where it is, and nothing else."""
+
+    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+        return jnp.zeros(2), jnp.zeros(2)
+
+    def observe(self, readings: Readings) -> Float[Array, " 2"]:
+        return readings["qpos"]
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
 
 
 class AbstractDriving(AbstractReaching):
@@ -59,10 +76,6 @@ class AbstractDriving(AbstractReaching):
         if self.variant == "paper":
             return Reward(goal, jnp.zeros(()))
         return Reward(goal, -self.control_cost * jnp.sum(self.control(action) ** 2))
-
-    def situation(self, task: Goal) -> tuple[()]:
-        """Return nothing: the goal decides the reward alone."""
-        return ()
 
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         if self.variant == "paper":

@@ -43,10 +43,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, Readings
-from maesn.envs.base import AbstractPureEnv, Reward, RewardKind, Variant
+from maesn.axes import Readings
+from maesn.envs.base import Reward, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
-from maesn.envs.reaching import AbstractReaching, Goal
+from maesn.envs.reaching import AbstractPoint, Goal
 
 GOAL_RADIUS = 1.0
 STEP_LENGTH = 0.1  # of each coordinate, for a control of 1
@@ -59,7 +59,7 @@ PROTOCOLS: dict[str, dict[str, Any]] = {
 """Variant -> the settings that it has."""
 
 
-class SparsePoint(AbstractReaching, AbstractPureEnv[Goal]):
+class SparsePoint(AbstractPoint):
     """The sparse point robot of PEARL, VariBAD and MetaCURE; `make_sparse_point` makes them."""
 
     name: ClassVar[str] = "sparse_point"
@@ -73,18 +73,12 @@ class SparsePoint(AbstractReaching, AbstractPureEnv[Goal]):
     observation_size: int = 2
     action_size: int = 2
 
-    def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
-        return jnp.zeros(2), jnp.zeros(2)
-
     def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
         step = STEP_LENGTH * control
         return {"qpos": readings["qpos"] + step, "qvel": step / self.control_period}
-
-    def observe(self, readings: Readings) -> Float[Array, " 2"]:
-        return readings["qpos"]
 
     def reward(
         self,
@@ -99,13 +93,6 @@ class SparsePoint(AbstractReaching, AbstractPureEnv[Goal]):
 
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         return jnp.zeros(())
-
-    def situation(self, task: Goal) -> tuple[()]:
-        """Return nothing: the goal decides the reward alone."""
-        return ()
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
 
 
 def make_sparse_point(variant: Variant = "reference", **settings: Any) -> SparsePoint:

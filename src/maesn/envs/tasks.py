@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import equinox as eqx
 import jax
@@ -13,16 +13,12 @@ from maesn.envs.base import AnyEnv
 
 SetName: TypeAlias = Literal["training", "validation", "test", "ood", "final", "final-2"]
 
-SETS: tuple[SetName, ...] = ("training", "validation", "test", "final", "final-2")
-"""The disjoint sets that every family has, all of one distribution."""
+NAMED_SETS: tuple[SetName, ...] = get_args(SetName)
+"""The place of a name decides the set's random stream."""
 OUT_OF_DISTRIBUTION: SetName = "ood"
 """Tasks of a kind that training never shows; not every family has them."""
-NAMED_SETS: tuple[SetName, ...] = (
-    *("training", "validation", "test"),
-    OUT_OF_DISTRIBUTION,
-    *("final", "final-2"),
-)
-"""The place of a name decides the set's random stream."""
+SETS = tuple(name for name in NAMED_SETS if name != OUT_OF_DISTRIBUTION)
+"""The sets that every family has, all of one distribution; disjoint unless tasks are few."""
 SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
 
 

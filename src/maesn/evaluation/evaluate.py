@@ -156,7 +156,7 @@ def measure(episodes: Episodes) -> AdaptationCurves:
     return AdaptationCurves(
         mean_return=episodes.undiscounted_return.mean(-1),
         goal_return=jnp.where(valid, episodes.goal_reward, 0.0).sum(-1).mean(-1),
-        success_rate=solved.any(-1).mean(-1),
+        success_rate=episodes.success.mean(-1),
         final_success_rate=final.mean(-1),
         time_in_region=solved.sum((1, 2)) / steps,
         solved_at_reset=episodes.solved_at_start.mean(-1),

@@ -112,6 +112,11 @@ class Episodes(eqx.Module):
         """sum_t r_t over the valid steps."""
         return jnp.where(self.valid, self.reward, 0.0).sum(-1)
 
+    @property
+    def success(self) -> Bool[Array, "*batch"]:
+        """Whether a valid step leads into the goal region."""
+        return (self.solved & self.valid).any(-1)
+
     def every(self, stride: int, offset: int | Array) -> "Episodes":
         """Return the steps that `Thinning(stride, offset)` chooses.
 

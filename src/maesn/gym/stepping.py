@@ -38,8 +38,8 @@ class Stepper:
             or itself.
         num_episodes: how many advance together.
         task: index of the task of every episode, or of each; None to draw one at every start.
-        tasks: the set that the index counts in: training, validation, test, ood, final, or the
-            path of an `.npz` file.
+        tasks: the set that the index counts in: training, validation, test, ood, final, final-2,
+            or the path of an `.npz` file.
         reward: dense or sparse.
         variant: whose reward formulas.
         sparse_radius: radius of the goal region in metres; None for the family's own.
@@ -151,7 +151,8 @@ class Stepper:
             readings = self._stepper.begin(start, tasks, some)
         except SimulationFailure as failure:
             raise self._error(failure) from failure
-        self._readings, self._steps[rows], self.ended[rows] = _single(readings), 0, False
+        self._readings = _in_single_precision(readings)
+        self._steps[rows], self.ended[rows] = 0, False
         observation, solved = _seen(_look(self.env, self._readings, self._present))
         return observation, self._information(solved)
 
@@ -180,7 +181,7 @@ class Stepper:
         action, over = self._to_action(action), self.ended
         control = np.where(over[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
-            self._readings = _single(self._stepper.step(control, over))
+            self._readings = _in_single_precision(self._stepper.step(control, over))
         except SimulationFailure as failure:
             raise self._error(failure) from failure
         judged = _judge(self.env, before, action, self._readings, self._present)
@@ -239,7 +240,7 @@ SETTINGS = tuple(
 """Names of all that may be set."""
 
 
-def _single(readings: HostReadings) -> HostReadings:
+def _in_single_precision(readings: HostReadings) -> HostReadings:
     """Return readings in the precision in which the library's worlds judge them."""
     # What blew up may be finite in double precision and infinite in single.
     with np.errstate(over="ignore"):

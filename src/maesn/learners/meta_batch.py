@@ -10,16 +10,21 @@ from maesn.axes import Key, TaskKeys
 from maesn.numerics.mesh import own_slots
 
 
-def check_enough_tasks(num_tasks: int, meta_batch_size: int) -> None:
-    """Refuse a training set from which no meta-batch can be drawn.
+def check_enough_tasks(num_tasks: int, wanted: int, setting: str = "meta_batch_size") -> None:
+    """Refuse a training set that holds fewer tasks than are drawn at once.
+
+    Args:
+        num_tasks: tasks of the training set.
+        wanted: tasks that are drawn at once.
+        setting: name of the setting that says so.
 
     Raises:
-        ValueError: the training set holds fewer tasks than one meta-batch.
+        ValueError: there are too few.
     """
-    if num_tasks < meta_batch_size:
+    if num_tasks < wanted:
         raise ValueError(
-            f"`meta_batch_size` is {meta_batch_size}, but the training set holds only "
-            f"{num_tasks} tasks. Tasks are drawn without replacement: lower it or add tasks."
+            f"`{setting}` is {wanted}, but the training set holds only {num_tasks} tasks. Tasks "
+            "are drawn without replacement: lower it or add tasks."
         )
 
 

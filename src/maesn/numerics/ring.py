@@ -33,7 +33,7 @@ class Ring(eqx.Module):
         return self.rows.shape[-2]
 
     @property
-    def size(self) -> Int[Array, ""]:
+    def size(self) -> Int[Array, "*batch"]:
         """Number of rows in the ring."""
         return jnp.minimum(self.count, self.capacity)
 

@@ -58,7 +58,7 @@ def describe_step(
     return GradientInfo(
         return_before=mesh.mean(first.undiscounted_return.mean()),
         return_after=mesh.mean(objective.post.undiscounted_return.mean()),
-        success_after=mesh.mean((objective.post.solved & objective.post.valid).any(-1).mean()),
+        success_after=mesh.mean(objective.post.success.mean()),
         penalty=mesh.mean(objective.penalties(old).mean()),
         action_std=_mean_std(objective.post),
         outer=step,

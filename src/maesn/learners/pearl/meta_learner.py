@@ -13,7 +13,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key, ObservedReward
 from maesn.context import Latent
-from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.base import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
@@ -92,7 +91,8 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         """
         if problem.action_kind != "continuous":
             raise ValueError("PEARL learns by a soft actor-critic for continuous actions only.")
-        self._check_tasks(problem.num_tasks)
+        for name in ("visited_tasks", "initial_tasks"):
+            check_enough_tasks(problem.num_tasks, getattr(self, name), name)
         sizes = problem.observation_size, problem.action_size
         encoder_key, actor_key = jax.random.split(key)
         encoder = self.encoder.init(encoder_key, *sizes)
@@ -105,14 +105,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
             Replay.empty(problem.num_tasks, self._capacity(problem), *sizes),
             jnp.zeros((), int),
         )
-
-    def _check_tasks(self, num_tasks: int) -> None:
-        check_enough_tasks(num_tasks, self.visited_tasks)
-        if num_tasks < self.initial_tasks:
-            raise ValueError(
-                f"`initial_tasks` is {self.initial_tasks}, but the training set holds only "
-                f"{num_tasks} tasks: lower it or add tasks."
-            )
 
     def _capacity(self, problem: Problem) -> int:
         features = replay_features(problem.observation_size, problem.action_size)
@@ -172,17 +164,17 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         if int(state.iteration) == 0:
             replay = self._begin(begin_key, state.networks, replay, collect)
         replay, played = self._visit(visit_key, state.networks, replay, collect)
-        networks, optimisers, averages, accepted = self._learn(
+        networks, optimisers, (kl, latent_std, losses), accepted = self._learn(
             learn_key, state.networks, state.optimisers, replay
         )
         last = played[-1]
         info = PearlInfo(
             return_before=played[0].undiscounted_return.mean(),
             return_after=last.undiscounted_return.mean(),
-            success_after=(last.solved & last.valid).any(-1).mean(),
-            kl=averages[0],
-            latent_std=averages[1],
-            losses=averages[2],
+            success_after=last.success.mean(),
+            kl=kl,
+            latent_std=latent_std,
+            losses=losses,
             accepted=accepted,
         )
         return PearlState(networks, optimisers, replay, state.iteration + 1), info
@@ -193,9 +185,9 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         tasks = draw_tasks(task_key, collect.num_tasks, self.initial_tasks)
         for number, first in enumerate(range(0, self.initial_tasks, self.visited_tasks)):
             some = tasks[first : first + self.visited_tasks]
-            agents = self._agents(networks, None, some, play_key)
+            agents = networks.agents(networks.encoder.none(len(some)).posterior())
             episodes = collect(task_keys(play_key, number, len(some)), agents, some)
-            replay = _add(replay, some, episodes, begins=True, is_context=True)
+            replay = replay.add(some, episodes, begins=True, is_context=True)
         return replay
 
     def _visit(
@@ -206,34 +198,22 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         tasks = draw_tasks(task_key, collect.num_tasks, self.visited_tasks)
         played: list[Episodes] = []
         for number in range(self.batches):
-            believed = None if number < self.prior_batches else replay
-            drawn = jax.random.fold_in(context_key, number)
-            agents = self._agents(networks, believed, tasks, drawn)
+            if number < self.prior_batches:
+                belief = networks.encoder.none(len(tasks)).posterior()
+            else:
+                drawn = jax.random.fold_in(context_key, number)
+                belief = self._posterior(networks.encoder, replay, tasks, drawn)
             keys = task_keys(play_key, number, self.visited_tasks)
-            played.append(collect(keys, agents, tasks, stage=number))
-            replay = _add(
-                replay,
-                tasks,
-                played[-1],
-                begins=number == 0,
-                is_context=number < self.prior_batches + self.posterior_batches,
-            )
+            played.append(collect(keys, networks.agents(belief), tasks, stage=number))
+            is_context = number < self.prior_batches + self.posterior_batches
+            replay = replay.add(tasks, played[-1], begins=number == 0, is_context=is_context)
         return replay, played
-
-    def _agents(
-        self, networks: Networks, replay: Replay | None, tasks: Int[Array, " task"], key: Key
-    ) -> Agents:
-        """Return agents on the posteriors of some tasks; on the prior without a replay."""
-        if replay is None:
-            context = networks.encoder.none(len(tasks)).posterior()
-        else:
-            context = self._posterior(networks.encoder, replay, tasks, key)
-        return Agents(networks.actor_critic.policy, context, shares_policy=True)
 
     @eqx.filter_jit
     def _posterior(
         self, encoder: ContextEncoder, replay: Replay, tasks: Int[Array, " task"], key: Key
     ) -> Latent:
+        """Return the posteriors of some tasks, from a draw of their contexts."""
         drawn = replay.sample_context(key, tasks, self.encoder.context_size)
         context = drawn.context(self.encoder.next_observation)
         return jax.vmap(encoder)(context, jnp.ones(context.shape[:2], bool)).posterior()
@@ -283,15 +263,3 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
 def divergence(posterior: Latent) -> Float[Array, "*batch"]:
     """Return KL(q(z) || N(0, I)) of every task, in nats."""
     return posterior.distribution.kl(DiagonalGaussian.standard(posterior.mean.shape))
-
-
-@eqx.filter_jit
-def _add(
-    replay: Replay,
-    tasks: Int[Array, " task"],
-    episodes: Episodes,
-    *,
-    begins: bool,
-    is_context: bool,
-) -> Replay:
-    return replay.add(tasks, episodes, begins=begins, is_context=is_context)

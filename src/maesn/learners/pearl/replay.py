@@ -65,6 +65,7 @@ class Replay(eqx.Module):
         """Whether there is a context of each task."""
         return self.context_end > self.context_start
 
+    @eqx.filter_jit
     def add(
         self, tasks: Int[Array, " task"], episodes: Episodes, *, begins: bool, is_context: bool
     ) -> "Replay":
@@ -94,9 +95,7 @@ class Replay(eqx.Module):
     def sample(self, key: Key, tasks: Int[Array, " task"], number: int) -> Batch:
         """Draw transitions of each task uniformly, with replacement: `[task, number, ...]`."""
         count = self.rings.count[tasks]
-        return self._draw(
-            key, tasks, count - jnp.minimum(count, self.rings.capacity), count, number
-        )
+        return self._draw(key, tasks, count - self.rings.size[tasks], count, number)
 
     def sample_context(self, key: Key, tasks: Int[Array, " task"], number: int) -> Batch:
         """Draw transitions of each task's context uniformly, with replacement."""

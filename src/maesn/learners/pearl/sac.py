@@ -128,11 +128,11 @@ class SoftActorCritic(eqx.Module):
 
         Its gradient with respect to z is what an encoder learns from; the target has none.
         """
-        following = evaluate(target, batch.next_observation, z)
+        following = predict(target, batch.next_observation, z)
         wanted = self.reward_scale * batch.reward
         wanted = wanted + self.discount * (1.0 - batch.terminal) * following
         wanted = jax.lax.stop_gradient(wanted)
-        errors = (evaluate(one, batch.observation, batch.action, z) - wanted for one in q)
+        errors = (predict(one, batch.observation, batch.action, z) - wanted for one in q)
         return sum((jnp.mean(error**2) for error in errors), jnp.zeros(()))
 
     def policy_loss(
@@ -146,7 +146,7 @@ class SoftActorCritic(eqx.Module):
         """Return the loss of the policy; the soft values min Q - log π, and the entropy."""
         actions = jax.vmap(policy.actions)(observation, z)
         drawn, log_prob = actions.sample_and_log_prob(noise)
-        least = jnp.minimum(*(evaluate(one, observation, drawn, z) for one in q))
+        least = jnp.minimum(*(predict(one, observation, drawn, z) for one in q))
         outputs = jnp.mean(actions.mean**2) + jnp.mean(actions.log_std**2)
         loss = jnp.mean(log_prob - least) + self.output_penalty * outputs
         return loss, (least - log_prob, -jnp.mean(log_prob))
@@ -200,7 +200,7 @@ class SoftActorCritic(eqx.Module):
         return ActorCritic(policy, q, value, target), encoder, states, losses
 
 
-def evaluate(network: MLP, *inputs: Float[Array, "transition _"]) -> Float[Array, " transition"]:
+def predict(network: MLP, *inputs: Float[Array, "transition _"]) -> Float[Array, " transition"]:
     """Return the number that a network gives for each row of its inputs, side by side."""
     return jax.vmap(network)(jnp.concatenate(inputs, axis=-1))[:, 0]
 
@@ -211,4 +211,4 @@ def _value_loss(
     z: Float[Array, "transition z"],
     wanted: Float[Array, " transition"],
 ) -> Float[Array, ""]:
-    return jnp.mean((evaluate(value, observation, z) - wanted) ** 2)
+    return jnp.mean((predict(value, observation, z) - wanted) ** 2)

@@ -3,18 +3,24 @@
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
+from maesn.context import Latent
+from maesn.experience.agent import Agents
 from maesn.learners.pearl.encoder import ContextEncoder
 from maesn.learners.pearl.replay import Replay
 from maesn.learners.pearl.sac import ActorCritic, Optimisers, SoftLosses
 
 
 class Networks(eqx.Module):
-    """All that is trained by gradients."""
+    """What is trained by gradients, and the scale of z that results."""
 
     encoder: ContextEncoder
     actor_critic: ActorCritic
     latent_scale: Float[Array, ""]
     """Root mean square of the components of z in the last gradient steps."""
+
+    def agents(self, belief: Latent) -> Agents:
+        """Return agents with noise in their actions, which draw z from a belief on each task."""
+        return Agents(self.actor_critic.policy, belief, shares_policy=True)
 
 
 class PearlState(eqx.Module):

@@ -203,7 +203,7 @@ def _describe(
     return RecurrentInfo(
         return_before=mesh.mean(first.undiscounted_return.mean()),
         return_after=mesh.mean(last.undiscounted_return.mean()),
-        success_after=mesh.mean((last.solved & last.valid).any(-1).mean()),
+        success_after=mesh.mean(last.success.mean()),
         action_std=mesh.mean_of_valid(behaviour.std().mean(-1), valid),
         entropy=mesh.mean_of_valid(behaviour.entropy(), valid),
         explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
