@@ -32,7 +32,8 @@ from strangers import (
     make_walker,
 )
 
-from maesn.envs.foreign import gymnasium_family, task_row
+from maesn.envs.foreign import gymnasium_family
+from maesn.envs.hosted import task_row
 from maesn.foreign import InterfaceError
 from maesn.runs.export import probe_actuators
 from maesn.worlds import EnvContractError, check_env_contract, make_world

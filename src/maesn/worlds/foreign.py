@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, UInt8, UInt32
 
 from maesn.axes import HostReadings
-from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
+from maesn.envs.hosted import AbstractGymnasiumEnv, task_row
 from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
