@@ -156,5 +156,10 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
 
 
 def task_row(tasks: Any, row: int) -> Any:
-    """Return one task as `make_env` and `set_task` get it: NumPy arrays of single precision."""
-    return jax.tree.map(lambda x: np.asarray(jnp.asarray(x)[row]), tasks)
+    """Return one of several tasks as `make_env` and `set_task` get it."""
+    return as_given(jax.tree.map(lambda x: x[row], tasks))
+
+
+def as_given(task: Any) -> Any:
+    """Return a task as `make_env` and `set_task` get it: NumPy arrays of single precision."""
+    return jax.tree.map(lambda x: np.asarray(jnp.asarray(x)), task)

@@ -5,7 +5,7 @@ outside. What differs between MuJoCo, JAX and environments of others is hidden h
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeAlias
@@ -22,6 +22,8 @@ from maesn.worlds.base import SimulationFailure
 Rows: TypeAlias = Int[np.ndarray, " row"]
 Controls: TypeAlias = Float[np.ndarray, "simulation control"]
 Ended: TypeAlias = Bool[np.ndarray, " simulation"]
+Renderer: TypeAlias = Callable[[int], list[UInt8[np.ndarray, "height width 3"]]]
+"""Returns pictures of the present states of that many simulations, the first ones."""
 
 _CLOSED = "there is no episode to be stepped: begin one, or make a new one"
 
@@ -64,13 +66,16 @@ class AbstractStepper(ABC):
             SimulationFailure: one that counts cannot go on.
         """
 
-    def draws(self, task: Any) -> bool:
-        """Return whether the environments draw themselves: those of others may."""
-        return False
+    def renderer(self, task: Any) -> Renderer | None:
+        """Return what lets the environments draw themselves, as those of others may; None if not.
 
-    def pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
-        """Return what the first simulations draw of their present states."""
-        raise NotImplementedError
+        Args:
+            task: any task, for an environment that can be asked.
+
+        Raises:
+            SimulationFailure: the environment cannot be used.
+        """
+        return None
 
     @abstractmethod
     def close(self) -> None:
