@@ -27,7 +27,7 @@ class HostedStepper(AbstractStepper):
 
     Args:
         env: the environment.
-        num_workers: most processes; 0 for one for each CPU.
+        num_workers: largest number of processes; 0 means one for each CPU.
     """
 
     def __init__(self, env: AbstractGymnasiumEnv, num_workers: int = 0) -> None:

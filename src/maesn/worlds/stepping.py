@@ -40,7 +40,8 @@ class AbstractStepper(ABC):
 
         Args:
             start: the starts that `env.start` returns, stacked over `simulation`.
-            tasks: the tasks, stacked; equally many simulations in a row have each.
+            tasks: the tasks, stacked. Each is played by as many simulations, those of one task
+                next to each other.
             rows: indices, ascending, of the simulations that begin anew; the others stay where they
                 are. None for all, as many as there are starts.
 
@@ -57,13 +58,13 @@ class AbstractStepper(ABC):
 
         Args:
             control: what `env.control` returns.
-            ended: simulations whose episode is over. What happens to them means nothing.
+            ended: simulations whose episode is over. Their readings may be anything.
 
         Returns:
             The readings of all simulations.
 
         Raises:
-            SimulationFailure: one that counts cannot go on.
+            SimulationFailure: one whose episode is not over cannot go on.
         """
 
     def renderer(self, task: Any) -> Renderer | None:
