@@ -181,7 +181,7 @@ class WorkerPool:
 
 
 @contextlib.contextmanager
-def hosted_in(python: str | os.PathLike[str] = "") -> Iterator[None]:
+def hosted_in(python: str | os.PathLike[str]) -> Iterator[None]:
     """Let workers that start in this block run in another interpreter, Python 3.10 or later.
 
     It needs NumPy and what the environments import. Nothing of this library is installed there, and
