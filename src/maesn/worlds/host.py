@@ -124,10 +124,8 @@ class _Record:
         return len(self._decisions)
 
     def _write(self, readings: HostReadings) -> None:
-        # What blew up may be finite in double precision and infinite in single.
-        with np.errstate(over="ignore"):
-            for name, value in readings.items():
-                self._readings[name][self.length] = value
+        for name, value in readings.items():
+            self._readings[name][self.length] = value
 
     def at(self, index: int) -> HostReadings:
         """The readings of one state, as the policy sees them."""

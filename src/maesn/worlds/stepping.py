@@ -46,7 +46,7 @@ class AbstractStepper(ABC):
                 are. None for all, as many as there are starts.
 
         Returns:
-            The readings of all simulations.
+            The readings of all simulations, in single precision.
 
         Raises:
             SimulationFailure: one of them cannot begin.
@@ -61,7 +61,7 @@ class AbstractStepper(ABC):
             ended: simulations whose episode is over. Their readings may be anything.
 
         Returns:
-            The readings of all simulations.
+            The readings of all simulations, in single precision.
 
         Raises:
             SimulationFailure: one whose episode is not over cannot go on.
@@ -104,11 +104,11 @@ class NativeStepper(AbstractStepper):
         if rows is None:
             self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
         with _naming():
-            return self._open().reset(qpos, qvel, fields, rows)
+            return _single(self._open().reset(qpos, qvel, fields, rows))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
         with _naming():
-            return self._open().step(control, abandoned=ended)
+            return _single(self._open().step(control, abandoned=ended))
 
     def close(self) -> None:
         for simulator in self._simulators.values():
@@ -131,6 +131,12 @@ class NativeStepper(AbstractStepper):
         if self._current is None:
             raise RuntimeError(_CLOSED)
         return self._current
+
+
+def _single(readings: HostReadings) -> HostReadings:
+    # What blew up may be finite in double precision and infinite in single.
+    with np.errstate(over="ignore"):
+        return {name: value.astype(np.float32) for name, value in readings.items()}
 
 
 @contextmanager
