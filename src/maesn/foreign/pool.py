@@ -149,8 +149,8 @@ class WorkerPool:
                 rows = np.empty((num_simulations, part.shape[1]), np.float32)
             rows[share] = part
         _refuse_infinite(rows)
-        *numbers, observation = (rows[:, -4], rows[:, -3], rows[:, -2], rows[:, -1], rows[:, :-4])
-        return {"observation": observation, **dict(zip(_NUMBERS, numbers, strict=True))}
+        observation, numbers = np.split(rows, [-len(_NUMBERS)], axis=1)
+        return {"observation": observation, **dict(zip(_NUMBERS, numbers.T, strict=True))}
 
     def _ask(
         self, request: str, num_simulations: int, *columns: Any
