@@ -160,6 +160,8 @@ class DeviceStepper(AbstractStepper):
                 f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
                 f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
             )
+        if rows is not None and not self._state:
+            raise RuntimeError(_CLOSED)
         for name, values in (("qpos", start.qpos), ("qvel", start.qvel)):
             if rows is None:
                 self._state[name] = np.array(values, np.float32)
