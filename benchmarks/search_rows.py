@@ -20,7 +20,8 @@ from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.return_model import ReturnModel, ReturnPrior, matern
+from maesn.runtime.kernel import matern
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 from maesn.runtime.search import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner

@@ -1,13 +1,13 @@
 """A meta-learner around another one: it learns from the sum of reward and curiosity bonus.
 
     export PYTHONPATH=examples
-    maesn train meta_curiosity:Curious --family wheeled --reward sparse --run runs/curious
-    maesn adapt runs/curious --method meta_curiosity:Curious
+    maesn train meta_curiosity:WithCuriosity --family wheeled --reward sparse --run runs/curiosity
+    maesn adapt runs/curiosity --method meta_curiosity:WithCuriosity
 
 The bonus is that of VIME (docs/explanation/methods/vime.md). One model of the dynamics serves all
 tasks: their dynamics are the same. It is trained at the end of each meta-iteration and stays the
-same during it, and new tasks start from it. `curious_rl2` is the same around RL2; name others
-likewise. All training is in one process.
+same during it, and new tasks start from it. `rl2_with_curiosity` is the same around RL2; name
+others likewise. All training is in one process.
 """
 
 from dataclasses import fields, replace
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 import maesn
 
 
-class CuriousState(eqx.Module):
+class WithCuriosityState(eqx.Module):
     """What changes in training."""
 
     learner: Any
@@ -38,7 +38,7 @@ class BonusInfo(eqx.Module):
     """Information gain, in nats, of a transition whose bonus is the weight."""
 
 
-class CuriousInfo(eqx.Module):
+class WithCuriosityInfo(eqx.Module):
     """What a meta-iteration tells a person."""
 
     learner: Any
@@ -46,7 +46,7 @@ class CuriousInfo(eqx.Module):
     curiosity: BonusInfo
 
 
-class Curious(maesn.AbstractMetaLearner[CuriousState, CuriousInfo]):
+class WithCuriosity(maesn.AbstractMetaLearner[WithCuriosityState, WithCuriosityInfo]):
     """A meta-learner with a curiosity bonus."""
 
     learner: maesn.AbstractMetaLearner = maesn.maesn()
@@ -54,26 +54,26 @@ class Curious(maesn.AbstractMetaLearner[CuriousState, CuriousInfo]):
     curiosity: maesn.CuriosityBonus = maesn.CuriosityBonus()
     """Settings of the bonus."""
 
-    def init(self, key: Array, problem: maesn.Problem) -> CuriousState:
+    def init(self, key: Array, problem: maesn.Problem) -> WithCuriosityState:
         learner_key, model_key = jax.random.split(key)
         sizes = problem.observation_size, problem.action_size
-        return CuriousState(
+        return WithCuriosityState(
             self.learner.init(learner_key, problem), self.curiosity.init(model_key, *sizes)
         )
 
     def step(
-        self, key: Array, state: CuriousState, collect: maesn.Collect
-    ) -> tuple[CuriousState, CuriousInfo]:
+        self, key: Array, state: WithCuriosityState, collect: maesn.Collect
+    ) -> tuple[WithCuriosityState, WithCuriosityInfo]:
         learner_key, judge_key, learn_key = jax.random.split(key, 3)
-        curious = CollectWithBonus(self.curiosity, judge_key, state.curiosity, collect)
-        learned, info = self.learner.step(learner_key, state.learner, curious)
-        before, after = curious.mean_return(min), curious.mean_return(max)
+        collecting = CollectWithBonus(self.curiosity, judge_key, state.curiosity, collect)
+        learned, info = self.learner.step(learner_key, state.learner, collecting)
+        before, after = collecting.mean_return(min), collecting.mean_return(max)
         info = replace(info, return_before=before, return_after=after)
-        told = CuriousInfo(info, BonusInfo(curious.bonus, curious.state.typical_gain))
-        model = eqx.filter_jit(self.curiosity.learn)(learn_key, curious.state)
-        return CuriousState(learned, model), told
+        told = WithCuriosityInfo(info, BonusInfo(collecting.bonus, collecting.state.typical_gain))
+        model = eqx.filter_jit(self.curiosity.learn)(learn_key, collecting.state)
+        return WithCuriosityState(learned, model), told
 
-    def fast_learner(self, state: CuriousState) -> maesn.AbstractFastLearner:
+    def fast_learner(self, state: WithCuriosityState) -> maesn.AbstractFastLearner:
         """Return the learner of new tasks; without a bonus, if its updates read no rewards."""
         learner, network = self.learner.fast_learner(state.learner), state.curiosity.network
         if not learner.capabilities.learns_from_reward:
@@ -86,25 +86,25 @@ class Curious(maesn.AbstractMetaLearner[CuriousState, CuriousInfo]):
             trained=state.curiosity,
         )
 
-    def iteration(self, state: CuriousState) -> Int[Array, ""]:
+    def iteration(self, state: WithCuriosityState) -> Int[Array, ""]:
         return self.learner.iteration(state.learner)
 
-    def weights(self, state: CuriousState) -> Any:
+    def weights(self, state: WithCuriosityState) -> Any:
         return self.learner.weights(state.learner), state.curiosity
 
-    def replay(self, state: CuriousState) -> Any:
+    def replay(self, state: WithCuriosityState) -> Any:
         return self.learner.replay(state.learner)
 
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return self.learner.planned_episodes(episodes_per_task, iterations)
 
-    def for_actions(self, kind: str) -> "Curious":
+    def for_actions(self, kind: str) -> "WithCuriosity":
         return replace(self, learner=self.learner.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
         self.learner.check_batch(episodes_per_task)
 
-    def metrics(self, info: CuriousInfo) -> dict[str, Any]:
+    def metrics(self, info: WithCuriosityInfo) -> dict[str, Any]:
         """Return the metrics of the learner by their own names, and those of the bonus."""
         inner = self.learner.metrics(info.learner)
         named = {field.name: getattr(inner, field.name) for field in fields(inner)}
@@ -153,4 +153,4 @@ class CollectWithBonus:
         return replace(episodes, reward=episodes.reward + bonus, observed_reward=shown)
 
 
-curious_rl2 = Curious(maesn.rl2())
+rl2_with_curiosity = WithCuriosity(maesn.rl2())

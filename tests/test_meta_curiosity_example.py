@@ -20,11 +20,11 @@ from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-Curious = load_script("examples/meta_curiosity.py").Curious
+WithCuriosity = load_script("examples/meta_curiosity.py").WithCuriosity
 SMALL = maesn.CuriosityBonus(
     hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2
 )
-NAME = "meta_curiosity:Curious"
+NAME = "meta_curiosity:WithCuriosity"
 TASKS = 3
 
 
@@ -39,7 +39,7 @@ def tiny() -> Any:
 
 
 def test_it_learns_from_reward_and_bonus(collect: Collector) -> None:
-    learner = Curious(tiny(), replace(SMALL, pool_size=200, weight=10.0))
+    learner = WithCuriosity(tiny(), replace(SMALL, pool_size=200, weight=10.0))
     state = learner.init(jax.random.key(0), Problem(2, 2, 5))
     for step in range(4):
         state, info = learner.step(jax.random.key(step), state, collect)
@@ -54,7 +54,7 @@ def test_it_learns_from_reward_and_bonus(collect: Collector) -> None:
 
 
 def test_with_a_weight_of_0_it_is_the_learner_itself(collect: Collector) -> None:
-    wrapped, key = Curious(tiny(), replace(SMALL, weight=0.0)), jax.random.key(7)
+    wrapped, key = WithCuriosity(tiny(), replace(SMALL, weight=0.0)), jax.random.key(7)
     state = wrapped.init(jax.random.key(0), Problem(2, 2, 5))
     after, info = tiny().step(jax.random.split(key, 3)[0], state.learner, collect)
     together, said = wrapped.step(key, state, collect)
@@ -66,7 +66,7 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(collect: Collector) -> None
 
 
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
-    learner = Curious(tiny(), SMALL)
+    learner = WithCuriosity(tiny(), SMALL)
     begun = learner.init(jax.random.key(0), Problem(2, 2, 5))
     state, _ = learner.step(jax.random.key(1), begun, collect)
     fast = learner.fast_learner(state)
@@ -80,7 +80,7 @@ def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) ->
 
 
 def test_a_learner_that_does_not_learn_from_reward_gets_no_bonus() -> None:
-    learner = Curious(oracle(policy=GaussianMLP((4,)), meta_batch_size=2))
+    learner = WithCuriosity(oracle(policy=GaussianMLP((4,)), meta_batch_size=2))
     fast = learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, 5, 2)))
     assert isinstance(fast, GradientFastLearner)
 

@@ -21,7 +21,7 @@ from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES, divergence
 from maesn.learners.pearl.replay import Replay, transitions_of
 from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.numerics.mesh import sharing_tasks
-from maesn.runs.run import REPLAY
+from maesn.runs.checkpoint import REPLAY
 from maesn.search import latent_of
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

@@ -10,15 +10,13 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 
 from maesn.runtime.arrays import FloatArray
+from maesn.runtime.kernel import ROUGHNESS, matern, roughness
 from maesn.runtime.return_model import (
     OUTLIER,
-    ROUGHNESS,
     Posterior,
     Reading,
     ReturnModel,
     ReturnPrior,
-    matern,
-    roughness,
 )
 
 

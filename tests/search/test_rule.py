@@ -16,6 +16,7 @@ from small_runs import tiny_maesn, tiny_settings
 import maesn
 from maesn import api, cli
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.film import record_adaptation
 from maesn.evaluation.running import new_tasks
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.learners import latent_space, maesn_theta, maml
@@ -264,7 +265,10 @@ def test_the_latent_explores_and_not_the_actions_unless_that_is_asked_for(
     assert cli.run(["prior", str(run), *SMALL, *noise]) == 0
     monkeypatch.setattr(Collector, "__call__", watched)
     ask = Evaluation(few, rule=rule, episodes=2, episodes_per_update=2, deploy_episodes=3)
-    api.adapt(run, ask.changed(action_noise=action_noise), out=tmp_path / "table.csv")
+    ask = ask.changed(action_noise=action_noise)
+    api.adapt(run, ask, out=tmp_path / "table.csv")
+    with new_tasks(Run.open(run), ask) as (world, learner):  # a film shows the same
+        record_adaptation(learner, world, ask, 0, [0], 1)
     assert noisy == {2: {action_noise or rule is None}, 3: {action_noise}}
 
 

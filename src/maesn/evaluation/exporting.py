@@ -43,7 +43,14 @@ def export_run(
         if is_onnx(path):  # before minutes are spent on a prior
             raise RunError(NO_SEARCH)
         with closing(run.world(reward_kind="sparse")) as world:
-            found = find_prior(run, checkpoint.state, world, False, rule.prior, rule.any_reward)
+            found = find_prior(
+                run,
+                checkpoint.state,
+                world,
+                action_noise=False,
+                name=rule.prior,
+                any_reward=rule.any_reward,
+            )
         search = found, rule.settings
         if not rule.any_reward:
             radius = env.sparse_radius  # 0 where it is not known, as in environments of others

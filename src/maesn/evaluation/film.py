@@ -134,7 +134,8 @@ def record_adaptation(
 
     episodes = (max(after) + shown - 1) // each * each
     collect = Collector(world, each, keep)
-    adapt(learner, collect, Evaluation(seed=evaluation.seed), episodes=episodes, tasks=[task])
+    played_alike = Evaluation(seed=evaluation.seed, action_noise=evaluation.action_noise)
+    adapt(learner, collect, played_alike, episodes=episodes, tasks=[task])
     return {before: filmed[:shown] for before, filmed in played.items()}
 
 

@@ -25,6 +25,8 @@ from maesn.storage import RunError, write_whole
 Tree = TypeVar("Tree")
 
 CHECKSUM = "sha256"
+# Names of checkpoints begin like this, and the name of the replay of the newest one.
+ITERATION, REPLAY = "iteration-", "replay-"
 
 
 class CheckpointError(RunError):
@@ -82,6 +84,36 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     if metadata.pop(CHECKSUM, "none") != _checksum(values, metadata):
         raise CheckpointError(f"`{path}` is damaged: its checksum is another one.")
     return values, metadata
+
+
+def save_state(path: Path, state: Any, replay: Any, metadata: Mapping[str, str]) -> Path:
+    """Write a state as a checkpoint, and beside it its replay, of which only the newest stays.
+
+    Args:
+        path: path of the checkpoint.
+        state: the state.
+        replay: the part of it that only more training needs; None if there is none.
+        metadata: of both files.
+    """
+    arrays, file = named_leaves(state), _replay_file(path)
+    held = {name: arrays.pop(name) for name in names_of(replay, state)}
+    if held:  # first: a checkpoint never lacks it
+        save_checkpoint(file, held, metadata)
+    save_checkpoint(path, arrays, metadata)
+    for old in path.parent.glob(f"{REPLAY}[0-9]*"):
+        if old != file:
+            old.unlink()
+    return path
+
+
+def replay_beside(path: Path) -> dict[str, np.ndarray] | None:
+    """Return the replay that was written with a checkpoint, by name; None if it is gone."""
+    file = _replay_file(path)
+    return read_checkpoint(file)[0] if file.exists() else None
+
+
+def _replay_file(path: Path) -> Path:
+    return path.with_name(path.name.replace(ITERATION, REPLAY))
 
 
 def restore(like: Tree, values: Mapping[str, Any], source: Path | str) -> Tree:

@@ -23,9 +23,10 @@ from maesn.envs.sources import (
     save_tasks,
     warn_of_known_tests,
 )
-from maesn.learners import AbstractMetaLearner, Problem, method_name
+from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs import checkpoint, sources
-from maesn.runs.checkpoint import Checkpoint, CheckpointError, named_leaves
+from maesn.runs.beginning import check_replay, drawn_state, problem_of, with_weights_of
+from maesn.runs.checkpoint import ITERATION, Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import (
     CONFIG,
     NotNamedError,
@@ -43,9 +44,6 @@ from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_po
 logger = logging.getLogger(__name__)
 
 CHECKPOINTS = "checkpoints"
-# Names of checkpoints begin like this, and the name of the replay of the newest one.
-ITERATION, REPLAY = "iteration-", "replay-"
-LARGEST_REPLAY = 200  # megabytes, in memory and on disk
 
 # No run reaches this iteration, so its key is free for the untrained state. (A split of the seed's
 # key would give the keys of iterations 0 and 1 again.)
@@ -113,15 +111,13 @@ class Run:
         state = run.untrained_state()
         if init_from is not None:
             source = run.source(init_from)
-            state = run._begun_state(state, source)
+            larger = run.structure(more_tasks=1)
+            state = with_weights_of(source.latest_state(), state, larger, learner, source.directory)
             begun = {"init_from": " ".join(source.identity().values())}
             config = dataclasses.replace(config, provenance=begun)
             run = dataclasses.replace(run, config=config)
         check_policy(learner.player(state), run.env())
-        megabytes = sum(x.nbytes for x in jax.tree.leaves(learner.replay(state))) / 1e6
-        if megabytes > LARGEST_REPLAY:
-            what_to_do = f"at most {LARGEST_REPLAY} MB are kept: let it hold fewer episodes"
-            raise RunError(f"the replay of `{method}` takes {megabytes:.0f} MB; {what_to_do}.")
+        check_replay(learner, state, method)
         with storage.locked(run.directory):
             # A process that was killed here may have left its first checkpoint.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
@@ -202,12 +198,12 @@ class Run:
     def untrained_state(self) -> Any:
         """Return the state that the seed says; `RunError` if learner and tasks do not fit."""
         with refusals():
-            return _init(*self._init_arguments())
+            return drawn_state(*self._drawn_from())
 
     def structure(self, more_tasks: int = 0) -> Any:
         """Return the shapes and types of a state, for that many tasks more than the run has."""
         with refusals():
-            return eqx.filter_eval_shape(_init, *self._init_arguments(more_tasks))
+            return eqx.filter_eval_shape(drawn_state, *self._drawn_from(more_tasks))
 
     def identity(self) -> dict[str, str]:
         """Return which learner the latest checkpoint is of, and a digest of its weights."""
@@ -227,7 +223,7 @@ class Run:
     def save_state(self, state: Any, environment_steps: int = 0) -> Path:
         """Write a state with the number of control steps played so far, and return the path."""
         iteration = int(self.learner.iteration(state))
-        folder, file = self.directory / CHECKPOINTS, f"{iteration:06d}.safetensors"
+        path = self.directory / CHECKPOINTS / f"{ITERATION}{iteration:06d}.safetensors"
         metadata = {
             "family": self.config.family,
             "method": self.settings.method,
@@ -236,16 +232,7 @@ class Run:
             "iteration": str(iteration),
             "environment_steps": str(environment_steps),
         }
-        arrays = named_leaves(state)
-        names = checkpoint.names_of(self.learner.replay(state), state)
-        replay = {name: arrays.pop(name) for name in names}
-        if replay:  # first: a checkpoint never lacks it
-            checkpoint.save_checkpoint(folder / (REPLAY + file), replay, metadata)
-        checkpoint.save_checkpoint(folder / (ITERATION + file), arrays, metadata)
-        for old in folder.glob(f"{REPLAY}[0-9]*"):
-            if old.name != REPLAY + file:
-                old.unlink()
-        return folder / (ITERATION + file)
+        return checkpoint.save_state(path, state, self.learner.replay(state), metadata)
 
     def prune(self, path: Path, keep: int) -> None:
         """Delete the checkpoints before a sound one, but for the first and the latest `keep`."""
@@ -265,21 +252,16 @@ class Run:
             )
         structure = self.structure()
         if names := checkpoint.names_of(self.learner.replay(structure), structure):
-            values |= self._replay_beside(Path(path), names)
+            beside = checkpoint.replay_beside(Path(path))
+            if beside is None:
+                logger.warning("`%s` is not the newest; its replay, which is gone, is empty.", path)
+                beside = named_leaves(self.untrained_state())
+            values |= {name: np.asarray(beside[name]) for name in names & beside.keys()}
         state = checkpoint.restore(structure, values, path)
         iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
         if not steps.isdecimal() or not all(np.isfinite(x).all() for x in values.values()):
             raise CheckpointError(f"`{path}` is damaged: a number in it cannot be.")
         return Checkpoint(state, int(iteration), int(steps))
-
-    def _replay_beside(self, path: Path, names: set[str]) -> dict[str, Any]:
-        """Return the replay that was written with a checkpoint, by name; else an empty one."""
-        file = path.with_name(path.name.replace(ITERATION, REPLAY))
-        if file.exists():
-            return dict(checkpoint.read_checkpoint(file)[0])
-        logger.warning("`%s` is not the newest, and without its replay: that begins anew.", path)
-        fresh = named_leaves(self.untrained_state())
-        return {name: np.asarray(fresh[name]) for name in names}
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""
@@ -305,29 +287,8 @@ class Run:
                 "from Python, or import it in the module of your method or family."
             ) from error
 
-    def _begun_state(self, fresh: Any, source: "Run") -> Any:
-        """Return a fresh state with the weights of another run; see `create`."""
-        learned, values = named_leaves(source.latest_state()), named_leaves(fresh)
-        larger = named_leaves(self.structure(more_tasks=1))
-        for name in checkpoint.names_of(self.learner.weights(fresh), fresh):
-            if values[name].shape == larger[name].shape:  # what belongs to a task begins afresh
-                values[name] = learned.get(name)
-        return checkpoint.restore(fresh, values, source.directory)
-
-    def _init_arguments(self, more_tasks: int = 0) -> tuple[Any, ...]:
-        env = self.env()
-        problem = Problem(
-            env.observation_size,
-            env.action_size,
-            num_tasks=len(self.training_tasks) + more_tasks,
-            description_size=jax.eval_shape(env.describe, self.training_tasks[0]).size,
-            action_kind=env.action_kind,
-            horizon=env.horizon,
-            episodes_per_task=self.settings.episodes_per_task,
-        )
+    def _drawn_from(self, more_tasks: int = 0) -> tuple[Any, ...]:
+        """Return what the state before training is drawn from."""
+        each = self.settings.episodes_per_task
+        problem = problem_of(self.env(), self.training_tasks, each, more_tasks)
         return self.learner, self.iteration_key(_UNTRAINED), problem
-
-
-@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
-def _init(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Problem) -> Any:
-    return learner.init(key, problem)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from maesn.runtime.arrays import FloatArray
+from maesn.runtime.kernel import matern, roughness
 
 # A return is an outlier if it is further from every task's prediction than this, in standard
 # deviations. Its noise is then raised until it is exactly this far from the nearest prediction.
@@ -28,8 +29,6 @@ BEYOND = 2.0
 # Lower bound on the noise of the archive's returns, as a share of their variance: two equal latents
 # must not make the kernel matrix singular.
 _LEAST_NOISE = 1e-6
-# Shares of the variance of the archive's returns that may be rough; the best of them is taken.
-ROUGHNESS = np.geomspace(1e-4, 0.6, 20)
 # Episodes have no noise if its variance is less than this share of that of returns.
 KNOWN = 1e-9
 
@@ -289,36 +288,3 @@ class Posterior:
             variance=np.append(self.variance, variance),
             rows=np.hstack([self.rows, rows]),
         )
-
-
-def roughness(kernel: FloatArray, centred: FloatArray) -> float:
-    """Return the variance of the returns that near latents do not share: noise and jumps.
-
-    The share of the variance that makes each latent's returns, predicted from those of all other
-    latents, most probable (Rasmussen and Williams 2006, section 5.4.2).
-    """
-    spread = float((centred**2).mean())
-    if not spread:
-        return 0.0
-    values, vectors = np.linalg.eigh(kernel)
-    rotated, squares = vectors.T @ centred.T, vectors**2
-    best, found = np.inf, 0.0
-    for share in ROUGHNESS:
-        inverse = 1.0 / (spread * ((1.0 - share) * np.maximum(values, 0.0) + share))
-        precision = squares @ inverse
-        error = (vectors @ (inverse[:, None] * rotated)) / precision[:, None]
-        score = float((error**2 * precision[:, None]).mean() - np.log(precision).mean())
-        if score < best:
-            best, found = score, share * spread
-    return found
-
-
-def matern(first: FloatArray, second: FloatArray, length_scale: float) -> FloatArray:
-    """Return the Matern kernel with nu = 5/2 and variance 1, `[first, second]`.
-
-    With r the Euclidean distance over the length scale:
-    k = (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)  (Rasmussen and Williams 2006, equation 4.17).
-    """
-    distance = np.linalg.norm(first[:, None] - second[None], axis=-1)
-    scaled = np.sqrt(5.0) * distance / length_scale
-    return (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)

@@ -24,8 +24,8 @@ from maesn.worlds.collector import Collector
 # few episodes may agree by chance.
 LEAST_NOISE = 0.05
 
-# Keys of batches count up from 0, those of other streams down from here.
-STREAMS = 2**32 - 1
+# A batch's key is that of the number of latents before it; so many are never played.
+_AGAIN = np.uint32(2**32 - 2)
 
 Progress = Callable[[int, int], None]
 """Called with the number of latents played so far, and of all."""
@@ -60,8 +60,8 @@ class PriorSettings:
         check_number("simulations", self.simulations, 1)
         check_positive(self, "spread")
 
-    def chosen(self, env: AnyEnv, tasks: TaskSet) -> "tuple[int, int]":
-        """Return the numbers of draws and of episodes that are meant for these tasks."""
+    def counts(self, env: AnyEnv, tasks: TaskSet) -> tuple[int, int]:
+        """Return `draws` and `episodes` for these tasks, the usual ones where they are None."""
         is_cheap = len(situations(env, tasks)) <= FEW
         usual = (400, 4) if is_cheap or self.action_noise else (250, 1)
         given = self.draws, self.episodes
@@ -70,7 +70,7 @@ class PriorSettings:
 
     def steps(self, env: AnyEnv, tasks: TaskSet) -> int:
         """Return the number of environment steps to play the archive."""
-        draws, episodes = self.chosen(env, tasks)
+        draws, episodes = self.counts(env, tasks)
         latents, groups = draws + self.adapted * len(tasks), len(situations(env, tasks))
         repeated = min(latents, REPEATED) * min(groups, FEW) * REPEATS if episodes == 1 else 0
         return (groups * latents * episodes + repeated) * env.horizon
@@ -101,10 +101,10 @@ def make_prior(
         settings: numbers of episodes, and the seed.
         progress: called after each batch.
     """
-    _, episodes = settings.chosen(world.env, world.tasks)
-    play = partial(_play_groups, latent, world, settings=settings)
-    groups = situations(world.env, world.tasks)
-    returns, length = play(latents, groups, episodes, progress=progress)
+    _, episodes = settings.counts(world.env, world.tasks)
+    play = partial(_play_groups, latent, world, settings)
+    groups, key = situations(world.env, world.tasks), jax.random.key(settings.seed)
+    returns, length = play(latents, groups, episodes, key, progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
         # The environment does not say. Most latents of an archive never find the goal.
@@ -113,9 +113,10 @@ def make_prior(
     if episodes > 1:
         noise = excess.var(axis=2, ddof=1).mean(axis=0)
     else:
-        again, _ = play(latents[:REPEATED], groups[:FEW], REPEATS, stream=1)
-        played = np.concatenate(groups[:FEW])
-        noise = np.full(len(latents), again[played].var(axis=2, ddof=1).mean())
+        few = latents[:REPEATED], groups[:FEW], REPEATS, jax.random.fold_in(key, _AGAIN)
+        again, lengths = play(*few)
+        noises = (again - lengths * offset[:, None, None]).var(axis=2, ddof=1)
+        noise = np.full(len(latents), noises[np.concatenate(groups[:FEW])].mean())
     return ReturnPrior(
         latents=np.asarray(latents, np.float64),
         excess=excess.mean(axis=2),
@@ -139,29 +140,26 @@ def play_archive(
         Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of the
         same situation share their episodes.
     """
-    _, episodes = settings.chosen(world.env, world.tasks)
-    groups = situations(world.env, world.tasks)
-    return _play_groups(latent, world, latents, groups, episodes, settings, progress)
+    _, episodes = settings.counts(world.env, world.tasks)
+    groups, key = situations(world.env, world.tasks), jax.random.key(settings.seed)
+    return _play_groups(latent, world, settings, latents, groups, episodes, key, progress)
 
 
 def _play_groups(
     latent: AbstractSettableLatent,
     world: AbstractWorld,
+    settings: PriorSettings,
     latents: np.ndarray,
     groups: Sequence[np.ndarray],
     episodes: int,
-    settings: PriorSettings,
+    key: Key,
     progress: Progress = lambda played, of: None,
-    stream: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in some situations; returns of other tasks are 0. `stream` is one of seeds."""
+    """Play latents in some situations, as `play_archive` does; returns of other tasks are 0."""
     collector = Collector(world, episodes)
     size = max(1, min(settings.simulations // episodes, collector.most_tasks))
     shape = (len(world.tasks), len(latents), episodes)
-    returns, length = np.zeros(shape), np.zeros(shape)
-    key, played = jax.random.key(settings.seed), 0
-    if stream:
-        key = jax.random.fold_in(key, np.uint32(STREAMS - stream))
+    returns, length, played = np.zeros(shape), np.zeros(shape), 0
     for group in groups:
         for first in range(0, len(latents), size):
             chunk = latents[first : first + size]

@@ -92,7 +92,7 @@ def run_prior(
         if len(run.training_tasks) < 2:
             raise ValueError("it was trained on one task, and a search needs several to compare.")
     spread = latent.spread if settings.spread is None else settings.spread
-    draws, _ = settings.chosen(run.env(), run.training_tasks)
+    draws, _ = settings.counts(run.env(), run.training_tasks)
     latents = [drawn_latents(latent.size, draws, spread, settings.seed)]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:

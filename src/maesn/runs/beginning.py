@@ -1,0 +1,65 @@
+"""The state that training begins with: drawn from a seed, with or without another run's weights."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from maesn.axes import Key
+from maesn.envs import AnyEnv, TaskSet
+from maesn.learners import AbstractMetaLearner, Problem
+from maesn.runs.checkpoint import named_leaves, names_of, restore
+from maesn.storage import RunError
+
+LARGEST_REPLAY = 200  # megabytes, in memory and on disk
+
+
+def problem_of(env: AnyEnv, tasks: TaskSet, episodes_per_task: int, more_tasks: int) -> Problem:
+    """Return what a learner must know of training, for that many tasks more than there are."""
+    return Problem(
+        env.observation_size,
+        env.action_size,
+        num_tasks=len(tasks) + more_tasks,
+        description_size=jax.eval_shape(env.describe, tasks[0]).size,
+        action_kind=env.action_kind,
+        horizon=env.horizon,
+        episodes_per_task=episodes_per_task,
+    )
+
+
+@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
+def drawn_state(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Problem) -> Any:
+    """Return the state before any training."""
+    return learner.init(key, problem)
+
+
+def with_weights_of(
+    other: Any, fresh: Any, larger: Any, learner: AbstractMetaLearner[Any, Any], source: Any
+) -> Any:
+    """Return a fresh state with the weights of another one that tasks share.
+
+    Args:
+        other: the state that has learned.
+        fresh: the state that gets its weights.
+        larger: the structure of a state for one more task, whose other shapes belong to tasks.
+        learner: of `fresh`.
+        source: what messages call `other`.
+
+    Raises:
+        RunError: the weights do not fit.
+    """
+    learned, values, shapes = map(named_leaves, (other, fresh, larger))
+    for name in names_of(learner.weights(fresh), fresh):
+        if values[name].shape == shapes[name].shape:  # what belongs to a task begins afresh
+            values[name] = learned.get(name)
+    return restore(fresh, values, source)
+
+
+def check_replay(learner: AbstractMetaLearner[Any, Any], state: Any, method: str) -> None:
+    """Refuse by `RunError` a replay that is too large to keep."""
+    megabytes = sum(x.nbytes for x in jax.tree.leaves(learner.replay(state))) / 1e6
+    if megabytes > LARGEST_REPLAY:
+        raise RunError(
+            f"the replay of `{method}` takes {megabytes:.0f} MB; at most {LARGEST_REPLAY} MB are "
+            "kept: let it hold fewer episodes."
+        )
