@@ -31,7 +31,7 @@ import numpy as np
 import tyro
 from gymnasium import spaces
 
-from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
+from maesn.envs.hosted import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, pack_task

@@ -242,6 +242,15 @@ def test_a_misspelt_reward_is_refused_by_the_name_that_it_was_given(make: Any) -
         make("maesn.gym:maesn/Point-v0", reward="sprase")
 
 
+@pytest.mark.parametrize("family", ["point", "wheeled"])
+def test_a_closed_engine_begins_no_single_episode(family: str) -> None:
+    env = TaskVectorEnv(family, 2)
+    env.reset(seed=0)
+    env.close()
+    with pytest.raises(RuntimeError, match="make a new one"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+
+
 def test_nothing_is_stepped_or_drawn_before_a_reset() -> None:
     env = TaskEnv("point", render_mode="rgb_array")
     for call in (partial(env.step, np.zeros(2)), env.render):

@@ -116,7 +116,7 @@ def _interpreter(options: list[str]) -> Iterator[list[str]]:
     from maesn.foreign import hosted_in
 
     place = words.index("--python")
-    with hosted_in(*words[place + 1 : place + 2]):
+    with hosted_in([*words, ""][place + 1]):
         yield words[:place] + words[place + 2 :]
 
 

@@ -32,7 +32,8 @@ from strangers import (
     make_walker,
 )
 
-from maesn.envs.foreign import gymnasium_family, task_row
+from maesn.envs.foreign import gymnasium_family
+from maesn.envs.hosted import task_row
 from maesn.foreign import InterfaceError
 from maesn.runs.export import probe_actuators
 from maesn.worlds import EnvContractError, check_env_contract, make_world
@@ -191,6 +192,13 @@ def test_tasks_are_handed_over_as_arrays_of_single_precision() -> None:
     np.testing.assert_array_equal(task["a"], [3, 4, 5])
     assert task["b"] == 8
 
+    def make(task: np.ndarray, reward: str) -> Any:
+        assert task.dtype == np.float32
+        return make_walker(task, reward)
+
+    family = gymnasium_family("walker", make, lambda _, size: np.ones((size, 4)), horizon=2)
+    check_env_contract(family.make_env(), family.task_set("test")[0])
+
 
 REFUSED = {
     "component 1 reaches from -1.0 to inf: give it finite bounds": Plain(
@@ -305,7 +313,10 @@ def test_the_extra_brings_what_gymnasiums_own_robots_import(tmp_path: Path) -> N
     # Without a screen, and without the variable that says so.
     with closing(make_world(env, family.task_set("test", 1), num_threads=1)) as world:
         assert world.film(1, 500, (30, 20))
-        world.stepper.begin(jnp.zeros(1, jnp.uint32), family.task_set("test", 1).tasks)
-        (picture,) = world.stepper.pictures(1)
+        tasks = family.task_set("test", 1)
+        renderer = world.stepper.renderer(tasks[0])
+        world.stepper.begin(jnp.zeros(1, jnp.uint32), tasks.tasks)
+        assert renderer is not None
+        (picture,) = renderer(1)
     assert picture.shape == (480, 480, 3)
     assert picture.std() > 0

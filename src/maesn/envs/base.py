@@ -3,7 +3,7 @@
 An environment says how an episode starts, what the agent observes, its reward, and when it ends. It
 holds no state and knows no batch. Its world is moved by a physics engine (`AbstractMujocoEnv`), by
 its own `advance` (`AbstractPureEnv`), or by processes in which the environments of others run
-(`maesn.envs.foreign.AbstractGymnasiumEnv`).
+(`maesn.envs.hosted.AbstractGymnasiumEnv`).
 """
 
 import dataclasses

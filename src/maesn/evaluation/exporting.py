@@ -53,7 +53,8 @@ def export_run(
             )
         search = found, rule.settings
         if not rule.any_reward:
-            about["reward"] = f"sparse, within {env.sparse_radius:g}"
+            radius = env.sparse_radius  # 0 where it is not known, as in environments of others
+            about["reward"] = "sparse" + (f", within {radius:g} of the goal" if radius else "")
     elif not isinstance(rule, GradientRule | None):
         raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
     try:

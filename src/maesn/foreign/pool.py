@@ -149,8 +149,8 @@ class WorkerPool:
                 rows = np.empty((num_simulations, part.shape[1]), np.float32)
             rows[share] = part
         _refuse_infinite(rows)
-        *numbers, observation = (rows[:, -4], rows[:, -3], rows[:, -2], rows[:, -1], rows[:, :-4])
-        return {"observation": observation, **dict(zip(_NUMBERS, numbers, strict=True))}
+        observation, numbers = np.split(rows, [-len(_NUMBERS)], axis=1)
+        return {"observation": observation, **dict(zip(_NUMBERS, numbers.T, strict=True))}
 
     def _ask(
         self, request: str, num_simulations: int, *columns: Any
@@ -181,7 +181,7 @@ class WorkerPool:
 
 
 @contextlib.contextmanager
-def hosted_in(python: str | os.PathLike[str] = "") -> Iterator[None]:
+def hosted_in(python: str | os.PathLike[str]) -> Iterator[None]:
     """Let workers that start in this block run in another interpreter, Python 3.10 or later.
 
     It needs NumPy and what the environments import. Nothing of this library is installed there, and

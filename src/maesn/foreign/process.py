@@ -90,20 +90,21 @@ class Worker:
         try:
             answer, failure = self.connection.recv()
         except (EOFError, OSError) as error:
-            calls, environment = self._calls()
-            code = self.process.wait()
-            who = "the environment has ended its process"
-            if not calls:
-                who = "the process of the environment ended before it could make one"
-            lines = self._last_lines()
-            said = f": {lines.splitlines()[-1]}" if lines and not calls else ""
-            reason = f"{who} (exit code {code}){said}"
-            words = lines if calls else ""
-            raise WorkerError(first + stride * environment, reason, words) from error
+            raise self._ended(first, stride) from error
         if failure is not None:
             environment, reason, trace = failure
             raise WorkerError(first + stride * environment, reason, trace)
         return answer
+
+    def _ended(self, first: int, stride: int) -> WorkerError:
+        (calls, environment), code = self._calls(), self.process.wait()
+        lines = self._last_lines()
+        if calls:
+            reason = f"the environment has ended its process (exit code {code})"
+            return WorkerError(first + stride * environment, reason, lines)
+        said = f": {lines.splitlines()[-1]}" if lines else ""
+        who = "the process of the environment ended before it could make one"
+        return WorkerError(first, f"{who} (exit code {code}){said}")
 
     def _last_lines(self) -> str:
         """Return what the process has written last to its standard error."""

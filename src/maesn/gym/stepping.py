@@ -148,10 +148,9 @@ class Stepper:
         start, tasks = jax.tree.map(lambda x: np.asarray(x)[rows], (start, self._present))
         some = None if len(rows) == self.num_episodes else rows
         try:
-            readings = self._stepper.begin(start, tasks, some)
+            self._readings = self._stepper.begin(start, tasks, some)
         except SimulationFailure as failure:
             raise self._error(failure) from failure
-        self._readings = _in_single_precision(readings)
         self._steps[rows], self.ended[rows] = 0, False
         observation, solved = _seen(_look(self.env, self._readings, self._present))
         return observation, self._information(solved)
@@ -181,7 +180,7 @@ class Stepper:
         action, over = self._to_action(action), self.ended
         control = np.where(over[:, None], 0.0, np.asarray(_control(self.env, action)))
         try:
-            self._readings = _in_single_precision(self._stepper.step(control, over))
+            self._readings = self._stepper.step(control, over)
         except SimulationFailure as failure:
             raise self._error(failure) from failure
         judged = _judge(self.env, before, action, self._readings, self._present)
@@ -238,13 +237,6 @@ SETTINGS = tuple(
     name for name, one in signature(Stepper).parameters.items() if one.kind is one.KEYWORD_ONLY
 )
 """Names of all that may be set."""
-
-
-def _in_single_precision(readings: HostReadings) -> HostReadings:
-    """Return readings in the precision in which the library's worlds judge them."""
-    # What blew up may be finite in double precision and infinite in single.
-    with np.errstate(over="ignore"):
-        return {name: value.astype(np.float32) for name, value in readings.items()}
 
 
 def _seen(values: Any) -> Any:

@@ -140,9 +140,9 @@ def _actuators(env: AnyEnv, changed: set[str], stated: Stated) -> Actuators:
     if free.any():
         index = int(np.argmax(free))
         raise ValueError(
-            f"the simulation limits the control of actuator {index} to "
-            f"{actuators.lower[index]:g} to {actuators.upper[index]:g} alone: {how} Where there is "
-            "no limit, say inf."
+            f"in the simulation, the control of actuator {index} may be anything from "
+            f"{actuators.lower[index]:g} to {actuators.upper[index]:g}: {how} Where there is no "
+            "limit, say inf."
         )
     return actuators
 
@@ -154,7 +154,7 @@ def _control_period(env: AnyEnv, changed: set[str], stated: float | None) -> flo
         if stated is None:
             raise ValueError(
                 "the time step differs between the tasks: say how many seconds the robot holds a "
-                "control, as in --control-period 0.02"
+                "control, as in --control-period 0.02."
             )
         return stated
     if stated is not None and not np.isclose(stated, env.control_period):

@@ -75,16 +75,20 @@ def probe_sensors(env: AnyEnv, task: Any) -> Sensors:
         task: one of its tasks; None leaves the readings of an environment in JAX without names.
     """
     size = env.observation_size
-    names, far = [f"computed by `{env.name}`"] * size, np.full(size, np.inf)
-    sensors = Sensors(tuple(names), -far, far)
+    far = np.full(size, np.inf)
+    sensors = Sensors((_computed(env),) * size, -far, far)
     if isinstance(env, AbstractMujocoEnv) or (
         task is not None and isinstance(env, AbstractPureEnv)
     ):
-        sensors = _copies(env, task, names)
+        sensors = _copies(env, task)
     return replace(sensors, names=env.observation_names() or sensors.names)
 
 
-def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sensors:
+def _computed(env: AnyEnv) -> str:
+    return f"computed by `{env.name}`"
+
+
+def _copies(env: AbstractSimulatedEnv[Any], task: Any) -> Sensors:
     """Return the sensors of an environment, with names of what is copied from the readings."""
     readings = _at_rest(env, task)
     labels = [label for name, value in readings.items() for label in _labels(env, name, value)]
@@ -101,19 +105,22 @@ def _copies(env: AbstractSimulatedEnv[Any], task: Any, names: list[str]) -> Sens
     scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
     offset -= scale * near[source]
     offset[np.abs(offset) < _TOLERANCE] = 0.0
-    shown = len(offset)
     lower, upper = _limits(lambda x: observe(np.full((1, rest.size), x))[0])
     copied = Actuators(offset, scale, lower, upper)  # the same form
     fits = (slope != 0).sum(axis=1) == 1
     probes = _probes(rest.size)
     copies = copied.control(probes[:, source])
     fits &= np.isclose(copies, observe(probes), _TOLERANCE, _TOLERANCE).all(axis=0)
-    for index in np.flatnonzero(fits):
-        names[index] = _written(labels[source[index]], scale[index], offset[index])
-    names[shown:] = [f"instruction[{index}]" for index in range(len(names) - shown)]
-    free = np.full(len(names) - shown, np.inf)
+    names = [
+        _written(labels[source[index]], scale[index], offset[index])
+        if fits[index]
+        else _computed(env)
+        for index in range(len(offset))
+    ]
+    instructions = [f"instruction[{index}]" for index in range(env.observation_size - len(names))]
+    free = np.full(len(instructions), np.inf)
     return Sensors(
-        tuple(names),
+        (*names, *instructions),
         np.append(np.where(fits, lower, -np.inf), -free),
         np.append(np.where(fits, upper, np.inf), free),
     )

@@ -5,7 +5,7 @@ from typing import Any, Literal, TypeAlias
 
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
 from maesn.envs.base import Start as Start
-from maesn.envs.foreign import AbstractGymnasiumEnv
+from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.envs.tasks import TaskSet
 from maesn.settings import check_choice
 from maesn.worlds.base import AbstractWorld as AbstractWorld

@@ -15,7 +15,7 @@ from maesn.envs.base import (
     AbstractSimulatedEnv,
     AnyEnv,
 )
-from maesn.envs.foreign import AbstractGymnasiumEnv
+from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.physics import field_values, load_model, resting_readings
 from maesn.policies import USUAL, AbstractPolicy
 from maesn.storage import RunError, refusals

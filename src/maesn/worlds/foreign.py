@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Array, UInt8, UInt32
 
 from maesn.axes import HostReadings
-from maesn.envs.foreign import AbstractGymnasiumEnv, task_row
+from maesn.envs.hosted import AbstractGymnasiumEnv, as_given, task_row
 from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
 from maesn.worlds.budget import num_cpus
-from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Rows
+from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Renderer, Rows
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ class HostedStepper(AbstractStepper):
 
     Args:
         env: the environment.
-        num_workers: most processes; 0 for one for each CPU.
+        num_workers: largest number of processes; 0 means one for each CPU.
     """
 
     def __init__(self, env: AbstractGymnasiumEnv, num_workers: int = 0) -> None:
@@ -57,12 +57,13 @@ class HostedStepper(AbstractStepper):
         with self._naming() as pool:
             return pool.step(control)
 
-    def draws(self, task: Any) -> bool:
-        """True if `make_env` has set `render_mode="rgb_array"`."""
+    def renderer(self, task: Any) -> Renderer | None:
+        """None unless `make_env` has set `render_mode="rgb_array"`."""
         with self._naming() as pool:
-            return pool.renders(pack_task(task_row(jax.tree.map(lambda x: x[None], task), 0)))
+            renders = pool.renders(pack_task(as_given(task)))
+        return self._pictures if renders else None
 
-    def pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
+    def _pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
         with self._naming() as pool:
             return pool.pictures(count, offscreen_library())
 
@@ -93,7 +94,7 @@ def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
     Raises:
         EnvContractError: it fails, or returns what cannot be used.
     """
-    row = jax.tree.map(np.asarray, task)
+    row = as_given(task)
     action = jnp.zeros(env.action_size)
     with contextlib.closing(env.open_pool(1)) as pool:
         try:

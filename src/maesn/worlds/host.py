@@ -23,12 +23,13 @@ from maesn.worlds.base import (
     SimulationFailure,
     Trajectory,
 )
-from maesn.worlds.stepping import AbstractStepper
+from maesn.worlds.stepping import AbstractStepper, Renderer
 
 
 class _Camera(NamedTuple):
     """What to film, as `film` was asked."""
 
+    renderer: Renderer
     shown: int
     stride: int
     size: tuple[int, int]
@@ -66,9 +67,9 @@ class HostWorld(AbstractWorld):
             raise
 
     def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
-        draws = self.stepper.draws(self.tasks[0])
-        self._camera = _Camera(shown, stride, size) if draws else None
-        return draws
+        renderer = self.stepper.renderer(self.tasks[0])
+        self._camera = _Camera(renderer, shown, stride, size) if renderer else None
+        return self._camera is not None
 
     def close(self) -> None:
         self.stepper.close()
@@ -102,7 +103,7 @@ class HostWorld(AbstractWorld):
     def _take_pictures(self, time: int, num_simulations: int) -> None:
         camera = self._camera
         if camera and (time % camera.stride == 0 or time == self.env.horizon):
-            drawn = self.stepper.pictures(min(camera.shown, num_simulations))
+            drawn = camera.renderer(min(camera.shown, num_simulations))
             padded = (ImageOps.pad(Image.fromarray(x), camera.size, color="white") for x in drawn)
             self.pictures.append([np.asarray(picture) for picture in padded])
 
@@ -123,10 +124,8 @@ class _Record:
         return len(self._decisions)
 
     def _write(self, readings: HostReadings) -> None:
-        # What blew up may be finite in double precision and infinite in single.
-        with np.errstate(over="ignore"):
-            for name, value in readings.items():
-                self._readings[name][self.length] = value
+        for name, value in readings.items():
+            self._readings[name][self.length] = value
 
     def at(self, index: int) -> HostReadings:
         """The readings of one state, as the policy sees them."""

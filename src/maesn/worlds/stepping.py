@@ -5,7 +5,7 @@ outside. What differs between MuJoCo, JAX and environments of others is hidden h
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeAlias
@@ -22,6 +22,8 @@ from maesn.worlds.base import SimulationFailure
 Rows: TypeAlias = Int[np.ndarray, " row"]
 Controls: TypeAlias = Float[np.ndarray, "simulation control"]
 Ended: TypeAlias = Bool[np.ndarray, " simulation"]
+Renderer: TypeAlias = Callable[[int], list[UInt8[np.ndarray, "height width 3"]]]
+"""Returns pictures of the present states of that many simulations, the first ones."""
 
 _CLOSED = "there is no episode to be stepped: begin one, or make a new one"
 
@@ -38,12 +40,13 @@ class AbstractStepper(ABC):
 
         Args:
             start: the starts that `env.start` returns, stacked over `simulation`.
-            tasks: the tasks, stacked; equally many simulations in a row have each.
+            tasks: the tasks, stacked. Each is played by as many simulations, those of one task
+                next to each other.
             rows: indices, ascending, of the simulations that begin anew; the others stay where they
                 are. None for all, as many as there are starts.
 
         Returns:
-            The readings of all simulations.
+            The readings of all simulations, in single precision.
 
         Raises:
             SimulationFailure: one of them cannot begin.
@@ -55,22 +58,25 @@ class AbstractStepper(ABC):
 
         Args:
             control: what `env.control` returns.
-            ended: simulations whose episode is over. What happens to them means nothing.
+            ended: simulations whose episode is over. Their readings may be anything.
 
         Returns:
-            The readings of all simulations.
+            The readings of all simulations, in single precision.
 
         Raises:
-            SimulationFailure: one that counts cannot go on.
+            SimulationFailure: one whose episode is not over cannot go on.
         """
 
-    def draws(self, task: Any) -> bool:
-        """Return whether the environments draw themselves: those of others may."""
-        return False
+    def renderer(self, task: Any) -> Renderer | None:
+        """Return what lets the environments draw themselves, as those of others may; None if not.
 
-    def pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
-        """Return what the first simulations draw of their present states."""
-        raise NotImplementedError
+        Args:
+            task: any task, for an environment that can be asked.
+
+        Raises:
+            SimulationFailure: the environment cannot be used.
+        """
+        return None
 
     @abstractmethod
     def close(self) -> None:
@@ -98,11 +104,11 @@ class NativeStepper(AbstractStepper):
         if rows is None:
             self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
         with _naming():
-            return self._open().reset(qpos, qvel, fields, rows)
+            return _single(self._open().reset(qpos, qvel, fields, rows))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
         with _naming():
-            return self._open().step(control, abandoned=ended)
+            return _single(self._open().step(control, abandoned=ended))
 
     def close(self) -> None:
         for simulator in self._simulators.values():
@@ -127,6 +133,12 @@ class NativeStepper(AbstractStepper):
         return self._current
 
 
+def _single(readings: HostReadings) -> HostReadings:
+    # What blew up may be finite in double precision and infinite in single.
+    with np.errstate(over="ignore"):
+        return {name: value.astype(np.float32) for name, value in readings.items()}
+
+
 @contextmanager
 def _naming() -> Iterator[None]:
     try:
@@ -148,6 +160,8 @@ class DeviceStepper(AbstractStepper):
                 f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
                 f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
             )
+        if rows is not None and not self._state:
+            raise RuntimeError(_CLOSED)
         for name, values in (("qpos", start.qpos), ("qvel", start.qvel)):
             if rows is None:
                 self._state[name] = np.array(values, np.float32)

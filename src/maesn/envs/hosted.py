@@ -1,0 +1,165 @@
+"""Environments that others wrote, with Gymnasium's interface, hosted in processes of their own.
+
+Observations are flattened. Actions are mapped once, for all tasks: the policy's action a is
+unbounded, and component i of the control is
+
+    u_i = clip(middle_i + half_i a_i, lower_i, upper_i),
+
+with the middle and half the width of the action space: a = 0 is the middle, and +-1 are the bounds.
+A `Discrete` action space becomes a choice, a one-hot vector.
+
+The bounds are the tightest of the environment and its wrappers. The reward is the environment's
+own, as is the end of an episode: `terminated` is the task's, and `truncated` is a clock's. Success
+is `info["is_success"]` or else `info["success"]`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from maesn.axes import Key, ObservedReward, Readings
+from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
+from maesn.foreign import Interface, WorkerPool
+
+
+def nowhere(_: Any) -> Float[Array, " 2"]:
+    """Return no position: figures that need one are left out."""
+    return jnp.full(2, jnp.nan)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How the environments of a family are made, hosted and shown."""
+
+    make_env: Callable[[Any, str], Any] | str
+    """Called with a task and "dense" or "sparse"; or its `module:name`."""
+    time_limit: float
+    """Seconds that one call of an environment may take."""
+    max_environments: int
+    """Environments that adaptation may keep at once."""
+    position: Callable[[Any], Any]
+    """Planar position (metres) for figures from an observation, or `nowhere`."""
+    goal: Callable[[Any], Any]
+    """Planar position (metres) for figures from a task, or `nowhere`."""
+    situation: Callable[[Any], Any] | None
+    """What of a task an episode depends on; None for all of it."""
+    reward: Callable[..., Any] | None
+    """The environment's own reward, as a function; None if it cannot be said."""
+
+
+class AbstractGymnasiumEnv(AbstractEnv[Any]):
+    """Somebody else's environment, which runs in processes of its own.
+
+    Each family is a class, made by `gymnasium_family`.
+    """
+
+    engine: ClassVar[str] = "gymnasium"
+
+    interface: eqx.AbstractClassVar[Interface]
+    recipe: eqx.AbstractClassVar[Recipe]
+
+    horizon: int
+    observation_size: int
+    action_size: int
+    reward_kind: RewardKind
+    sparse_radius: float = 0.0
+    """Not known here: 0."""
+    variant: Variant = "reference"
+
+    def start(self, key: Key, task: Any) -> UInt32[Array, ""]:
+        """Return the seed that the episode is reset with."""
+        return jax.random.bits(key, dtype=jnp.uint32)
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+        if self.action_kind == "discrete":
+            return action
+        lower, upper = (
+            jnp.asarray(bounds, jnp.float32)
+            for bounds in (self.interface.lower, self.interface.upper)
+        )
+        return jnp.clip((lower + upper) / 2 + (upper - lower) / 2 * action, lower, upper)
+
+    def observe(self, readings: Readings) -> Float[Array, " observed"]:
+        return readings["observation"]
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Any,
+    ) -> Reward:
+        """Return the environment's reward, all of it as the goal's part."""
+        if self.recipe.reward is None:
+            return Reward(goal=next_readings["reward"], other=jnp.zeros(()))
+        seen = readings["observation"], self.control(action), next_readings["observation"]
+        return Reward(goal=self.recipe.reward(*seen, task, self.reward_kind), other=jnp.zeros(()))
+
+    def observed_reward(
+        self,
+        kind: ObservedReward,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Any,
+    ) -> Float[Array, ""]:
+        """Return the environment's reward as it is: far from the goal it may depend on the task."""
+        return self.reward(readings, action, next_readings, task).total
+
+    def observation_names(self) -> tuple[str, ...]:
+        """Return names of the components of an observation: the parts of the space, in order."""
+        return self.interface.observation_names
+
+    def situation(self, task: Any) -> Any:
+        """Return what of a task an episode depends on, as the family says."""
+        return task if self.recipe.situation is None else self.recipe.situation(task)
+
+    def open_pool(self, num_workers: int) -> WorkerPool:
+        """Return workers that host this environment; nothing is started yet."""
+        how = self.recipe
+        return WorkerPool(
+            how.make_env, self.reward_kind, self.interface.spaces, num_workers, how.time_limit
+        )
+
+    def check_shown(self, kind: ObservedReward) -> None:
+        """Refuse a reward of another kind than the environment gives: it has one at a time.
+
+        Raises:
+            ValueError: the kind is another one.
+        """
+        if kind not in ("own", self.reward_kind):
+            raise ValueError(
+                f"`{self.name}` gives the {self.reward_kind} reward alone, but the policy reads "
+                f"the {kind} one: set `reward` to {kind}, or the policy's `observed_reward` to own."
+            )
+
+    def terminated(self, readings: Readings) -> Bool[Array, ""]:
+        return readings["terminated"] > 0
+
+    def truncated(self, readings: Readings) -> Bool[Array, ""]:
+        return readings["truncated"] > 0
+
+    def solved(self, readings: Readings, task: Any) -> Bool[Array, ""]:
+        return readings["solved"] > 0
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return self.recipe.position(observation)
+
+    def goal(self, task: Any) -> Float[Array, " 2"]:
+        return self.recipe.goal(task)
+
+
+def task_row(tasks: Any, row: int) -> Any:
+    """Return one of several tasks as `make_env` and `set_task` get it."""
+    return as_given(jax.tree.map(lambda x: x[row], tasks))
+
+
+def as_given(task: Any) -> Any:
+    """Return a task as `make_env` and `set_task` get it: NumPy arrays of single precision."""
+    return jax.tree.map(lambda x: np.asarray(jnp.asarray(x)), task)
