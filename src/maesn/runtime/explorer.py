@@ -203,7 +203,8 @@ class Explorer:
         if normalized:
             self.exported.actuators.refuse_unlimited()
         random_state = self._generator.bit_generator.state
-        if self.exported.is_noisy[running.purpose] if explore is None else explore:
+        is_drawn = self.exported.is_noisy[running.purpose] if explore is None else explore
+        if is_drawn:
             std = self.exported.policy.std
             action += std * self._generator.standard_normal(std.shape[0])
         before = running.controls[-1] if running.controls else None
