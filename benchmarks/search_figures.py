@@ -101,7 +101,7 @@ def draw_beliefs(found: Searched) -> Figure:
     means = []
     for count in SHOWN:
         one = found.searches[count]
-        more = one.posterior.extended(one.model, grid)
+        more = one.posterior.extended(grid)
         means.append(more.mean[len(one.points) :].reshape(POINTS, POINTS))
     limits = (min(map(np.min, means)), max(map(np.max, means)))
     for panel, count, mean in zip(panels, SHOWN, means, strict=True):

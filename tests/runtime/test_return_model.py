@@ -11,13 +11,8 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.kernel import ROUGHNESS, matern, roughness
-from maesn.runtime.return_model import (
-    OUTLIER,
-    Posterior,
-    Reading,
-    ReturnModel,
-    ReturnPrior,
-)
+from maesn.runtime.posterior import OUTLIER, Posterior, Reading
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 
 
 def random_prior(

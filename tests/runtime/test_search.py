@@ -13,7 +13,8 @@ from runtime.robot import contents, fast_learner, observations
 from maesn.envs import Point
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runtime import Explorer, Safeguards
-from maesn.runtime.return_model import Reading, ReturnPrior
+from maesn.runtime.posterior import Reading
+from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.search import SearchFastLearner
 

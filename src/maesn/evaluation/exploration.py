@@ -178,6 +178,6 @@ def _beliefs(search: LatentSearch) -> np.ndarray:
     points = np.tile(search.latent(search.best), (len(plane), 1))
     width = min(2, points.shape[1])
     points[:, :width] = plane[:, :width]
-    more = search.posterior.extended(search.model, points)
+    more = search.posterior.extended(points)
     found = np.stack([more.mean, more.std])[:, -len(points) :]
     return found.reshape(2, _BELIEFS, _BELIEFS)
