@@ -22,7 +22,7 @@ from maesn.runs.run import Run
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.kernel import matern
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import SearchSettings
+from maesn.runtime.search_settings import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file, read_prior, run_prior

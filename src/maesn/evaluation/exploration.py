@@ -168,6 +168,8 @@ def _searches(run: Run) -> RecordedSearches:
         deployed=np.array([[one.latent(one.best) for one in task] for task in searches]),
         mean=beliefs[:, :, 0],
         std=beliefs[:, :, 1],
+        interval=np.array([[one.interval(one.best) for one in task] for task in searches]),
+        familiar=np.array([[one.posterior.familiar for one in task] for task in searches]),
     )
 
 

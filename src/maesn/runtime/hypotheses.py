@@ -5,6 +5,8 @@ another return c where the goal is never near; or *unlike* all of them. Each is 
 returns. Bayes' rule weighs them by what the episodes returned.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +15,11 @@ import numpy as np
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.posterior import Posterior, Reading, TaskModel, normalized
 from maesn.runtime.return_model import ReturnModel
+
+# Components with a smaller share of the largest weight move no quantile that is shown.
+_NEGLIGIBLE = 1e-6
+_FAR = 8.0  # standard deviations from a mean, beyond which no quantile lies
+_HALVINGS = 40
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,27 @@ class MixedPosterior:
         stds = [np.full(len(mean), std) for mean, std in found]
         return self.weights, np.concatenate([mean for mean, _ in found]), np.concatenate(stds)
 
+    def place(self, reading: Reading) -> float:
+        """Return the probability of a return below that of a reading."""
+        weights, means, stds = self.predicted(reading.point, reading.length)
+        return float(weights @ normal_cdf((reading.episode_return - means) / stds))
+
+    def quantiles(self, point: int, levels: Sequence[float]) -> tuple[float, ...]:
+        """Return quantiles of the return of a whole episode with a latent, by bisection."""
+        weights, means, stds = self.predicted(point)
+        heavy = weights > _NEGLIGIBLE * weights.max()
+        weights, means, stds = weights[heavy] / weights[heavy].sum(), means[heavy], stds[heavy]
+        ends = float((means - _FAR * stds).min()), float((means + _FAR * stds).max())
+        found = []
+        for level in levels:
+            low, high = ends
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2.0
+                below = weights @ normal_cdf((middle - means) / stds) < level
+                low, high = (middle, high) if below else (low, middle)
+            found.append((low + high) / 2.0)
+        return tuple(found)
+
     def expected(self, point: int) -> Reading:
         """Return the reading that is expected of a whole episode with a latent."""
         weights, means, _ = self.predicted(point)
@@ -145,3 +173,9 @@ class MixedPosterior:
     def _hypothesis_weights(self) -> FloatArray:
         ends = np.cumsum([len(part.task_mean) for part in self.parts])[:-1]
         return np.array([one.sum() for one in np.split(self.weights, ends)])
+
+
+def normal_cdf(standard: FloatArray) -> FloatArray:
+    """Return the distribution function of N(0, 1), which NumPy lacks."""
+    values = [math.erfc(-value / math.sqrt(2.0)) / 2.0 for value in standard.tolist()]
+    return np.asarray(values, np.float64)

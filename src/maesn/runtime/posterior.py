@@ -135,7 +135,9 @@ class Posterior:
         covariance, offset = self._covariances(model, point, length)
         noise = float(model.noise(self.points[point : point + 1])[0])
         variance = float(covariance[point]) + length * offset + noise
-        return self.task_mean[:, point] + length * self.task_offset, float(np.sqrt(max(variance, 0.0)))
+        return self.task_mean[:, point] + length * self.task_offset, float(
+            np.sqrt(max(variance, 0.0))
+        )
 
     def conditioned(self, model: TaskModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""

@@ -11,6 +11,7 @@ never comes near the goal, and l the length of the episode as a share of the hor
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,9 @@ _LEAST_NOISE = 1e-6
 # other numbers of this hypothesis, on the task set `ood-validation` of `wheeled`.
 _WIDER = 2.0
 
+NOMINAL = (0.05, 0.95)
+"""Quantiles between which 90 % of the returns lie if the model is right."""
+
 
 @dataclass(frozen=True)
 class ReturnPrior:
@@ -43,6 +47,10 @@ class ReturnPrior:
         episodes: number of episodes that each X_ij is the mean of.
         offset_mean: mean of c over the training tasks.
         offset_std: standard deviation of c over the training tasks.
+        proposed_levels: the quantiles of the predicted return between which 90 % of the returns
+            lie, for latents that a search plays, as found in searches in other tasks.
+        deployed_levels: the same for latents that a search deploys. They are selected, so their
+            returns tend to be below what was expected.
 
     Raises:
         ValueError: a field has another shape, is not finite, or is out of its range.
@@ -54,6 +62,8 @@ class ReturnPrior:
     episodes: int
     offset_mean: float
     offset_std: float
+    proposed_levels: Sequence[float] = NOMINAL
+    deployed_levels: Sequence[float] = NOMINAL
 
     def __post_init__(self) -> None:
         count = len(self.latents)
@@ -73,6 +83,9 @@ class ReturnPrior:
             raise ValueError("`noise` must be at least 0 and `episodes` at least 1.")
         if not 0 <= self.offset_std < np.inf:
             raise ValueError(f"`offset_std` must be at least 0, got {self.offset_std}.")
+        for low, high in (self.proposed_levels, self.deployed_levels):
+            if not 0 < low < high < 1:
+                raise ValueError(f"levels must be between 0 and 1, in order, got {low} and {high}.")
 
 
 class ReturnModel:
