@@ -1,21 +1,23 @@
 """Intervals that hold what they say: their levels, from searches in tasks that the prior lacks."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from maesn.axes import Key
-from maesn.learners import AbstractSettableLatent
+from maesn.experience.episodes import Episodes
+from maesn.learners import AbstractSettableLatent, Purpose
+from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import NOMINAL, ReturnPrior
 from maesn.runtime.search_settings import SearchSettings
-from maesn.search.learner import SearchFastLearner
+from maesn.search.learner import SearchFastLearner, SearchState
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
-EPISODES = 20  # of a search
+EPISODES = 30  # of each task: by turns, two of a search, and one of the latent to deploy
 # Fewer readings than this tell nothing of the tails.
 _FEWEST = 100
 _OUTERMOST = 0.002  # a level: no number of readings shows that nothing lies beyond
@@ -39,25 +41,32 @@ def calibrated(
     model = settings.model(dataclasses.replace(prior, proposed_levels=NOMINAL))
     learner = SearchFastLearner(latent, model, settings)
     collect = Collector(world, 1)
-    proposed: list[float] = []
-    deployed: list[float] = []
+    places: dict[Purpose, list[float]] = {"explore": [], "deploy": []}
     keys, slots = jax.random.split(key, collect.num_tasks), jnp.arange(collect.num_tasks)
     for part in collect.parts(collect.num_tasks):
         state = learner.init(keys[part])
-        for episode in range(EPISODES):
-            episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys[part], episode)
-            after = learner.update(state, collect(episode_keys, learner.agents(state), slots[part]))
-            for search, later in zip(state.searches, after.searches, strict=True):
-                reading = later.posterior.readings[-1]
-                place = search.posterior.place(reading)
-                proposed.append(place)
-                if reading.point == search.best:
-                    deployed.append(place)
-            state = after
-    levels = _levels(proposed, NOMINAL)
-    return dataclasses.replace(
-        prior, proposed_levels=levels, deployed_levels=_levels(deployed, levels)
-    )
+        for count in range(EPISODES):
+            purpose: Purpose = "deploy" if count % 3 == 2 else "explore"
+            episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys[part], count)
+            episodes = collect(episode_keys, learner.agents(state, purpose), slots[part])
+            places[purpose] += _places(state, episodes, purpose)
+            if purpose == "explore":
+                state = learner.update(state, episodes)
+    proposed = _levels(places["explore"], NOMINAL)
+    deployed = _levels(places["deploy"], proposed)
+    return dataclasses.replace(prior, proposed_levels=proposed, deployed_levels=deployed)
+
+
+def _places(state: SearchState, episodes: Episodes, purpose: Purpose) -> Iterator[float]:
+    """Yield where returns lie in what was predicted of them, unless they were known exactly."""
+    returns = np.asarray(episodes.undiscounted_return[:, 0], np.float64)
+    lengths = np.asarray(episodes.valid[:, 0].mean(-1), np.float64)
+    for search, (proposed,), *played in zip(
+        state.searches, state.chosen, returns, lengths, strict=True
+    ):
+        point = search.best if purpose == "deploy" else proposed
+        if not search.posterior.is_known(point):
+            yield search.posterior.place(Reading(point, *played))
 
 
 def _levels(places: Sequence[float], otherwise: Sequence[float]) -> tuple[float, float]:

@@ -48,7 +48,7 @@ class PriorSettings:
     share episodes. The noise of returns is then learned from a few latents alone."""
     action_noise: bool = False
     """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
-    searches: int = 30
+    searches: int = 20
     """Validation tasks that are searched once, so that 90 % intervals hold 90 % of the returns. 0
     keeps the model's own intervals."""
     seed: int = 0
