@@ -197,6 +197,15 @@ class UnlikeModel:
         """The returns of the archive."""
         return self.base.prior
 
+    @property
+    def archive(self) -> FloatArray:
+        """The latents that a search chooses from, `[latent, z]`."""
+        return self.base.archive
+
+    def explained(self, length: float = 1.0) -> tuple[float, float]:
+        """Return the smallest and the largest return of one episode that the prior explains."""
+        return self.base.explained(length)
+
     def task_means(self, latents: FloatArray) -> FloatArray:
         """Return the mean of f, `[1, point]`."""
         return np.asarray(self.base.task_means(latents).mean(axis=0, keepdims=True))
