@@ -21,11 +21,11 @@ from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import find_family as find_family
 from maesn.envs.cheetah import Body as Body
-from maesn.envs.cheetah import CheetahDir as CheetahDir
 from maesn.envs.cheetah import CheetahBody as CheetahBody
+from maesn.envs.cheetah import CheetahDir as CheetahDir
 from maesn.envs.cheetah import CheetahVel as CheetahVel
-from maesn.envs.cheetah import cheetah_dir as cheetah_dir
 from maesn.envs.cheetah import cheetah_body as cheetah_body
+from maesn.envs.cheetah import cheetah_dir as cheetah_dir
 from maesn.envs.cheetah import cheetah_vel as cheetah_vel
 from maesn.envs.grid_navi import GridNavi as GridNavi
 from maesn.envs.grid_navi import grid_navi as grid_navi

@@ -3,7 +3,7 @@
 from maesn.envs.ant import ant
 from maesn.envs.ant_v5 import ant_dir, ant_goal, sparse_ant_goal
 from maesn.envs.blockpush import blockpush
-from maesn.envs.cheetah import cheetah_dir, cheetah_body, cheetah_vel
+from maesn.envs.cheetah import cheetah_body, cheetah_dir, cheetah_vel
 from maesn.envs.grid_navi import grid_navi
 from maesn.envs.point import point
 from maesn.envs.sparse_point import sparse_point
