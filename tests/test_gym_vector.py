@@ -39,7 +39,7 @@ def assert_same(batched: list[Any], one_by_one: list[Any]) -> None:
     # point: three episodes one after the other. hidden_end: episodes of different lengths, NaN
     # behind their ends. The robots: states that only the engine knows.
     [("point", 90, 0), (hidden_end, 40, 0), ("wheeled", 10, 2), ("ant", 10, 2),
-     ("blockpush", 110, 1), ("grid_navi", 40, 0)],
+     ("blockpush", 110, 1), ("grid_navi", 40, 0), ("cheetah_body", 10, 2)],
 )  # fmt: skip
 def test_rows_are_single_environments(family: Any, steps: int, num_threads: int) -> None:
     batched = TaskVectorEnv(family, COUNT, num_threads=num_threads)
