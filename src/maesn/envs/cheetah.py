@@ -186,7 +186,7 @@ def _check_bodies(bodies: Body) -> None:
 
 cheetah_vel = TaskFamily("cheetah_vel", CheetahVel, _draw_speeds, ("velocity",), seed=1703)
 cheetah_dir = TaskFamily(
-    "cheetah_dir", CheetahDir, _first_directions, ("direction",), seed=2, num_tasks=2
+    "cheetah_dir", CheetahDir, _first_directions, ("direction",), seed=1803, num_tasks=2
 )
 cheetah_body = TaskFamily(
     "cheetah_body",
