@@ -47,7 +47,7 @@ belong to the state that the step leads to; v5 takes both from the last stage of
 to 0.01 s earlier. Oyster's `ant-dir` trains and tests on 2 directions.
 """
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -56,10 +56,10 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Readings
 from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound
-from maesn.envs.base import Reward, Task
+from maesn.envs.base import Reward, RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
-from maesn.envs.walking import AbstractPlaceless, AbstractWalking
+from maesn.envs.walking import HORIZON, AbstractPlaceless, AbstractWalking
 
 SURVIVAL_BONUS = 1.0  # per step, in `ant_dir`; oyster
 LARGEST_DISTANCE = 3.0  # metres, of goals from the start; ProMP
@@ -71,10 +71,16 @@ class AbstractAntV5(AbstractWalking[Task]):
 
     model: ClassVar[str] = "gymnasium_ant"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel", "cfrc_ext")
-    nonfinite: ClassVar[str] = "report"
+    nonfinite: ClassVar[Literal["raise", "report"]] = "report"
     standing: ClassVar[tuple[float, ...]] = (0.0, 0.0, 0.75, 1.0, *(0.0,) * 11)
     num_speeds: ClassVar[int] = 14
 
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    """Without effect: the sources have one reward each."""
+    sparse_radius: float = GOAL_RADIUS
+    """In metres, where a goal counts as reached."""
+    horizon: int = HORIZON
     observation_size: int = 107
     action_size: int = 8
 
@@ -123,14 +129,11 @@ class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
         return super().terminated(readings) | fallen
 
 
-class AntGoal(AbstractReaching, AbstractAntV5[Goal]):
+class AntGoal(AbstractAntV5[Goal], AbstractReaching):
     """Gymnasium's ant that walks to a hidden goal."""
 
     name: ClassVar[str] = "ant_goal"
     control_cost: ClassVar[float] = 0.1
-
-    sparse_radius: float = GOAL_RADIUS
-    """In metres, where the goal counts as reached."""
 
     def goal_reward(self, readings: Readings, task: Goal) -> Float[Array, ""]:
         """Return the part of the reward that depends on the goal."""

@@ -47,9 +47,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import Readings
-from maesn.envs.base import Reward, Task
+from maesn.envs.base import Reward, RewardKind, Task, Variant
 from maesn.envs.tasks import TaskFamily
-from maesn.envs.walking import AbstractPlaceless
+from maesn.envs.walking import HORIZON, AbstractPlaceless
 from maesn.physics import field_values, load_model
 
 LARGEST_SPEED = 3.0  # m/s, of the targets; oyster
@@ -65,6 +65,12 @@ class AbstractCheetah(AbstractPlaceless[Task]):
     num_speeds: ClassVar[int] = 9
     control_cost: ClassVar[float] = 0.05
 
+    variant: Variant = "reference"
+    reward_kind: RewardKind = "dense"
+    """Without effect: the sources have one reward each."""
+    sparse_radius: float = 0.0
+    """Without effect: there is no goal region."""
+    horizon: int = HORIZON
     observation_size: int = 17
     action_size: int = 6
 
@@ -140,7 +146,7 @@ class CheetahBody(AbstractCheetah[Body]):
             "geom_friction": task.friction,
         }
         own = _own_fields(self.model, tuple(factors))
-        return {name: factor * jnp.asarray(own[name]) for name, factor in factors.items()}
+        return {name: jnp.asarray(factor) * own[name] for name, factor in factors.items()}
 
     def situation(self, task: Body) -> Any:
         """Return the body: episodes depend on all of it."""

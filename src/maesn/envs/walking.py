@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, ObservedReward, Readings
-from maesn.envs.base import AbstractMujocoEnv, RewardKind, Task, Variant
+from maesn.envs.base import AbstractMujocoEnv, Task
 
 NOISE = 0.1  # of the start: half width of positions, standard deviation of velocities; v5
 HORIZON = 200  # steps, in all of the sources
@@ -31,13 +31,6 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
     """Components of qvel."""
     control_cost: eqx.AbstractClassVar[float]
     """Cost of a squared unit of control."""
-
-    variant: Variant = "reference"
-    reward_kind: RewardKind = "dense"
-    """Without effect: the sources have one reward each."""
-    sparse_radius: float = 0.0
-    """Without effect, where a task has no goal region."""
-    horizon: int = HORIZON
 
     def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:
         position_key, velocity_key = jax.random.split(key)
