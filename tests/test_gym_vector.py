@@ -46,6 +46,7 @@ def test_rows_are_single_environments(family: Any, steps: int, num_threads: int)
     single = SyncVectorEnv([lambda: TaskEnv(family)] * COUNT)
     assert batched.observation_space == single.observation_space
     assert batched.action_space == single.action_space
+    assert batched.tasks.digest() == TaskEnv(family).tasks.digest()
     got = play(batched, steps, seed=11)
     assert_same(got, play(single, steps, seed=11))
     assert np.array([result[0] for result in got]).std() > 0

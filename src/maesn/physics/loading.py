@@ -20,6 +20,7 @@ from maesn.physics.base import EngineError
 _messages: deque[str] = deque(maxlen=16)
 
 # In a model of the library: all of a model that the installed Gymnasium brings.
+_OF_GYMNASIUM = "gymnasium_"  # how the names of such models begin
 _INCLUDED = re.compile(r'<include file="gymnasium:([\w.]+)"/>')
 
 
@@ -52,7 +53,7 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
         raise ValueError(
             f"`model` {label(model)!r} cannot be compiled, because MuJoCo says: {said}"
         ) from error
-    for message in _messages if not label(model).startswith("gymnasium_") else ():
+    for message in _messages if not label(model).startswith(_OF_GYMNASIUM) else ():
         warnings.warn(f"model {label(model)!r}: {message}", stacklevel=2)
     compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     return compiled
