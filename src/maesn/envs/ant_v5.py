@@ -16,9 +16,9 @@ R = 0.75 m. From all of them go the control cost, which the table has per square
 0.0005 per squared unit of contact torques and forces, clipped to [-1, 1]. `ant_dir` adds 1 for each
 step.
 
-Sources: `AntRandDirec2DEnv` and `AntRandGoalEnv` of jonasrothfuss/ProMP; `AntDirEnv` and `AntGoalEnv`
-of katerakelly/oyster (`rlkit/envs`) and `AntGoalEnv` of lmzintgraf/varibad, with the same numbers;
-`AntGoalSparseEnv` of lmzintgraf/hyperx (`environments/mujoco/ant_goal.py`).
+Sources: `AntRandDirec2DEnv` and `AntRandGoalEnv` of jonasrothfuss/ProMP; `AntDirEnv` and
+`AntGoalEnv` of katerakelly/oyster (`rlkit/envs`) and `AntGoalEnv` of lmzintgraf/varibad, with the
+same numbers; `AntGoalSparseEnv` of lmzintgraf/hyperx (`environments/mujoco/ant_goal.py`).
 
 An episode has 200 steps of 0.05 s. In `ant_dir` a torso below 0.2 m or above 1 m ends it, and the
 rewards of 1 with it; ProMP has no lower limit. The goal families have no early end. In all of them
@@ -43,8 +43,8 @@ Differences from the sources: observations are those of Gymnasium's `Ant-v5`, an
 goals. Oyster shows contact forces for goals alone (27 and 113 components, the forces on the world
 among them), hyperx the position of the torso once more (116). Here contact forces and the velocity
 belong to the state that the step leads to; v5 takes both from the last stage of its integrator, up
-to 0.01 s earlier. Oyster's `ant-dir` trains and tests on 2 directions. Varibad's `AntDir2D-v0` takes
-the first component of a direction for its angle, so that all lie within 57 degrees of x.
+to 0.01 s earlier. Oyster's `ant-dir` trains and tests on 2 directions. Varibad's `AntDir2D-v0`
+takes the first component of a direction for its angle, so that all lie within 57 degrees of x.
 """
 
 from typing import ClassVar, Literal
