@@ -1,7 +1,9 @@
 """The families that come with the library, by name."""
 
 from maesn.envs.ant import ant
+from maesn.envs.ant_v5 import ant_dir, ant_goal, sparse_ant_goal
 from maesn.envs.blockpush import blockpush
+from maesn.envs.cheetah import cheetah_body, cheetah_dir, cheetah_vel
 from maesn.envs.grid_navi import grid_navi
 from maesn.envs.point import point
 from maesn.envs.sparse_point import sparse_point
@@ -10,7 +12,12 @@ from maesn.envs.wheeled import wheeled
 from maesn.settings import suggestion
 
 FAMILIES: dict[str, TaskFamily] = {
-    family.name: family for family in (point, wheeled, ant, blockpush, sparse_point, grid_navi)
+    family.name: family
+    for family in (
+        *(point, wheeled, ant, blockpush),
+        *(sparse_point, grid_navi),
+        *(cheetah_vel, cheetah_dir, cheetah_body, ant_dir, ant_goal, sparse_ant_goal),
+    )
 }
 """The families to learn: a point mass, three robots, and tasks of other papers."""
 
