@@ -44,8 +44,6 @@ from maesn.learners.presets import with_curiosity as with_curiosity
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.recommended import recommended_settings as recommended_settings
-from maesn.learners.recurrent.fast_learner import RecurrentFastLearner as RecurrentFastLearner
-from maesn.learners.recurrent.fast_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.recurrent.meta_learner import RecurrentInfo as RecurrentInfo
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner as RecurrentMetaLearner
 from maesn.learners.recurrent.meta_learner import RecurrentMetaState as RecurrentMetaState
@@ -60,6 +58,8 @@ from maesn.learners.scratch.policy_gradient import PolicyImprovement as PolicyIm
 from maesn.learners.scratch.policy_gradient import reinforce as reinforce
 from maesn.learners.scratch.policy_gradient import trpo as trpo
 from maesn.learners.scratch.policy_gradient import vime as vime
+from maesn.learners.trial_learner import RecurrentFastLearner as RecurrentFastLearner
+from maesn.learners.trial_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
