@@ -40,6 +40,7 @@ from maesn.learners.presets import oracle as oracle
 from maesn.learners.presets import pearl as pearl
 from maesn.learners.presets import rl2 as rl2
 from maesn.learners.presets import rl2_trpo as rl2_trpo
+from maesn.learners.presets import varibad as varibad
 from maesn.learners.presets import with_curiosity as with_curiosity
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
@@ -60,6 +61,14 @@ from maesn.learners.scratch.policy_gradient import trpo as trpo
 from maesn.learners.scratch.policy_gradient import vime as vime
 from maesn.learners.trial_learner import RecurrentFastLearner as RecurrentFastLearner
 from maesn.learners.trial_learner import RecurrentFastState as RecurrentFastState
+from maesn.learners.varibad.bonus import HyperBonus as HyperBonus
+from maesn.learners.varibad.decoder import DecoderSettings as DecoderSettings
+from maesn.learners.varibad.encoder import BeliefEncoderSettings as BeliefEncoderSettings
+from maesn.learners.varibad.inference import Inference as Inference
+from maesn.learners.varibad.meta_learner import VaribadMetaLearner as VaribadMetaLearner
+from maesn.learners.varibad.state import VaribadInfo as VaribadInfo
+from maesn.learners.varibad.state import VaribadState as VaribadState
+from maesn.learners.varibad.value import BeliefValue as BeliefValue
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
