@@ -1,7 +1,4 @@
-"""The decoder: what rewards, and what transitions, a latent m predicts.
-
-Predictions and their errors are for every pair of some latents and some steps.
-"""
+"""The decoder: what rewards, and what transitions, a latent m predicts."""
 
 import math
 from typing import Literal, TypeAlias
@@ -82,46 +79,40 @@ class DecoderSettings(eqx.Module):
         return Decoder(init_mlp(reward_key, (inputs, *self.hidden_sizes, outputs)), transition)
 
     def rewards(
-        self, decoder: Decoder, m: Float[Array, "latent m"], steps: Steps
-    ) -> Float[Array, "latent step"]:
+        self, decoder: Decoder, m: Float[Array, " m"], steps: Steps
+    ) -> Float[Array, " step"]:
         """Return the predicted rewards of steps `[step, ...]`: means, or logits."""
         if self.cells:
-            return jax.vmap(decoder.reward)(m)[:, self._cell(steps.next_observation)]
-        seen = (steps.observation, steps.action, steps.next_observation)
-        return _of_pairs(decoder.reward, m, *seen)[..., 0]
+            return decoder.reward(m)[self._cell(steps.next_observation)]
+        return _predict(decoder.reward, m, steps.observation, steps.action, steps.next_observation)[
+            :, 0
+        ]
 
     def _cell(self, observation: Float[Array, "step observation"]) -> Int[Array, " step"]:
         index = tuple(jnp.round(observation).astype(int).T)
         return jnp.ravel_multi_index(index, self.cells, mode="clip")
 
     def surprise(
-        self, decoder: Decoder, m: Float[Array, "latent m"], steps: Steps
-    ) -> Float[Array, "latent step"]:
-        """Return -log p(r, o' | o, a, m) of steps `[step, ...]` under each latent, in nats."""
+        self, decoder: Decoder, m: Float[Array, " m"], steps: Steps
+    ) -> Float[Array, " step"]:
+        """Return -log p(r, o' | o, a, m) of steps `[step, ...]`, in nats."""
         predicted = self.rewards(decoder, m, steps)
         if self.likelihood == "bernoulli":
-            is_positive = jnp.broadcast_to((steps.reward > 0).astype(float), predicted.shape)
+            is_positive = (steps.reward > 0).astype(float)
             surprise = optax.sigmoid_binary_cross_entropy(predicted, is_positive)
         else:
             surprise = 0.5 * ((predicted - steps.reward) / self.reward_std) ** 2
         if decoder.transition is None:
             return surprise
-        expected = _of_pairs(decoder.transition, m, steps.observation, steps.action)
+        expected = _predict(decoder.transition, m, steps.observation, steps.action)
         error = (expected - steps.next_observation) / self.transition_std
         return surprise + 0.5 * jnp.sum(error**2, axis=-1)
 
 
-def _of_pairs(
-    network: MLP, m: Float[Array, "latent m"], *seen: Float[Array, "step _"]
-) -> Float[Array, "latent step outputs"]:
-    """Return the outputs for every pair of a latent and a step."""
-    step = jnp.concatenate(seen, axis=-1)
-    shape = (m.shape[0], step.shape[0])
-    pairs = jnp.concatenate(
-        [
-            jnp.broadcast_to(m[:, None], (*shape, m.shape[1])),
-            jnp.broadcast_to(step[None], (*shape, step.shape[1])),
-        ],
-        axis=-1,
-    )
-    return jax.vmap(network)(pairs.reshape(-1, pairs.shape[-1])).reshape(*shape, -1)
+def _predict(
+    network: MLP, m: Float[Array, " m"], *seen: Float[Array, "step _"]
+) -> Float[Array, "step outputs"]:
+    def one(*parts: Float[Array, " _"]) -> Float[Array, " outputs"]:
+        return network(jnp.concatenate([m, *parts]))
+
+    return jax.vmap(one)(*seen)

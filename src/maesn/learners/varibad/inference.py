@@ -100,7 +100,7 @@ class Inference(eqx.Module):
         belief = encoder.posteriors(steps)
         m = belief.sample_from_noise(draws.noise)[draws.prefixes]
         some = jax.tree.map(lambda x: x[draws.decoded], steps)
-        surprise = decoding.surprise(decoder, m, some)
+        surprise = jax.vmap(lambda one: decoding.surprise(decoder, one, some))(m)
         pairs = exists[draws.prefixes][:, None] & some.valid[None]
         # The draws stand for all steps of the trial.
         reconstruction = masked_mean(surprise, pairs) * valid.sum().astype(float)

@@ -242,7 +242,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
 
         def error(m: Array, step: Steps) -> Float[Array, ""]:
             one = jax.tree.map(lambda x: x[None], step)
-            return self.decoder.surprise(decoder, m[None], one)[0, 0]
+            return self.decoder.surprise(decoder, m, one)[0]
 
         errors = jax.vmap(jax.vmap(error))(m, steps)
         seen = policy.seen(steps.next_observation, after)
