@@ -62,9 +62,9 @@ from maesn.learners.scratch.policy_gradient import vime as vime
 from maesn.learners.trial_learner import RecurrentFastLearner as RecurrentFastLearner
 from maesn.learners.trial_learner import RecurrentFastState as RecurrentFastState
 from maesn.learners.varibad.bonus import HyperBonus as HyperBonus
-from maesn.learners.varibad.decoder import DecoderSettings as DecoderSettings
+from maesn.learners.varibad.decoder import BeliefDecoderSettings as BeliefDecoderSettings
 from maesn.learners.varibad.encoder import BeliefEncoderSettings as BeliefEncoderSettings
-from maesn.learners.varibad.inference import Inference as Inference
+from maesn.learners.varibad.inference import BeliefInference as BeliefInference
 from maesn.learners.varibad.meta_learner import VaribadMetaLearner as VaribadMetaLearner
 from maesn.learners.varibad.state import VaribadInfo as VaribadInfo
 from maesn.learners.varibad.state import VaribadState as VaribadState

@@ -26,7 +26,7 @@ class Decoder(eqx.Module):
     """None if transitions are not decoded."""
 
 
-class DecoderSettings(eqx.Module):
+class BeliefDecoderSettings(eqx.Module):
     """Settings of a `Decoder`, and what it predicts.
 
     A surprise is -log p up to the constant of a Gaussian, so it is never negative.

@@ -17,7 +17,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key
-from maesn.learners.varibad.decoder import Decoder, DecoderSettings
+from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoder
 from maesn.learners.varibad.steps import Steps, TrialBuffer
 from maesn.numerics import DiagonalGaussian, first_order_step, if_finite, masked_mean
@@ -48,7 +48,7 @@ class Draws(NamedTuple):
     """Steps k that are decoded."""
 
 
-class Inference(eqx.Module):
+class BeliefInference(eqx.Module):
     """Settings of the training of encoder and decoder."""
 
     kl_weight: float = 0.1
@@ -82,7 +82,7 @@ class Inference(eqx.Module):
     def loss(
         self,
         encoder: BeliefEncoder,
-        decoding: DecoderSettings,
+        decoding: BeliefDecoderSettings,
         decoder: Decoder,
         steps: Steps,
         draws: Draws,
@@ -122,7 +122,7 @@ class Inference(eqx.Module):
         self,
         key: Key,
         encoder: BeliefEncoder,
-        decoding: DecoderSettings,
+        decoding: BeliefDecoderSettings,
         decoder: Decoder,
         opt_state: Any,
         buffer: TrialBuffer,

@@ -23,19 +23,27 @@ from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import explained_variance
 from maesn.learners.trials import Trials, join_episodes
 from maesn.learners.varibad.bonus import BonusState, HyperBonus
-from maesn.learners.varibad.decoder import DecoderSettings
+from maesn.learners.varibad.decoder import BeliefDecoderSettings
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
-from maesn.learners.varibad.inference import Inference
+from maesn.learners.varibad.inference import BeliefInference
 from maesn.learners.varibad.policy import BeliefPolicy, side_by_side
 from maesn.learners.varibad.state import BeliefNetworks, VaribadInfo, VaribadState
 from maesn.learners.varibad.steps import Steps, TrialBuffer, step_features, steps_of
 from maesn.learners.varibad.value import BeliefValue
-from maesn.numerics import DiagonalGaussian, masked_mean, standardize, trial_advantages
+from maesn.numerics import (
+    DiagonalGaussian,
+    MinibatchDescent,
+    masked_mean,
+    standardize,
+    trial_advantages,
+)
 from maesn.numerics.mesh import num_devices
 from maesn.numerics.normalization import no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import check_choice, check_number
 
+# Of policy and value in the reference.
+PUBLISHED_DESCENT = MinibatchDescent(learning_rate=7e-4, epochs=2, minibatches=4)
 # Bytes that the buffer of trials takes at most. The newest checkpoint holds it.
 MOST_BUFFER_BYTES = 150_000_000
 
@@ -45,15 +53,16 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
 
     encoder: BeliefEncoderSettings = BeliefEncoderSettings()
     """The posterior over the latent."""
-    decoder: DecoderSettings = DecoderSettings()
+    decoder: BeliefDecoderSettings = BeliefDecoderSettings()
     """What the latent predicts."""
-    inference: Inference = Inference()
+    inference: BeliefInference = BeliefInference()
     """How encoder and decoder learn."""
     policy: AbstractPolicySettings = GaussianMLP()
     """The policy's network, which sees observation and belief."""
-    policy_step: AbstractPolicyStep = ProximalStep()
-    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO)."""
-    value: BeliefValue = BeliefValue()
+    policy_step: AbstractPolicyStep = ProximalStep(0.1, 0.01, PUBLISHED_DESCENT)
+    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO). Reference: clip
+    0.05 on GridNavi, 0.1 on point goals; entropy weight 0.01 and 0.001; 4 and 8 minibatches."""
+    value: BeliefValue = BeliefValue(descent=PUBLISHED_DESCENT)
     """The baseline that advantages are measured from."""
     bonus: HyperBonus = HyperBonus()
     """The bonus of HyperX; none by default."""
