@@ -45,7 +45,7 @@ TASKS, EPISODES, TRIAL = 4, 3, 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
 PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
 SMALL = {
-    "encoder": BeliefEncoderSettings(2, (4,), 5),
+    "encoder": BeliefEncoderSettings(2, (), 5),
     "decoder": BeliefDecoderSettings((4,)),
     "inference": BeliefInference(
         prefixes=5, decoded_steps=4, buffer_trials=20, batch_size=3, updates=2
@@ -116,6 +116,7 @@ def test_the_policy_learns_from_the_beliefs_that_it_played_with(network: Any) ->
             rtol=1e-4,
             atol=1e-5,
         )
+    assert np.abs(np.diff(beliefs.mean, axis=1)).max() > 0.05
     # Every step counts, the last one of an episode as well: its belief is the next one's first.
     last = jax.tree.map(lambda x: x[:, -1], beliefs)
     hidden = episodes[-1].trial_end.recurrent_state.hidden.reshape(-1, 5)  # type: ignore[union-attr]
@@ -312,7 +313,9 @@ def test_tasks_that_it_cannot_learn_from_are_refused(settings: Any, message: str
         small(**settings).init(jax.random.key(0), PROBLEM)
 
 
-@pytest.mark.parametrize("settings", [{"trial_episodes": 0}, {"discount": 1.5}, {"gae_lambda": -1}])
+@pytest.mark.parametrize(
+    "settings", [{"trial_episodes": 0}, {"discount": 1.5}, {"gae_lambda": -1.0}]
+)
 def test_impossible_settings_are_refused(settings: Any) -> None:
     with pytest.raises(ValueError, match="must"):
         small(**settings)
