@@ -177,7 +177,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
     def _improve(
         self, key: Key, state: VaribadState, episodes: tuple[Episodes, ...]
     ) -> tuple[VaribadState, VaribadInfo]:
-        keys = jax.random.split(key, 5)
+        keys = jax.random.split(key, 4)
         policy, decoder = state.networks.policy, state.networks.decoder
         steps = steps_of(episodes)
         beliefs = jax.vmap(policy.encoder.posteriors)(steps)
@@ -204,13 +204,8 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
         )
         statistics = policy.statistics.with_batch(raw, trials.valid)
         policy = BeliefPolicy(encoder, inner, statistics, self.observed_reward)
-        first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
         info = VaribadInfo(
-            return_before=first.undiscounted_return.mean(),
-            return_after=last.undiscounted_return.mean(),
-            success_after=last.success.mean(),
-            action_std=masked_mean(behaviour.std().mean(-1), trials.valid),
-            entropy=masked_mean(behaviour.entropy(), trials.valid),
+            **_described(episodes, trials),
             bonus=masked_mean(bonus, trials.valid),
             explained_variance=explained_variance(advantages, expected, trials.valid),
             value_accepted=value_accepted,
@@ -267,3 +262,15 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
         return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
             trials.reward, expected, trials.valid, self.discount, self.gae_lambda
         )
+
+
+def _described(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
+    """Return the part of `VaribadInfo` that tells what was played."""
+    first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
+    return {
+        "return_before": first.undiscounted_return.mean(),
+        "return_after": last.undiscounted_return.mean(),
+        "success_after": last.success.mean(),
+        "action_std": masked_mean(behaviour.std().mean(-1), trials.valid),
+        "entropy": masked_mean(behaviour.entropy(), trials.valid),
+    }
