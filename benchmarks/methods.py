@@ -39,7 +39,7 @@ class Settings:
     """A family that is moved by the MuJoCo engine; your own as `module:name`."""
     methods: tuple[str, ...] = (
         "maesn", "latent_space", "maml_bias_only", "maml", "maml_bias", "maesn_theta", "rl2",
-        "rl2_trpo",
+        "rl2_trpo", "varibad",
     )  # fmt: skip
     """Presets that are meta-trained."""
     scratch: tuple[str, ...] = ("reinforce", "trpo", "vime")
