@@ -16,6 +16,7 @@ from maesn.policies import (
     AbstractPolicySettings,
     CategoricalMLP,
     GaussianMLP,
+    HyperRecurrent,
     PolicyInput,
     Recurrent,
 )
@@ -26,6 +27,7 @@ SETTINGS: dict[str, AbstractPolicySettings] = {
     "categorical": CategoricalMLP((4,)),
     "recurrent": Recurrent(hidden_size=4, readout_sizes=(3,)),
     "recurrent, discrete": Recurrent("discrete", (5,), 4, (3,)),
+    "hypernetwork": HyperRecurrent(hidden_size=4, readout_sizes=(3,)),
 }
 
 
@@ -57,6 +59,10 @@ def advance(policy: AbstractPolicy, *given: Any) -> Any:
 def test_unroll_is_step_by_step(name: str) -> None:
     policy = SETTINGS[name].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
     stream = np.random.default_rng(1)
+    # A hypernetwork does not read the recurrent state at its start.
+    policy = jax.tree.map(
+        lambda x: x + jnp.asarray(0.1 * stream.normal(size=x.shape), float), policy
+    )
     inputs, context = random_inputs(), jnp.asarray(stream.normal(size=(EPISODES, CONTEXT)), float)
     valid = stream.random((EPISODES, STEPS)) < 0.7
     before = jax.tree.map(
@@ -110,6 +116,7 @@ def test_kinds_of_actions() -> None:
         "categorical": "discrete",
         "recurrent": "continuous",
         "recurrent, discrete": "discrete",
+        "hypernetwork": "continuous",
     }
     policy = SETTINGS["recurrent, discrete"].init(jax.random.key(0), OBSERVATION, ACTION, 0)
     first = jax.tree.map(lambda x: x[0, 0], random_inputs())

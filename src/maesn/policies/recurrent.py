@@ -84,6 +84,11 @@ class Recurrent(AbstractPolicySettings):
     def is_recurrent(self) -> bool:
         return True
 
+    @property
+    def hyper(self) -> bool:
+        """Whether the recurrent state makes the weights of the readout."""
+        return False
+
     def for_actions(self, kind: ActionKind) -> "Recurrent":
         if kind == "continuous" or self.initial_std != Recurrent.initial_std:
             return self
@@ -99,9 +104,28 @@ class Recurrent(AbstractPolicySettings):
             encoder_sizes=self.encoder_sizes,
             hidden_size=self.hidden_size,
             readout_sizes=self.readout_sizes,
+            hyper=self.hyper,
         )
         head = make_head(self.action_kind, action_size, self.initial_std)
         return RecurrentPolicy(network, head, self.observed_reward)
+
+
+class HyperRecurrent(Recurrent):
+    """Settings of a `RecurrentPolicy` whose recurrent state makes the weights of its readout.
+
+        π(a_t | x_0 ... x_t) from y_t = mlp_w(e_t),   w = w_0 + W h_t,   W = 0 at the start
+
+    Source: Beck et al. 2023, "Recurrent Hypernetworks are Surprisingly Strong in Meta-RL",
+    https://arxiv.org/abs/2309.14970. `readout_sizes` are the widths of mlp_w, whose input does not
+    hold h_t. `maesn.networks.HyperMLP` has the start.
+    """
+
+    readout_sizes: tuple[int, ...] = (32,)
+    """Widths of the hidden layers that are made. Their GridNavi: one layer of 32."""
+
+    @property
+    def hyper(self) -> bool:
+        return True
 
 
 def input_size(observation_size: int, action_size: int, z_size: int = 0) -> int:
