@@ -27,7 +27,7 @@ SETTINGS: dict[str, AbstractPolicySettings] = {
     "categorical": CategoricalMLP((4,)),
     "recurrent": Recurrent(hidden_size=4, readout_sizes=(3,)),
     "recurrent, discrete": Recurrent("discrete", (5,), 4, (3,)),
-    "hypernetwork": HyperRecurrent(hidden_size=4, readout_sizes=(3,)),
+    "hypernetwork": HyperRecurrent(hidden_size=4, readout_sizes=(3,), symlog=True),
 }
 
 
@@ -81,6 +81,25 @@ def test_unroll_is_step_by_step(name: str) -> None:
                          distribution, here)  # fmt: skip
         kept = jax.tree.map(lambda x: x[episode], last)  # noqa: B023
         jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), carry, kept)
+
+
+def test_symlog_is_what_the_network_reads_of_all_that_is_a_number() -> None:
+    own, plain = (
+        HyperRecurrent(hidden_size=4, symlog=one).init(jax.random.key(0), OBSERVATION, ACTION, 0)
+        for one in (True, False)
+    )
+    *numbers, start = (100.0 * np.asarray(x) for x in random_inputs())
+    valid, z = jnp.ones((EPISODES, STEPS), bool), jnp.zeros((EPISODES, 0))
+    logs = (jnp.asarray(np.sign(x) * np.log(1.0 + np.abs(x)), float) for x in numbers)
+    read, given = (
+        PolicyInput(*(jnp.asarray(x, float) for x in found), jnp.asarray(start > 0))
+        for found in (logs, numbers)
+    )
+    found, expected = (
+        unroll(policy, inputs, valid, z, fresh_memory(policy))
+        for policy, inputs in ((own, given), (plain, read))
+    )
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6), found, expected)
 
 
 @pytest.mark.parametrize(

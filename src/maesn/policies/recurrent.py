@@ -25,11 +25,13 @@ class RecurrentPolicy(AbstractPolicy):
     network: RecurrentNetwork
     head: AbstractHead
     observed: ObservedReward = eqx.field(static=True)
+    symlog: bool = eqx.field(static=True, default=False)
 
     def __call__(
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
     ) -> tuple[AbstractDistribution, RecurrentState]:
-        outputs, after = self.network(input_features(policy_input, z), recurrent_state)
+        features = input_features(self.seen(policy_input), z)
+        outputs, after = self.network(features, recurrent_state)
         return self.head(outputs), after
 
     def initial_recurrent_state(self) -> Float[Array, " hidden"]:
@@ -43,6 +45,12 @@ class RecurrentPolicy(AbstractPolicy):
     def observed_reward(self) -> ObservedReward:
         return self.observed
 
+    def seen(self, inputs: PolicyInput) -> PolicyInput:
+        if not self.symlog:
+            return inputs
+        *numbers, start = inputs
+        return PolicyInput(*(jnp.sign(x) * jnp.log1p(jnp.abs(x)) for x in numbers), start)
+
     def unroll(
         self,
         inputs: PolicyInput,
@@ -51,7 +59,7 @@ class RecurrentPolicy(AbstractPolicy):
         recurrent_state: RecurrentState,
     ) -> tuple[AbstractDistribution, RecurrentState]:
         along_time = jax.vmap(input_features, in_axes=(0, None))
-        features = jax.vmap(along_time)(inputs, z)
+        features = jax.vmap(along_time)(self.seen(inputs), z)
         outputs, after = jax.vmap(self.network.unroll)(features, valid, recurrent_state)
         return jax.vmap(jax.vmap(self.head))(outputs), after
 
@@ -89,6 +97,11 @@ class Recurrent(AbstractPolicySettings):
         """Whether the recurrent state makes the weights of the readout."""
         return False
 
+    @property
+    def symlog(self) -> bool:
+        """Whether the network reads sign(x) log(1 + |x|) of its inputs."""
+        return False
+
     def for_actions(self, kind: ActionKind) -> "Recurrent":
         if kind == "continuous" or self.initial_std != Recurrent.initial_std:
             return self
@@ -107,7 +120,7 @@ class Recurrent(AbstractPolicySettings):
             hyper=self.hyper,
         )
         head = make_head(self.action_kind, action_size, self.initial_std)
-        return RecurrentPolicy(network, head, self.observed_reward)
+        return RecurrentPolicy(network, head, self.observed_reward, self.symlog)
 
 
 class HyperRecurrent(Recurrent):
@@ -122,6 +135,11 @@ class HyperRecurrent(Recurrent):
 
     readout_sizes: tuple[int, ...] = (32,)
     """Widths of the hidden layers that are made. Their GridNavi: one layer of 32."""
+
+    symlog: bool = False
+    """Whether the network reads sign(x) log(1 + |x|) of observation, action and reward (Hafner et
+    al. 2023, "Mastering diverse domains through world models", equation 9). Gates of a recurrent
+    layer do not react where inputs are large, such as the speeds of wheels."""
 
     @property
     def hyper(self) -> bool:
