@@ -37,15 +37,17 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
     """Episodes of a task whose z is drawn from the prior."""
     next_observation: bool = False
     """Whether the next observation is part of the context."""
+    noisy_exploration: bool = False
+    """Whether actions have the noise of training, to explore."""
 
     def init(self, keys: TaskKeys) -> PearlFastState:
         """Nothing is random."""
         return PearlFastState(self.encoder.none(keys.shape[0]), jnp.asarray(0))
 
     def agents(self, state: PearlFastState, purpose: Purpose = "explore") -> Agents:
-        """Return agents without noise in their actions, as the reference evaluates them.
+        """Return agents that draw one z per episode to explore.
 
-        To explore, they draw one z per episode; to be judged, they act on the posterior mean.
+        To be judged, they act on the posterior mean, without noise.
         """
         posterior = state.factors.posterior()
         if purpose == "deploy":
@@ -55,7 +57,7 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
         context = jax.tree.map(
             lambda x, y: jnp.where(begins, x, y), Latent(zeros, zeros), posterior
         )
-        return Agents(self.policy, context, shares_policy=True, is_noisy=False)
+        return Agents(self.policy, context, shares_policy=True, is_noisy=self.noisy_exploration)
 
     @eqx.filter_jit
     def update(self, state: PearlFastState, episodes: Episodes) -> PearlFastState:
