@@ -1,5 +1,7 @@
 """The fast learner of PEARL: posterior sampling, with a product of Gaussians as its memory."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -99,5 +101,7 @@ class PearlLatent(AbstractSettableLatent):
         """Return the posterior means after one batch of episodes on latents from the prior."""
         learner = self.learner
         state = learner.init(keys)
-        state = learner.update(state, collect(keys, learner.agents(state), task_index))
+        # Without noise, as a search plays.
+        agents = replace(learner.agents(state), is_noisy=False)
+        state = learner.update(state, collect(keys, agents, task_index))
         return np.asarray(state.factors.posterior().mean, np.float64)
