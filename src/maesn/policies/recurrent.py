@@ -48,8 +48,9 @@ class RecurrentPolicy(AbstractPolicy):
     def seen(self, inputs: PolicyInput) -> PolicyInput:
         if not self.symlog:
             return inputs
-        *numbers, start = inputs
-        return PolicyInput(*(jnp.sign(x) * jnp.log1p(jnp.abs(x)) for x in numbers), start)
+        numbers = inputs.observation, inputs.previous_action, inputs.previous_reward
+        o, a, r = (jnp.sign(x) * jnp.log1p(jnp.abs(x)) for x in numbers)
+        return PolicyInput(o, a, r, inputs.episode_start)
 
     def unroll(
         self,
