@@ -85,6 +85,7 @@ from maesn.policies import AbstractPolicySettings as AbstractPolicySettings
 from maesn.policies import AnnealedGaussianMLP as AnnealedGaussianMLP
 from maesn.policies import CategoricalMLP as CategoricalMLP
 from maesn.policies import GaussianMLP as GaussianMLP
+from maesn.policies import HyperRecurrent as HyperRecurrent
 from maesn.policies import Recurrent as Recurrent
 from maesn.rules import AbstractRule as AbstractRule
 from maesn.rules import AbstractWrapper as AbstractWrapper

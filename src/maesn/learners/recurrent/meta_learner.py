@@ -164,14 +164,15 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         key, state = shared
         policy_key, value_key = jax.random.split(key)
         trials = join_episodes(episodes)
-        expected = self.value.values(state.value, trials)
+        judged = replace(trials, inputs=state.policy.seen(trials.inputs))
+        expected = self.value.values(state.value, judged)
         advantages = self.advantages(trials, expected)
         standard = standardize(advantages, trials.valid, mean=mesh.mean_of_valid)
         policy, opt_state, step = self.policy_step(
             policy_key, state.policy, state.opt_state, trials, standard
         )
         policy = self.policy.after_iteration(policy, state.iteration + 1)
-        value, accepted = self.value.fit(value_key, state.value, trials, advantages + expected)
+        value, accepted = self.value.fit(value_key, state.value, judged, advantages + expected)
         info = _describe(episodes, trials, advantages, expected, accepted, step)
         return (RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info), None
 
