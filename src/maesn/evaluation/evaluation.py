@@ -8,6 +8,7 @@ import tyro
 
 from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.arguments import AnyRule, AnyWrappers
+from maesn.evaluation.protocols import PROTOCOLS, ProtocolName, check_protocol, settings_by
 from maesn.learners import AbstractFastLearner
 from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, written_out
 from maesn.runs.serialization import digest_of_document
@@ -20,6 +21,9 @@ from maesn.worlds import EngineName
 class Evaluation:
     """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
 
+    protocol: ProtocolName | None = None
+    """How others evaluate, such as metaworld-ml1: sets tasks, reward and numbers of episodes, all
+    of which are in the table's record. None: as the other settings say."""
     tasks: str = "test"
     """test (report on these), validation (choose on these), training, ood (unlike all of these),
     final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
@@ -64,6 +68,7 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
+        check_protocol(self.protocol, self)
         check_numbers(
             self,
             num_tasks=1,
@@ -93,9 +98,12 @@ class Evaluation:
             )
 
     def changed(self, **settings: Any) -> "Evaluation":
-        """Return the evaluation with some settings changed; `RunError` if they cannot be."""
+        """Return the evaluation with some settings changed; `RunError` if they cannot be.
+
+        A protocol stands for all that it says.
+        """
         with refusals():
-            return dataclasses.replace(self, **settings)
+            return dataclasses.replace(self, **settings_by(settings.get("protocol")) | settings)
 
     @property
     def budget(self) -> Budget:
@@ -114,6 +122,13 @@ class Evaluation:
     def count(self, tasks: Sized) -> int:
         """Return how many tasks of a set are adapted to: the first ones."""
         return len(tasks) if self.num_tasks is None else min(self.num_tasks, len(tasks))
+
+    @property
+    def protocol_record(self) -> dict[str, str]:
+        """Name of the protocol and the measure that it reports, for records; empty without one."""
+        if self.protocol is None:
+            return {}
+        return {"protocol": self.protocol, "measure": PROTOCOLS[self.protocol].measure}
 
     @property
     def label(self) -> str:

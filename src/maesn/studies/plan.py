@@ -64,7 +64,7 @@ class PlannedLine:
             "label": self.label,
             "addition": bool(asked.wrappers),
             "settings": first.settings,
-            "evaluation": {"rule": asked.rule_text, **budget},
+            "evaluation": {**asked.protocol_record, "rule": asked.rule_text, **budget},
             "trial_episodes": self.trial_episodes,
             "seeds": seeds,
         }
