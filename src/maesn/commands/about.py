@@ -70,7 +70,7 @@ def list() -> None:  # noqa: A001
 
 
 def _show(title: str, texts: Mapping[str, str]) -> None:
-    print(f"{title}:", *(f"  {name:16s}{text}" for name, text in texts.items()), sep="\n")
+    print(f"{title}:", *(f"  {name:15s} {text}" for name, text in texts.items()), sep="\n")
 
 
 def _settings(rule: Any) -> str:

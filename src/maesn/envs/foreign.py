@@ -87,8 +87,8 @@ def gymnasium_family(
 
     @cache
     def family_class() -> type[AbstractGymnasiumEnv]:
-        task = family.task_set("training")
-        found = interface or _look_at(name, recipe, task_row(task.tasks, 0))
+        tasks = family.task_set("training").tasks
+        found = interface or _look_at(name, recipe, task_row(tasks, 0))
         return _family_class(name, found, recipe, control_period)
 
     def make(
