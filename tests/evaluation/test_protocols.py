@@ -87,6 +87,9 @@ def test_every_protocol_is_an_evaluation(name: str, tmp_path: Path) -> None:
     asked = Evaluation().changed(protocol=name)
     assert {x: getattr(asked, x) for x in PROTOCOLS[name].settings()} == PROTOCOLS[name].settings()
     assert PROTOCOLS[name].measure in MEASURES
+    assert Evaluation("validation").changed(protocol=name).tasks == "validation"
+    with pytest.raises(RunError, match=r"`num_tasks` is .* by the protocol .* got 7: leave out"):
+        Evaluation(num_tasks=7).changed(protocol=name)
     text = f"family = 'point'\nruns.maesn = {{}}\nevaluations.its = {{ protocol = '{name}' }}"
     (tmp_path / "mine.toml").write_text(text)
     assert read_study(tmp_path / "mine.toml").evaluations["its"].usual == asked

@@ -21,9 +21,6 @@ from maesn.worlds import EngineName
 class Evaluation:
     """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
 
-    protocol: ProtocolName | None = None
-    """How others evaluate, such as metaworld-ml1: sets tasks, reward and numbers of episodes, all
-    of which are in the table's record. None: as the other settings say."""
     tasks: str = "test"
     """test (report on these), validation (choose on these), training, ood (unlike all of these),
     final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
@@ -65,6 +62,9 @@ class Evaluation:
     tasks_at_once: int = 25
     """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
     about 100 MB. What is played does not depend on it."""
+    protocol: ProtocolName | None = None
+    """How others evaluate, such as metaworld-ml1: sets tasks, reward and numbers of episodes, all
+    of which are in the table's record. None: as the other settings say."""
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
@@ -100,10 +100,13 @@ class Evaluation:
     def changed(self, **settings: Any) -> "Evaluation":
         """Return the evaluation with some settings changed; `RunError` if they cannot be.
 
-        A protocol stands for all that it says.
+        A protocol takes the place of defaults.
         """
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
         with refusals():
-            return dataclasses.replace(self, **settings_by(settings.get("protocol")) | settings)
+            asked = settings_by(settings.get("protocol")).items()
+            by = {name: value for name, value in asked if getattr(self, name) == usual[name]}
+            return dataclasses.replace(self, **by | settings)
 
     @property
     def budget(self) -> Budget:
