@@ -32,7 +32,7 @@ class Protocol(NamedTuple):
         return {name: value for name, value in self._asdict().items() if name != "measure"}
 
 
-PROTOCOLS: Mapping[ProtocolName, Protocol] = {
+PROTOCOLS: Mapping[str, Protocol] = {
     # Farama-Foundation/Metaworld, `metalearning_evaluation` in metaworld/evaluation.py and
     # docs/evaluation/evaluation.md: one adaptation step of 10 episodes with the environment's own
     # reward, then 3 episodes for each of 40 goals; success at any step counts. It ends these
