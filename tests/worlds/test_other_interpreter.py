@@ -128,6 +128,7 @@ def test_an_interpreter_that_cannot_do_it_is_named(
     bare, text = bare_interpreter(tmp_path / "bare"), tmp_path / "text"
     text.write_text("no program")
     text.chmod(0o755)
+    monkeypatch.setenv("PYTHONPATH", str(Path(np.__file__).parents[1]))  # of this interpreter
     reasons = {
         bare: "python` ended before it could make an environment .*No module named 'numpy'",
         text: "text` cannot be started: Exec format error",

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -145,14 +146,25 @@ class Worker:
             self._mark.close()
 
 
+def _variables() -> dict[str, str]:
+    """Return the environment variables of a worker.
+
+    Another interpreter must not find this one's packages, which a module path may name.
+    """
+    own = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    kept = [x for x in given if not any(Path(x).is_relative_to(place) for place in own)]
+    # A user's module may import JAX, which must leave the accelerator to the parent.
+    return os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(kept)}
+
+
 def _started(command: list[str], descriptors: tuple[int, ...]) -> "subprocess.Popen[bytes]":
     """Start a worker; a `WorkerError` if its interpreter is no program."""
     try:
         return subprocess.Popen(
             command,
             pass_fds=descriptors,
-            # A user's module may import JAX, which must leave the accelerator to the parent.
-            env=os.environ | {"JAX_PLATFORMS": "cpu"},
+            env=_variables(),
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             # A session of its own: Ctrl-C is the parent's to handle.
