@@ -20,6 +20,7 @@ from maesn.envs.blockpush import BlockPushTask as BlockPushTask
 from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import find_family as find_family
+from maesn.envs.catalogue import is_own as is_own
 from maesn.envs.cheetah import Body as Body
 from maesn.envs.cheetah import CheetahBody as CheetahBody
 from maesn.envs.cheetah import CheetahDir as CheetahDir
@@ -29,6 +30,7 @@ from maesn.envs.cheetah import cheetah_dir as cheetah_dir
 from maesn.envs.cheetah import cheetah_vel as cheetah_vel
 from maesn.envs.grid_navi import GridNavi as GridNavi
 from maesn.envs.grid_navi import grid_navi as grid_navi
+from maesn.envs.metaworld import HOSTED as HOSTED
 from maesn.envs.point import Point as Point
 from maesn.envs.point import point as point
 from maesn.envs.recorded import EnvRecord as EnvRecord
