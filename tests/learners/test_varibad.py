@@ -104,7 +104,7 @@ def test_the_policy_learns_from_the_beliefs_that_it_played_with(network: Any) ->
     policy, episodes = played(network)
     steps, trials = steps_of(episodes), join_episodes(episodes)
     beliefs = jax.vmap(policy.encoder.posteriors)(steps)
-    seen = policy.seen(trials.inputs.observation, jax.tree.map(lambda x: x[:, :-1], beliefs))
+    seen = policy.hyper_state(trials.inputs.observation, jax.tree.map(lambda x: x[:, :-1], beliefs))
     fed = replace(trials, inputs=trials.inputs._replace(observation=seen))
     again = fed.distributions(policy.policy)
     valid = np.asarray(trials.valid)

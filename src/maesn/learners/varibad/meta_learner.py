@@ -249,7 +249,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
             return self.decoder.surprise(decoder, m, one)[0]
 
         errors = jax.vmap(jax.vmap(error))(m, steps)
-        seen = policy.seen(steps.next_observation, after)
+        seen = policy.hyper_state(steps.next_observation, after)
         bonus, judged = self.bonus.judge(
             state.bonus, state.iteration, seen, errors, trials.reward, steps.valid, self.discount
         )

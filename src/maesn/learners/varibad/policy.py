@@ -43,11 +43,11 @@ class BeliefPolicy(AbstractPolicy):
         before, inner = recurrent_state
         after = self._advance(policy_input, before)
         hidden = jnp.where(policy_input.episode_start, before, after)
-        seen = self.seen(policy_input.observation, self.encoder.posterior(hidden))
+        seen = self.hyper_state(policy_input.observation, self.encoder.posterior(hidden))
         actions, inner = self.policy(policy_input._replace(observation=seen), z, inner)
         return actions, BeliefState(hidden, inner)
 
-    def seen(
+    def hyper_state(
         self, observation: Float[Array, "*batch observation"], belief: DiagonalGaussian
     ) -> Float[Array, "*batch seen"]:
         """Return [o, μ, log σ], normalised: what the policy acts on."""
@@ -95,7 +95,9 @@ class BeliefPolicy(AbstractPolicy):
         z: Float[Array, "episode z"],
         recurrent_state: RecurrentState,
     ) -> tuple[AbstractDistribution, RecurrentState]:
-        def episode(inputs: PolicyInput, valid: Array, z: Array, state: RecurrentState) -> object:
+        def episode(
+            inputs: PolicyInput, valid: Array, z: Array, state: RecurrentState
+        ) -> tuple[AbstractDistribution, RecurrentState]:
             def step(
                 state: RecurrentState, now: tuple[PolicyInput, Array]
             ) -> tuple[RecurrentState, AbstractDistribution]:
