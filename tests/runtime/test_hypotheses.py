@@ -102,6 +102,24 @@ def test_exact_returns_leave_everything_finite(latents: int) -> None:
     assert search.posterior.familiar < 0.5
 
 
+def test_returns_that_never_vary_are_predicted_exactly() -> None:
+    """As of a policy that never finds a goal, where nothing is random."""
+    prior = exact(12)
+    posterior = believed(model_of(replace(prior, excess=np.zeros_like(prior.excess))), [])
+    assert posterior.quantiles(0, (0.05, 0.95)) == pytest.approx((-3.0, -3.0))
+    places = [posterior.place(Reading(0, value)) for value in (-4.0, -3.0, -2.0)]
+    assert places == pytest.approx([0.0, 0.5, 1.0])
+
+
+def test_a_return_that_one_task_alone_explains_leaves_everything_finite() -> None:
+    prior = replace(exact(1), excess=np.array([[1.0], [5.0]]))
+    model = ReturnModel(prior, residual=0.0, length_scale=1.0, jumps=False)
+    readings = [Reading(0, float(model.task_means(model.archive)[0, 0]) + prior.offset_mean)]
+    posterior = believed(model, readings)
+    assert np.isfinite(posterior.mean).all()
+    assert np.isfinite(posterior.weights).all()
+
+
 def test_a_task_at_another_level_is_noticed_and_solved() -> None:
     """Standing still returns there what the best latents return in training."""
     archive = np.linspace(-4, 4, 41)[:, None]

@@ -20,6 +20,7 @@ def test_levels_are_the_quantiles_that_were_hit() -> None:
     places = np.random.default_rng(0).permutation(np.linspace(0.2, 0.6, 401)).tolist()
     assert _levels(places, NOMINAL) == pytest.approx((0.22, 0.58))
     assert _levels(places[:99], (0.3, 0.5)) == (0.3, 0.5)
+    assert _levels([0.5] * 400, (0.3, 0.6)) == (0.3, 0.6)
     assert _levels([0.0] * 100 + [1.0] * 100, NOMINAL) == pytest.approx((0.002, 0.998))
 
 

@@ -128,7 +128,7 @@ class MixedPosterior:
     def place(self, reading: Reading) -> float:
         """Return the probability of a return below that of a reading."""
         weights, means, stds = self.predicted(reading.point, reading.length)
-        return float(weights @ normal_cdf((reading.episode_return - means) / stds))
+        return float(weights @ _below(reading.episode_return, means, stds))
 
     def quantiles(self, point: int, levels: Sequence[float]) -> tuple[float, ...]:
         """Return quantiles of the return of a whole episode with a latent, by bisection."""
@@ -141,7 +141,7 @@ class MixedPosterior:
             low, high = ends
             for _ in range(_HALVINGS):
                 middle = (low + high) / 2.0
-                below = weights @ normal_cdf((middle - means) / stds) < level
+                below = weights @ _below(middle, means, stds) < level
                 low, high = (middle, high) if below else (low, middle)
             found.append((low + high) / 2.0)
         return tuple(found)
@@ -173,6 +173,12 @@ class MixedPosterior:
     def _hypothesis_weights(self) -> FloatArray:
         ends = np.cumsum([len(part.task_mean) for part in self.parts])[:-1]
         return np.array([one.sum() for one in np.split(self.weights, ends)])
+
+
+def _below(value: float, means: FloatArray, stds: FloatArray) -> FloatArray:
+    """Return the probability of less than a value in each component, a step where std is 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return normal_cdf(np.where(value == means, 0.0, (value - means) / stds))
 
 
 def normal_cdf(standard: FloatArray) -> FloatArray:

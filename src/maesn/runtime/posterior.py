@@ -13,7 +13,8 @@ from maesn.runtime.return_model import ReturnPrior
 OUTLIER = 4.0
 # Episodes have no noise if its variance is less than this share of that of returns.
 KNOWN = 1e-9
-_TINY = np.finfo(np.float64).tiny  # of a standard deviation, where nothing varies
+# Standard deviation where nothing varies, as a share of the largest error: squares stay finite.
+_LEAST_STD = 1e-150
 
 
 @runtime_checkable
@@ -147,7 +148,8 @@ class Posterior:
         if self.is_known(model, reading.point):
             scale = np.inf  # it teaches nothing, so its row is zero
         else:
-            scale = max(std, float(np.abs(error).min()) / OUTLIER, _TINY)
+            nearest, furthest = float(np.abs(error).min()), float(np.abs(error).max())
+            scale = max(std, nearest / OUTLIER, _LEAST_STD * max(furthest, 1.0))
         innovation, row, offset_row = error / scale, covariance / scale, offset / scale
         return replace(
             self,

@@ -18,7 +18,7 @@ from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 EPISODES = 30  # of each task: by turns, two of a search, and one of the latent to deploy
-# Fewer readings than this tell nothing of the tails.
+# Fewer readings than this tell nothing of the tails; nor do readings that are all alike.
 _FEWEST = 100
 _OUTERMOST = 0.002  # a level: no number of readings shows that nothing lies beyond
 
@@ -26,10 +26,10 @@ _OUTERMOST = 0.002  # a level: no number of readings shows that nothing lies bey
 def calibrated(
     prior: ReturnPrior, latent: AbstractSettableLatent, world: AbstractWorld, key: Key
 ) -> ReturnPrior:
-    """Search in new tasks, and return the prior with the levels of its intervals.
+    """Return the prior with the levels of its intervals, found by searches with default settings.
 
-    A right model sees the quantiles of its predictions hit uniformly. One that is too wide or too
-    narrow is corrected by the quantiles that were hit.
+    If the model is right, the returns hit the quantiles of its predictions uniformly. If it is too
+    wide or too narrow, the quantiles that they did hit correct it.
 
     Args:
         prior: returns of an archive.
@@ -38,8 +38,7 @@ def calibrated(
         key: random key of the searches.
     """
     settings = SearchSettings()
-    model = settings.model(dataclasses.replace(prior, proposed_levels=NOMINAL))
-    learner = SearchFastLearner(latent, model, settings)
+    learner = SearchFastLearner(latent, settings.model(prior), settings)
     collect = Collector(world, 1)
     places: dict[Purpose, list[float]] = {"explore": [], "deploy": []}
     keys, slots = jax.random.split(key, collect.num_tasks), jnp.arange(collect.num_tasks)
@@ -70,8 +69,9 @@ def _places(state: SearchState, episodes: Episodes, purpose: Purpose) -> Iterato
 
 
 def _levels(places: Sequence[float], otherwise: Sequence[float]) -> tuple[float, float]:
-    if len(places) < _FEWEST:
-        low, high = otherwise
-        return low, high
-    low, high = np.clip(np.quantile(places, NOMINAL), _OUTERMOST, 1.0 - _OUTERMOST).tolist()
+    """Return the levels that 90 % of the places lie between; `otherwise` if they do not tell."""
+    low, high = otherwise
+    if len(places) >= _FEWEST:
+        found = np.clip(np.quantile(places, NOMINAL), _OUTERMOST, 1.0 - _OUTERMOST).tolist()
+        low, high = found if found[0] < found[1] else otherwise
     return low, high
