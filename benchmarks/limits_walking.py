@@ -1,4 +1,4 @@
-"""What little is known without training in the families on Gymnasium's robots.
+"""Bounds on returns that need no training, in the families on Gymnasium's robots.
 
     python benchmarks/limits_walking.py
 

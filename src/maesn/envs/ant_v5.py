@@ -12,9 +12,9 @@ as long.
 | `sparse_ant_goal` | the same                          | 1 - d if d <= R, else -R     | 0.01      |
 
 x is the position of the torso after the step, v its mean velocity in the step, d = |x - g|_2, and
-R = 0.75 m. From all of them go the control cost, which the table has per squared unit of u, and
-0.0005 per squared unit of contact torques and forces, clipped to [-1, 1]. `ant_dir` adds 1 for each
-step.
+R = 0.75 m. All rewards have a control cost subtracted, which the table has per squared unit of u,
+and 0.0005 per squared unit of contact torques and forces, clipped to [-1, 1]. `ant_dir` adds 1 for
+each step.
 
 Sources: `AntRandDirec2DEnv` and `AntRandGoalEnv` of jonasrothfuss/ProMP; `AntDirEnv` and
 `AntGoalEnv` of katerakelly/oyster (`rlkit/envs`) and `AntGoalEnv` of lmzintgraf/varibad, with the

@@ -7,8 +7,8 @@
 | `cheetah_body` | factors of mass, damping and      | v + z                   | drawn      |
 |                | friction, 2^U(-1, 1) each         |                         |            |
 
-v is the mean velocity along x in the step and z the height of the torso above its start. From all
-of them goes the control cost 0.05 sum(u^2), the part `other` of the reward.
+v is the mean velocity along x in the step, in m/s, and z the height of the torso above its start,
+in metres. The part `other` of all rewards is minus the control cost, -0.05 sum(u^2).
 
 Sources: `HalfCheetahVelEnv` and `HalfCheetahDirEnv` of katerakelly/oyster (`rlkit/envs`), which
 lmzintgraf/varibad and jonasrothfuss/ProMP have with the same numbers; `HalfCheetahBodyEnv` of

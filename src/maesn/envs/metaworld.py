@@ -62,7 +62,7 @@ HORIZON = 500  # `max_path_length`
 # Each takes about 20 MB, most of it for meshes.
 _MAX_ENVIRONMENTS = 100
 
-# So nothing that does not play needs Meta-World. Workers refuse an environment with other spaces.
+# Given, so that only what plays needs Meta-World. Workers refuse an environment with other spaces.
 INTERFACE = Interface(
     spaces={
         "observation": ["Box[39]", [f"observation[{index}]" for index in range(39)]],

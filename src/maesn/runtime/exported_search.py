@@ -75,7 +75,7 @@ class ExportedSearch:
 
 
 def _levels(metadata: Mapping[str, Any], name: str) -> list[float]:
-    """Return two levels. Files of earlier releases have none: theirs are those of the model."""
+    """Return two levels; those of the model if the file has none."""
     levels = entry({name: list(NOMINAL), **metadata}, name, list)
     if len(levels) != 2 or not all(isinstance(level, float) for level in levels):
         raise ValueError(f"entry `{name}` must be two numbers, got {levels!r}.")

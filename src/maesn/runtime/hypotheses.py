@@ -1,4 +1,4 @@
-"""What a new task may be, and what some readings make of it.
+"""Hypotheses about a new task, and the posterior over returns under all of them.
 
 A new task may be *familiar*, like one of the training tasks; *shifted*, like one of them but with
 another return c where the goal is never near; or *unlike* all of them. Each is a model of the
@@ -19,12 +19,12 @@ from maesn.runtime.return_model import ReturnModel
 # Components with a smaller share of the largest weight move no quantile that is shown.
 _NEGLIGIBLE = 1e-6
 _FAR = 8.0  # standard deviations from a mean, beyond which no quantile lies
-_HALVINGS = 40
+_HALVINGS = 40  # of the range of quantiles, to 1e-12 of its width
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """What a new task may be, before its first episode.
+    """Hypotheses about a new task, before its first episode.
 
     Attributes:
         models: a model of the returns under each; the first is that of the training tasks.
@@ -36,7 +36,7 @@ class Hypotheses:
 
     @staticmethod
     def around(model: ReturnModel, familiar: float) -> "Hypotheses":
-        """Return all three, or the first alone.
+        """Return all three hypotheses, or the first alone if it is certain.
 
         Args:
             model: the model of a task like a training task.

@@ -15,9 +15,9 @@ class SearchSettings:
     """Settings of a search.
 
     Attributes:
-        acquisition: `ucb` maximises the upper confidence bound, mean + exploration * std.
-            `thompson` draws a training task by its posterior probability and takes that task's best
-            latent.
+        acquisition: both draw a hypothesis about the task by its posterior probability. Under it,
+            `ucb` maximises the upper confidence bound, mean + exploration * std; `thompson` draws a
+            training task by its posterior probability and takes that task's best latent.
         exploration: weight of the standard deviation in the upper confidence bound.
         draws: latents that are drawn around the best one in every round, once it has been played;
             0 stays with the archive.
@@ -27,7 +27,7 @@ class SearchSettings:
         length_scale: distance in z over which returns vary.
         jumps: whether the model allows for jumps of the return between near latents.
         familiar: probability, before the first episode, that a new task is like a training task. 1
-            is certain of it.
+            leaves out the other hypotheses.
 
     Raises:
         ValueError: a setting is out of its range.

@@ -1,4 +1,4 @@
-"""Intervals that hold what they say: their levels, from searches in tasks that the prior lacks."""
+"""Calibration of the 90 % intervals, by searches in tasks that the prior does not know."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence

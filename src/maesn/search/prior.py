@@ -50,7 +50,7 @@ class PriorSettings:
     """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
     searches: int = 20
     """Validation tasks that are searched once, so that 90 % intervals hold 90 % of the returns. 0
-    keeps the model's own intervals."""
+    keeps the model's own intervals, and so does `action_noise`."""
     seed: int = 0
     """Seed of the draws and the episodes."""
     simulations: int = 1000

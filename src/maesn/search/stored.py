@@ -199,7 +199,7 @@ def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
 def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
     """Return the environment steps of a prior, with those that adapt to the training tasks."""
     adapting = settings.adapted * _EPISODES_TO_ADAPT * len(run.training_tasks) * env.horizon
-    searching = settings.searches * EPISODES * env.horizon
+    searching = 0 if settings.action_noise else settings.searches * EPISODES * env.horizon
     return settings.steps(env, run.training_tasks) + adapting + searching
 
 

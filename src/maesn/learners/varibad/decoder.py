@@ -39,7 +39,7 @@ class BeliefDecoderSettings(eqx.Module):
     on GridNavi, whether the goal is there."""
     cells: tuple[int, ...] = ()
     """Where observations are cells of a grid, the numbers of cells a side: the decoder then has one
-    output for the reward of each cell, and sees m alone. Reference on GridNavi: 5 x 5. None: it
+    output for the reward of each cell, and sees m alone. Reference on GridNavi: 5 x 5. Empty: it
     sees m, the observation, the action, and the next observation."""
     reward_std: float = 0.7
     """Standard deviation of a Gaussian reward, in its unit. sqrt(1/2) makes the squared error of

@@ -2,7 +2,7 @@
 
 Zintgraf et al. 2020, https://arxiv.org/abs/1910.08348, section 3:
 
-    q_t = q(m | h_t) = N(μ(h_t), σ²(h_t)),   h_{t+1} = GRU(e(a_t, r_t, o_{t+1}), h_t),   h_0 = 0
+    q_t = q(m | h_t) = N(μ(h_t), σ²(h_t)),   h_{t+1} = GRU(embed(a_t, r_t, o_{t+1}), h_t),   h_0 = 0
 
 q_0, before any step, is learned as well. The belief is kept across the episodes of a trial.
 """
