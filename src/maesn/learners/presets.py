@@ -174,8 +174,8 @@ def pearl(**settings: Any) -> PearlMetaLearner:
 def varibad(**settings: Any) -> VaribadMetaLearner:
     """VariBAD: a recurrent belief about the task, acted on by PPO; with a bonus, HyperX.
 
-    Source: Zintgraf et al. 2020 and 2021. Settings are those that the authors' code has on most
-    tasks; docs/explanation/methods/varibad.md lists those of GridNavi and of point goals.
+    Source: Zintgraf et al. 2020 and 2021. The settings of the authors' code differ from task to
+    task; docs/explanation/methods/varibad.md lists those of GridNavi and of point goals.
     """
     return VaribadMetaLearner(**settings)
 

@@ -13,9 +13,9 @@ class HyperMLP(eqx.Module):
     """y = mlp_w(x), whose weights depend on a condition c:  w(c) = bias + Σ_k c_k slope_k.
 
     Source: Beck et al. 2022, "Hypernetworks in Meta-Reinforcement Learning", section 4,
-    https://arxiv.org/abs/2210.11348. The map from c to weights is affine. It starts by their
+    https://arxiv.org/abs/2210.11348. The map from c to weights is affine. It starts at their
     Bias-HyperInit: slopes are 0, and the bias is how an ordinary network starts. So all conditions
-    share one network at first, and what depends on c is learned.
+    share one network at first, and training learns what depends on c.
     """
 
     bias: MLP
