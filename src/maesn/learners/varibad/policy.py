@@ -1,6 +1,6 @@
 """The policy of VariBAD: acts on an observation and on the belief about the task."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -95,7 +95,7 @@ class BeliefPolicy(AbstractPolicy):
         z: Float[Array, "episode z"],
         recurrent_state: RecurrentState,
     ) -> tuple[AbstractDistribution, RecurrentState]:
-        def episode(inputs: PolicyInput, valid: Array, z: Array, state: RecurrentState) -> object:
+        def episode(inputs: PolicyInput, valid: Array, z: Array, state: RecurrentState) -> Any:
             def step(
                 state: RecurrentState, now: tuple[PolicyInput, Array]
             ) -> tuple[RecurrentState, AbstractDistribution]:
