@@ -7,7 +7,7 @@ import numpy as np
 
 from maesn.runtime.baseline import episode_advantages
 from maesn.runtime.latent import Latent, LearningRule
-from maesn.runtime.return_model import Reading
+from maesn.runtime.posterior import Reading
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import LatentSearch
 from maesn.runtime.state import ExplorerState, Undo
