@@ -8,7 +8,7 @@ from playing import play
 from small_runs import tiny_maesn, tiny_settings
 
 from maesn import cli
-from maesn.envs import HOSTED, NAMED_SETS, describe_env, find_family, is_own, rebuild_env
+from maesn.envs import HOSTED, SETS, describe_env, find_family, is_own, rebuild_env
 from maesn.envs.metaworld import CLEARANCE
 from maesn.envs.sources import load_tasks
 from maesn.foreign import InterfaceError
@@ -32,7 +32,7 @@ DIGESTS = {
 @pytest.mark.parametrize("name", HOSTED)
 def test_tasks_are_those_of_meta_world_and_never_change(name: str) -> None:
     family, (low, high) = find_family(name), np.array(BOUNDS[name])
-    sets = [family.task_set(which) for which in NAMED_SETS if which != "ood"]
+    sets = [family.task_set(which) for which in SETS]
     points = np.concatenate([tasks.tasks for tasks in sets])
     assert len(np.unique(points, axis=0)) == 100 * len(sets)
     assert (points >= low - 1e-6).all()

@@ -324,7 +324,6 @@ def test_without_weights_there_is_no_bonus() -> None:
     [
         lambda: BeliefEncoderSettings(latent_size=0),
         lambda: BeliefEncoderSettings(hidden_size=0),
-        lambda: BeliefDecoderSettings(likelihood="poisson"),  # type: ignore[arg-type]
         lambda: BeliefDecoderSettings(cells=(0, 2)),
         lambda: BeliefDecoderSettings(reward_std=0.0),
         lambda: BeliefDecoderSettings(cells=(5, 5)).init(jax.random.key(0), 3, 4, 1),
