@@ -14,7 +14,7 @@ BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-browser test-faults test-long test-docs soak test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo check test test-browser test-faults test-long test-docs soak test-external peers fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
@@ -49,6 +49,19 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints-external.txt --editable '.[gym]' beartype metaworld pytest \
 	  rliable sb3-contrib torch wandb
+	@touch $@
+
+# BoTorch brings PyTorch: 6 GB.
+PEERS := .venv-peers
+peers: | $(PEERS)/.ready ## Compare latent search with what BoTorch offers, in an environment of their own
+	@$(PEERS)/bin/python -m pytest --quiet --tb=short tests/peers
+	@$(PEERS)/bin/python benchmarks/search_peers.py --out build/peers
+
+$(PEERS)/.ready: pyproject.toml constraints.txt constraints-peers.txt
+	@$(PYTHON) -m venv $(PEERS)
+	@$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --constraint constraints-peers.txt \
+	  --editable . beartype botorch cmaes pytest
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and which package imports which
@@ -99,7 +112,7 @@ test-docs: $(TEST_READY) ## Run every example and every command of the documenta
 	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
-	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(EXTERNAL) $(PEERS) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
