@@ -21,10 +21,11 @@ import tyro
 from jaxtyping import Bool, Float
 from search_peers_play import JUDGED_AFTER, Recorded, recorded
 
+from maesn.runs.run import Run
+
 ANGLES = 360
 GOAL_DISTANCE = 2.0  # metres; `wheeled` and `ant`
 NEAR = 0.5  # a return that is higher by this than the latent's lowest comes from inside the radius
-EPISODES = 16  # of each latent
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Settings:
     """Where recorded episodes are kept."""
     runs: tuple[str, ...] = ("wheeled", "ant")
     """Policies with goals on the half circle."""
+    tasks: str = "test"
+    """Task set whose episodes are recorded as well; as in `search_peers.py`, to play only once."""
 
 
 class Limit(NamedTuple):
@@ -46,13 +49,15 @@ class Limit(NamedTuple):
     """What no search deploys better than, after so many episodes."""
 
 
-def half_circle(out: Path) -> Path:
-    """Write the task set of all angles, and return its path."""
-    path = out / "half-circle.npz"
+def on_half_circle(name: str, tasks: str, out: Path) -> tuple[Recorded, Recorded]:
+    """Return recorded episodes in the tasks of a set, and at all angles of the half circle."""
     angle = np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
-    goal = GOAL_DISTANCE * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    np.savez(path, goal=goal.astype(np.float32))
-    return path
+    circle = GOAL_DISTANCE * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    goals = np.concatenate([np.asarray(Run.open(name).task_set(tasks).tasks), circle])
+    path = out / f"{tasks}-and-half-circle.npz"
+    np.savez(path, goal=goals.astype(np.float32))
+    whole = recorded(name, str(path), out)
+    return whole[:-ANGLES], whole[-ANGLES:]
 
 
 def reached(episodes: Recorded) -> Bool[np.ndarray, "angle latent"]:
@@ -98,19 +103,18 @@ def best_lists(
     return Limit(float(best.mean()), np.asarray(found)[np.asarray(counts) - 1])
 
 
-def limit_of(name: str, out: Path) -> Limit:
-    """Return the limit of a policy's archive."""
-    out.mkdir(parents=True, exist_ok=True)
-    episodes = recorded(name, str(half_circle(out)), EPISODES, out)
+def limit_of(episodes: Recorded) -> Limit:
+    """Return the limit of an archive by its episodes at all angles."""
     return best_lists(episodes.returns.mean(axis=2), reached(episodes), JUDGED_AFTER)
 
 
 def main(settings: Settings) -> None:
     """Print the table."""
+    settings.out.mkdir(parents=True, exist_ok=True)
     print("| run |", *(f"{count} |" for count in JUDGED_AFTER), "archive's limit |")
     print("|---|" + "---:|" * (len(JUDGED_AFTER) + 1))
     for name in settings.runs:
-        limit = limit_of(name, settings.out)
+        limit = limit_of(on_half_circle(name, settings.tasks, settings.out)[1])
         print(f"| {name} |", *(f"{x:.1f} |" for x in limit.searcher), f"{limit.archive:.1f} |")
 
 

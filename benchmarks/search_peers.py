@@ -12,7 +12,6 @@ search exceeds on the half circle. A finished row is a file in `--out`.
 """
 
 import csv
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,16 +19,15 @@ import botorch
 import numpy as np
 import torch
 import tyro
-from limits_search import limit_of
+from limits_search import limit_of, on_half_circle
 from search_peers_methods import METHODS, SETTINGS, Known
 from search_peers_play import JUDGED_AFTER, Recorded, prior_of, recorded, searched
 
 from maesn.runs.run import Run
 
-EPISODES = {"blockpush": 2}  # of each latent; its episodes are exact, so that all are the same
-USUAL_EPISODES = 16
 HALF_CIRCLE = ("wheeled", "ant")
 OURS = next(iter(METHODS))
+TIMED = 2  # tasks that the time of a proposal is measured in, one after the other
 FIELDS = ("run", "method", "episodes", "mean", "half_interval", "behind", "behind_half", "seconds")
 
 
@@ -56,9 +54,12 @@ def row(name: str, method: str, episodes: Recorded, known: Known, settings: Sett
     slug = method.replace(" ", "-").replace(",", "")
     path = settings.out / f"row-{name}-{settings.tasks}-{settings.num_tasks}-{slug}.npz"
     if not path.exists():
-        found = searched(lambda task: METHODS[method](known, task), episodes)
-        np.savez(path.with_suffix(".partial.npz"), **found)
-        os.replace(path.with_suffix(".partial.npz"), path)
+        deployed, _ = searched(METHODS[method](known, len(episodes.far)), episodes)
+        alone = [episodes[task : task + 1] for task in range(TIMED)]
+        seconds = [searched(METHODS[method](known, 1), one)[1] for one in alone]
+        partial = path.with_suffix(".partial.npz")
+        np.savez(partial, deployed=deployed, seconds=np.mean(seconds))
+        partial.replace(path)
     with np.load(path) as kept:
         return dict(kept)
 
@@ -76,9 +77,11 @@ def half_interval(values: np.ndarray) -> np.ndarray:
 
 def lines(name: str, settings: Settings) -> list[dict]:
     """Return the lines of the table of one policy."""
-    count = EPISODES.get(name, USUAL_EPISODES)
-    whole = recorded(name, settings.tasks, count, settings.out)
-    episodes = Recorded(*(part[: settings.num_tasks] for part in vars(whole).values()))
+    if name in HALF_CIRCLE:
+        whole, circle = on_half_circle(name, settings.tasks, settings.out)
+    else:
+        whole, circle = recorded(name, settings.tasks, settings.out), None
+    episodes = whole[: settings.num_tasks]
     known, found = Known(SETTINGS.model(prior_of(Run.open(name)))), []
     ours = row(name, OURS, episodes, known, settings)["deployed"]
     for method in settings.methods:
@@ -87,8 +90,8 @@ def lines(name: str, settings: Settings) -> list[dict]:
         print(f"{name}, {method}: done", flush=True)
     best = np.repeat(ceiling(episodes), len(JUDGED_AFTER), axis=1)
     found += summary(name, "archive's limit", best, ours, np.nan)
-    if name in HALF_CIRCLE:
-        limit = limit_of(name, settings.out)
+    if circle is not None:
+        limit = limit_of(circle)
         for label, means in (
             ("no search exceeds, 360 goals", limit.searcher),
             ("archive's limit, 360 goals", np.full(len(JUDGED_AFTER), limit.archive)),

@@ -1,28 +1,27 @@
-"""The searches that `search_peers.py` compares, over the points of an archive."""
+"""The searches that `search_peers.py` compares, in all tasks at once, over an archive."""
 
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import cmaes
 import numpy as np
 import torch
 from botorch.acquisition import LogExpectedImprovement
-from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
 from botorch_prior import ReturnGP
-from gpytorch.mlls import ExactMarginalLogLikelihood
-from search_peers_rgpe import Ensemble
+from search_peers_play import Points
+from search_peers_rgpe import Ensemble, fit
+from torch import Tensor
 
-from maesn.runtime import moments
+from maesn.runtime import Moments, moments
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import Reading, ReturnModel
 from maesn.runtime.search import LatentSearch, SearchSettings
 
 FIRST_DRAWS = 3  # random points before a Gaussian process that knows nothing is fitted
 SPREAD = 3.0  # of the archive's draws
+CHUNK = 50  # candidates at once; bounds the memory
 # The archive is the whole choice, so that all compared searches have the same one.
 SETTINGS = SearchSettings(draws=0)
 
@@ -33,159 +32,166 @@ class Known:
 
     model: ReturnModel
 
-    @cached_property
-    def latents(self) -> torch.Tensor:
-        """The archive, `[point, z]`."""
-        return torch.as_tensor(self.model.archive)
+    @property
+    def archive(self) -> FloatArray:
+        """`[point, z]`."""
+        return self.model.archive
 
     @cached_property
-    def moments(self) -> Any:
+    def moments(self) -> Moments:
         """Mean and covariance over the training tasks."""
-        return moments(self.model, self.model.archive)
+        return moments(self.model, self.archive)
 
     @cached_property
     def ensemble(self) -> Ensemble:
         """A Gaussian process of each training task."""
-        return Ensemble.of(self.latents, torch.as_tensor(self.model.prior.excess))
+        return Ensemble.of(*map(torch.as_tensor, (self.archive, self.model.prior.excess)))
 
 
-@dataclass
 class Base:
     """What most searches share: a memory, and the best played point to deploy."""
 
-    known: Known
-    seed: int
-    points: list[int] = field(default_factory=list)
-    returns: list[float] = field(default_factory=list)
+    def __init__(self, known: Known, num_tasks: int) -> None:
+        self.known = known
+        self.generators = [np.random.default_rng(task) for task in range(num_tasks)]
+        self.points = np.zeros((num_tasks, 0), np.intp)
+        self.returns = np.zeros((num_tasks, 0))
 
-    def __post_init__(self) -> None:
-        self.generator = np.random.default_rng(self.seed)
+    def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
+        self.points = np.column_stack([self.points, points])
+        self.returns = np.column_stack([self.returns, returns])
 
-    def told(self, point: int, episode_return: float, length: float) -> None:
-        self.points.append(point)
-        self.returns.append(episode_return)
-
-    def best(self) -> int:
+    def best(self) -> Points:
         """Return the point with the highest mean of its returns."""
-        points, returns = np.asarray(self.points), np.asarray(self.returns)
-        return max(self.points, key=lambda point: returns[points == point].mean())
+        same = self.points[:, :, None] == self.points[:, None]
+        means = np.where(same, self.returns[:, None], 0.0).sum(-1) / same.sum(-1)
+        return self.points[np.arange(len(means)), means.argmax(axis=1)]
 
-    def fresh(self) -> int:
-        """Return a random point that was not played."""
-        left = np.setdiff1d(np.arange(len(self.known.latents)), self.points)
-        return int(self.generator.choice(left))
+    def fresh(self) -> Points:
+        """Return random points that were not played."""
+        every = np.arange(len(self.known.archive))
+        pairs = zip(self.generators, self.points, strict=True)
+        return np.asarray([draw.choice(np.setdiff1d(every, points)) for draw, points in pairs])
 
 
 class Ours(Base):
     """`--rule search draws=0`."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.search = LatentSearch.start(self.known.model, SETTINGS)
+    def __init__(self, known: Known, num_tasks: int) -> None:
+        super().__init__(known, num_tasks)
+        self.searches = [LatentSearch.start(known.model, SETTINGS)] * num_tasks
 
-    def propose(self) -> int:
-        self.search, point = self.search.proposed(self.generator)
-        return point
+    def propose(self) -> Points:
+        pairs = zip(self.searches, self.generators, strict=True)
+        self.searches, points = zip(*(one.proposed(draw) for one, draw in pairs), strict=True)
+        return np.asarray(points)
 
-    def told(self, point: int, episode_return: float, length: float) -> None:
-        self.search = self.search.after([Reading(point, episode_return, length)])
+    def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
+        readings = map(Reading, points.tolist(), returns.tolist(), lengths.tolist())
+        pairs = zip(self.searches, readings, strict=True)
+        self.searches = [search.after([reading]) for search, reading in pairs]
 
-    def best(self) -> int:
-        return self.search.best
+    def best(self) -> Points:
+        return np.asarray([search.best for search in self.searches])
 
 
 class RandomLatents(Base):
     """Draws from the widened prior, one after the other."""
 
-    def propose(self) -> int:
+    def propose(self) -> Points:
         return self.fresh()
 
 
 class CmaEs(Base):
     """CMA-ES from N(0, 3^2 I); the archive's nearest latent stands for each of its draws."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        size = self.known.latents.shape[1]
-        self.optimizer = cmaes.CMA(np.zeros(size), SPREAD, seed=self.seed + 1)
-        self.round: list[tuple[FloatArray, float]] = []
+    def __init__(self, known: Known, num_tasks: int) -> None:
+        super().__init__(known, num_tasks)
+        start = np.zeros(known.archive.shape[1])
+        self.optimizers = [cmaes.CMA(start, SPREAD, seed=task + 1) for task in range(num_tasks)]
 
-    def propose(self) -> int:
-        asked = self.optimizer.ask()
-        return int(np.linalg.norm(self.known.latents.numpy() - asked, axis=1).argmin())
+    def propose(self) -> Points:
+        asked = np.asarray([optimizer.ask() for optimizer in self.optimizers])
+        distance = np.linalg.norm(asked[:, None] - self.known.archive, axis=-1)
+        return np.asarray(distance.argmin(axis=1))
 
-    def told(self, point: int, episode_return: float, length: float) -> None:
-        super().told(point, episode_return, length)
-        self.round.append((self.known.latents[point].numpy(), -episode_return))
-        if len(self.round) == self.optimizer.population_size:
-            self.optimizer.tell(self.round)
-            self.round = []
+    def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
+        super().told(points, returns, lengths)
+        size = self.optimizers[0].population_size
+        if self.points.shape[1] % size == 0:
+            for task, optimizer in enumerate(self.optimizers):
+                latents = self.known.archive[self.points[task, -size:]]
+                optimizer.tell(list(zip(latents, -self.returns[task, -size:], strict=True)))
 
 
-def fitted(latents: torch.Tensor, points: list[int], returns: list[float]) -> SingleTaskGP:
-    """Return BoTorch's default Gaussian process, its hyperparameters at their posterior mode."""
-    y = torch.as_tensor(returns, dtype=torch.float64)[:, None]
-    bounds = torch.stack([latents.min(0).values, latents.max(0).values])
-    model = SingleTaskGP(
-        latents[points],
-        y,
-        outcome_transform=Standardize(1),
-        input_transform=Normalize(latents.shape[1], bounds=bounds),
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the optimiser, that it tries once more
-        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
-    return model
+def best_of(model: SingleTaskGP, candidates: Tensor, played: Tensor) -> Points:
+    """Return the candidates with the highest log expected improvement, `[task]`.
+
+    Returns may be noisy, so the improvement is that over the best posterior mean of the played.
+
+    Args:
+        model: one Gaussian process for each task.
+        candidates: `[candidate, input]`.
+        played: `[task, reading, input]`.
+    """
+    with torch.no_grad():
+        improved = model.posterior(played).mean.amax((-1, -2))
+        improvement = LogExpectedImprovement(model, improved)
+        parts = [
+            improvement(part[:, None, None].expand(-1, len(played), 1, -1))
+            for part in candidates.split(CHUNK)
+        ]
+    return np.asarray(torch.cat(parts).argmax(0))
 
 
 class BoTorchGP(Base):
     """BoTorch's default Gaussian process with log expected improvement."""
 
-    def propose(self) -> int:
-        # With equal returns alone, as far from the goal, there is nothing to fit.
-        if len(self.points) < FIRST_DRAWS or np.ptp(self.returns) == 0:
+    def propose(self) -> Points:
+        if self.points.shape[1] < FIRST_DRAWS:
             return self.fresh()
-        model = fitted(self.known.latents, self.points, self.returns)
-        return best_of(model, self.known.latents, self.known.latents[self.points])
-
-
-def best_of(model: SingleTaskGP, candidates: torch.Tensor, played: torch.Tensor) -> int:
-    """Return the candidate with the highest log expected improvement.
-
-    Returns may be noisy, so the improvement is that over the best posterior mean of the played.
-    """
-    with torch.no_grad():
-        improved = model.posterior(played).mean.max()
-        return int(LogExpectedImprovement(model, improved)(candidates[:, None]).argmax())
+        latents = torch.as_tensor(self.known.archive)
+        bounds = torch.stack([latents.amin(0), latents.amax(0)])
+        model = SingleTaskGP(
+            latents[self.points],
+            torch.as_tensor(self.returns)[..., None],
+            outcome_transform=Standardize(1, batch_shape=torch.Size([len(self.points)])),
+            input_transform=Normalize(latents.shape[1], bounds=bounds),
+        )
+        return best_of(fit(model), latents, latents[self.points])
 
 
 class EmpiricalGP(Base):
     """One Gaussian process: mean and covariance over the training tasks, in BoTorch."""
 
-    @property
-    def indices(self) -> torch.Tensor:
-        return torch.arange(len(self.known.latents), dtype=torch.float64)[:, None]
+    def propose(self) -> Points:
+        if not self.points.shape[1]:
+            return np.full(len(self.points), self.known.moments.mean.argmax())
+        points = torch.as_tensor(self.points)[..., None].double()
+        return best_of(self.model(), self.indices, points)
 
-    def propose(self) -> int:
-        if not self.points:
-            return int(self.known.moments.mean.argmax())
-        model = ReturnGP(self.known.moments, self.points, self.returns)
-        return best_of(model, self.indices, self.indices[self.points])
-
-    def best(self) -> int:
+    def best(self) -> Points:
         with torch.no_grad():
-            model = ReturnGP(self.known.moments, self.points, self.returns)
-            return int(model.posterior(self.indices).mean.argmax())
+            every = self.indices.expand(len(self.points), -1, -1)
+            return np.asarray(self.model().posterior(every).mean[..., 0].argmax(1))
+
+    def model(self) -> ReturnGP:
+        return ReturnGP(self.known.moments, self.points, self.returns)
+
+    @property
+    def indices(self) -> Tensor:
+        """The inputs of all latents, `[point, 1]`."""
+        return torch.arange(len(self.known.archive), dtype=torch.float64)[:, None]
 
 
 class RankedEnsemble(Base):
     """RGPE (Feurer, Letham and Bakshy 2018) over the training tasks, expected improvement."""
 
-    def propose(self) -> int:
-        return self.known.ensemble.chosen(self.points, self.returns, self.seed)
+    def propose(self) -> Points:
+        return np.asarray(self.known.ensemble.chosen(self.points, self.returns))
 
-    def best(self) -> int:
-        return self.known.ensemble.deployed(self.points, self.returns, self.seed)
+    def best(self) -> Points:
+        return np.asarray(self.known.ensemble.predicted(self.points, self.returns)[0].argmax(1))
 
 
 METHODS: dict[str, type[Base]] = {

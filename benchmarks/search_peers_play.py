@@ -7,14 +7,14 @@ archive alone. It leaves out latents between those of the archive.
 """
 
 import time
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 from search_rows import private_copy
 
 from maesn.runs.run import Run
@@ -24,6 +24,10 @@ from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.stored import prior_file, read_prior
 
 JUDGED_AFTER = (1, 2, 3, 5, 10, 20)
+EPISODES = {"blockpush": 2}  # of each latent; start and physics are exact, so both are the same
+USUAL_EPISODES = 16
+
+Points: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,9 @@ class Recorded:
     """As a share of the horizon."""
     far: FloatArray
     """What each task returns to who never finds the goal, `[task]`."""
+
+    def __getitem__(self, tasks: slice) -> "Recorded":
+        return Recorded(self.returns[tasks], self.length[tasks], self.far[tasks])
 
     @property
     def half(self) -> int:
@@ -48,16 +55,16 @@ class Recorded:
 
 
 class Search(Protocol):
-    """A search in one task, over the points of an archive."""
+    """A search in some tasks at once, over the points of an archive; `[task]` everywhere."""
 
-    def propose(self) -> int:
-        """Return the point to play next."""
+    def propose(self) -> Points:
+        """Return the points to play next."""
 
-    def told(self, point: int, episode_return: float, length: float) -> None:
-        """Learn from an episode."""
+    def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
+        """Learn from an episode in each task."""
 
-    def best(self) -> int:
-        """Return the point to deploy."""
+    def best(self) -> Points:
+        """Return the points to deploy."""
 
 
 def prior_of(run: Run) -> ReturnPrior:
@@ -66,20 +73,19 @@ def prior_of(run: Run) -> ReturnPrior:
         return read_prior(prior_file(run, world))[0]
 
 
-def recorded(name: str, tasks: str, episodes: int, out: Path) -> Recorded:
+def recorded(name: str, tasks: str, out: Path) -> Recorded:
     """Play the archive of a run in the tasks of a set; kept in a file.
 
     Args:
         name: the run, or a policy that comes with the library.
         tasks: name or file of the task set.
-        episodes: of each latent in each task.
         out: where files are.
     """
-    path = out / f"{name}-{Path(tasks).stem}-{episodes}.npz"
+    path = out / f"{name}-{Path(tasks).stem}.npz"
     if not path.exists():
         run = private_copy(name, name, out)
         latent = latent_of(run.learner.fast_learner(run.latest_state()))
-        settings = PriorSettings(episodes=episodes, seed=1)
+        settings = PriorSettings(episodes=EPISODES.get(name, USUAL_EPISODES), seed=1)
         with closing(run.world(run.task_set(tasks), "sparse")) as world:
             returns, length = play_archive(latent, world, prior_of(run).latents, settings)
             far = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
@@ -88,30 +94,29 @@ def recorded(name: str, tasks: str, episodes: int, out: Path) -> Recorded:
         return Recorded(**{name: np.float64(kept[name]) for name in ("returns", "length", "far")})
 
 
-def searched(start: Callable[[int], Search], episodes: Recorded) -> dict[str, Any]:
-    """Search in every task.
+def searched(search: Search, episodes: Recorded) -> tuple[FloatArray, float]:
+    """Search in all tasks.
 
     Args:
-        start: makes the search of a task.
+        search: one that has not played yet.
         episodes: what latents return in the tasks.
 
     Returns:
-        `deployed`, mean return of the deployed latents, `[task, count]`; `seconds` of the processor
-        for a proposal, with what is learned before it.
+        Mean return of the deployed latents, `[task, count]`; and seconds of the processor for a
+        proposal in all tasks, with what is learned before it.
     """
-    truth, counts, spent = episodes.truth, max(JUDGED_AFTER), 0.0
-    deployed = np.zeros((len(truth), len(JUDGED_AFTER)))
-    for task in range(len(truth)):
-        search, played = start(task), np.zeros(truth.shape[1], int)
-        for count in range(1, counts + 1):
-            begin = time.thread_time()
-            point = search.propose()
-            spent += time.thread_time() - begin
-            episode = (task, point, played[point] % episodes.half)
-            played[point] += 1
-            begin = time.thread_time()
-            search.told(point, episodes.returns[episode], episodes.length[episode])
-            spent += time.thread_time() - begin
-            if count in JUDGED_AFTER:
-                deployed[task, JUDGED_AFTER.index(count)] = truth[task, search.best()]
-    return {"deployed": deployed, "seconds": spent / counts / len(truth)}
+    truth, spent, found = episodes.truth, 0.0, []
+    tasks = np.arange(len(truth))
+    played = np.zeros(truth.shape, int)
+    for count in range(1, max(JUDGED_AFTER) + 1):
+        begin = time.thread_time()
+        points = search.propose()
+        spent += time.thread_time() - begin
+        episode = (tasks, points, played[tasks, points] % episodes.half)
+        played[tasks, points] += 1
+        begin = time.thread_time()
+        search.told(points, episodes.returns[episode], episodes.length[episode])
+        spent += time.thread_time() - begin
+        if count in JUDGED_AFTER:
+            found.append(truth[tasks, search.best()])
+    return np.stack(found, axis=1), spent / count

@@ -1,4 +1,4 @@
-"""A ranking-weighted Gaussian process ensemble over training tasks.
+"""A ranking-weighted Gaussian process ensemble over training tasks, for many new tasks at once.
 
 Feurer, Letham and Bakshy 2018, "Scalable meta-learning for Bayesian optimization using
 ranking-weighted Gaussian process ensembles" (arXiv 1802.02219). Each training task has a Gaussian
@@ -6,8 +6,10 @@ process of its own, and the new task one more. A model's weight is the share of 
 samples in which it orders the new task's returns best, so tasks that do not help lose theirs.
 """
 
+import warnings
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
@@ -16,48 +18,54 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 from torch.distributions import Normal
 
-SAMPLES = 256
-LATENTS = 100  # of the archive, that a task's process is fitted to
+SAMPLES = 128
+LATENTS = 100  # of the archive, that a training task's process is fitted to
 OWN_FROM = 3  # readings from which on the new task has a process of its own
+CHUNK = 20  # training tasks at once; bounds the memory
+JITTER = 1e-4  # of standardised values
 
 
 def standardized(values: Tensor) -> Tensor:
     """Return values of mean 0 and standard deviation 1 in each row; equal values become 0."""
     centred = values - values.mean(-1, keepdim=True)
-    return centred / centred.std(-1, keepdim=True).clamp_min(1e-9)
+    spread = centred.square().mean(-1, keepdim=True).sqrt()
+    return centred / torch.where(spread > 0, spread, 1.0)
 
 
-def fitted(latents: Tensor, bounds: Tensor, values: Tensor) -> SingleTaskGP:
-    """Return a process of standardised values, `[n]`, at latents, `[n, z]`."""
-    transform = Normalize(latents.shape[1], bounds=bounds)
-    model = SingleTaskGP(
-        latents, values[:, None], outcome_transform=None, input_transform=transform
-    )
-    fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
+def fit(model: SingleTaskGP) -> SingleTaskGP:
+    """Put hyperparameters at their posterior mode; those of several tasks together."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the optimiser, that it tries once more
+        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
     return model
 
 
-def misranked(predicted: Tensor, returns: Tensor) -> Tensor:
-    """Count the pairs that predictions, `[..., n]`, order otherwise than returns do, `[n]`."""
-    before = predicted[..., :, None] < predicted[..., None, :]
+def fitted(archive: Tensor, latents: Tensor, values: Tensor) -> SingleTaskGP:
+    """Return processes of standardised values, `[task, n]`, at latents, `[task, n, z]`."""
+    bounds = torch.stack([archive.amin(0), archive.amax(0)])
+    scale = Normalize(archive.shape[1], bounds=bounds)
+    model = SingleTaskGP(latents, values[..., None], outcome_transform=None, input_transform=scale)
+    return fit(model)
+
+
+def misranked(before: Tensor, returns: Tensor) -> Tensor:
+    """Count the pairs that predictions, `[..., n, n]`, order otherwise than returns do, `[n]`."""
     return (before != (returns[:, None] < returns)).sum((-1, -2))
 
 
-def left_out(model: SingleTaskGP, returns: Tensor) -> Tensor:
-    """Count misranked pairs of samples of each reading given the others, `[sample]`.
+def left_out(model: SingleTaskGP, y: Tensor) -> Tensor:
+    """Draw each reading given the others, `[task, sample, n]`.
 
-    Moments by Rasmussen and Williams 2006, equations 5.12; each sample is compared with the returns
-    of the other readings.
+    Rasmussen and Williams 2006, equations 5.12.
     """
-    model.train()
+    model.train()  # so that it takes its own inputs
     prior = model.likelihood(model(*model.train_inputs))
     inverse = torch.linalg.inv(prior.covariance_matrix)
-    centred = model.train_targets - prior.mean
-    mean = model.train_targets - (inverse @ centred) / inverse.diagonal()
-    drawn = mean + inverse.diagonal().rsqrt() * torch.randn(SAMPLES, len(mean), dtype=mean.dtype)
+    precision = inverse.diagonal(dim1=-2, dim2=-1)
+    mean = y - (inverse @ (y - prior.mean)[..., None])[..., 0] / precision
     model.eval()
-    before = drawn[:, :, None] < model.train_targets
-    return (before != (returns[:, None] < returns)).sum((-1, -2))
+    noise = torch.randn(len(y), SAMPLES, y.shape[1], dtype=y.dtype)
+    return mean[:, None] + precision.rsqrt()[:, None] * noise
 
 
 @dataclass(frozen=True)
@@ -65,60 +73,78 @@ class Ensemble:
     """The processes of the training tasks, at the archive.
 
     Attributes:
-        latents: the archive, `[point, z]`.
-        means: `[task, point]`.
-        covariances: `[task, point, point]`.
+        archive: `[point, z]`.
+        means: `[training task, point]`.
+        covariances: `[training task, point, point]`, in single precision.
     """
 
-    latents: Tensor
+    archive: Tensor
     means: Tensor
     covariances: Tensor
 
     @staticmethod
-    def of(latents: Tensor, excess: Tensor) -> "Ensemble":
+    def of(archive: Tensor, excess: Tensor) -> "Ensemble":
         """Fit a process to each training task's returns, `[task, point]`."""
-        bounds, found = torch.stack([latents.min(0).values, latents.max(0).values]), []
-        for values in standardized(excess[:, :LATENTS]):
-            model = fitted(latents[:LATENTS], bounds, values)
+        parts, first = [], archive[:LATENTS]
+        for values in standardized(excess[:, :LATENTS]).split(CHUNK):
+            model = fitted(archive, first.expand(len(values), -1, -1), values)
             with torch.no_grad():
-                posterior = model.posterior(latents)
-                found.append((posterior.mean[:, 0], posterior.covariance_matrix.float()))
-        return Ensemble(latents, *(torch.stack(part) for part in zip(*found, strict=True)))
+                posterior = model.posterior(archive.expand(len(values), -1, -1))
+                parts.append((posterior.mean[..., 0], posterior.covariance_matrix.float()))
+        return Ensemble(archive, *map(torch.cat, zip(*parts, strict=True)))
 
-    def predicted(
-        self, points: list[int], returns: list[float], seed: int
-    ) -> tuple[Tensor, Tensor]:
-        """Return mean and standard deviation of the ensemble at the archive, `[point]` each."""
-        torch.manual_seed(seed)
-        y = standardized(torch.as_tensor(returns, dtype=torch.float64))
-        means, variances = self.means, self.covariances.diagonal(dim1=-2, dim2=-1).double()
-        losses = torch.zeros(SAMPLES, len(means), dtype=torch.long)
-        if points:
-            own = self.covariances[:, points][:, :, points].double()
-            root = torch.linalg.cholesky(own + 1e-4 * torch.eye(len(points)))
-            noise = torch.randn(SAMPLES, len(means), len(points), 1, dtype=torch.float64)
-            losses = misranked(means[:, points] + (root @ noise)[..., 0], y)
-        if len(points) >= OWN_FROM and y.any():
-            bounds = torch.stack([self.latents.min(0).values, self.latents.max(0).values])
-            model = fitted(self.latents[points], bounds, y)
+    def predicted(self, points: np.ndarray, returns: np.ndarray) -> tuple[Tensor, Tensor]:
+        """Return mean and standard deviation of the ensemble, `[task, point]` each.
+
+        Args:
+            points: indices of the latents that were played, `[task, reading]`.
+            returns: what they returned, alike.
+        """
+        torch.manual_seed(points.shape[1])
+        y, own = standardized(torch.as_tensor(returns)), None
+        if points.shape[1] >= OWN_FROM:
+            model = fitted(self.archive, self.archive[points], y)
             with torch.no_grad():
-                posterior = model.posterior(self.latents)
-                losses = torch.cat([losses, left_out(model, y)[:, None]], 1)
-            means = torch.cat([means, posterior.mean.T])
-            variances = torch.cat([variances, posterior.variance.T])
-        is_best = (losses == losses.min(1, keepdim=True).values).double()
-        weights = (is_best / is_best.sum(1, keepdim=True)).mean(0)
-        return weights @ means, (weights**2 @ variances.clamp_min(0)).sqrt()
+                posterior = model.posterior(self.archive.expand(len(y), -1, -1))
+                own = posterior.mean[..., 0], posterior.variance[..., 0], left_out(model, y)
+        found = []
+        for task, played in enumerate(points):
+            means, variances = self.means, self.covariances.diagonal(dim1=1, dim2=2).double()
+            losses = self._losses(played, y[task])
+            if own is not None:
+                mean, variance, drawn = (part[task] for part in own)
+                lost = misranked(drawn[..., :, None] < y[task], y[task])
+                losses = torch.cat([losses, lost[:, None]], 1)
+                means = torch.cat([means, mean[None]])
+                variances = torch.cat([variances, variance[None]])
+            weights = _weights(losses)
+            found.append((weights @ means, (weights**2 @ variances.clamp_min(0)).sqrt()))
+        mean, std = map(torch.stack, zip(*found, strict=True))
+        return mean, std
 
-    def chosen(self, points: list[int], returns: list[float], seed: int) -> int:
-        """Return the point with the largest expected improvement over the best that was played."""
-        mean, std = self.predicted(points, returns, seed)
-        if not points:
-            return int(mean.argmax())
-        unit, gain = Normal(0.0, 1.0), mean - mean[points].max()
+    def chosen(self, points: np.ndarray, returns: np.ndarray) -> Tensor:
+        """Return the points with the largest expected improvement over the best that was played."""
+        mean, std = self.predicted(points, returns)
+        if not points.shape[1]:
+            return mean.argmax(1)
+        played = mean.gather(1, torch.as_tensor(points))
+        unit, gain = Normal(0.0, 1.0), mean - played.amax(1, keepdim=True)
         scaled = gain / std
-        return int((std * unit.log_prob(scaled).exp() + gain * unit.cdf(scaled)).argmax())
+        return (std * unit.log_prob(scaled).exp() + gain * unit.cdf(scaled)).argmax(1)
 
-    def deployed(self, points: list[int], returns: list[float], seed: int) -> int:
-        """Return the point with the highest mean."""
-        return int(self.predicted(points, returns, seed)[0].argmax())
+    def _losses(self, played: np.ndarray, y: Tensor) -> Tensor:
+        """Count the pairs that each training task's process orders wrongly, `[sample, task]`."""
+        count = len(played)
+        if count < 2:
+            return torch.zeros(SAMPLES, len(self.means))
+        own = self.covariances[:, played][:, :, played].double()
+        root = torch.linalg.cholesky(own + JITTER * torch.eye(count))
+        noise = torch.randn(SAMPLES, len(self.means), count, 1, dtype=y.dtype)
+        drawn = self.means[:, played] + (root @ noise)[..., 0]
+        return misranked(drawn[..., :, None] < drawn[..., None, :], y)
+
+
+def _weights(losses: Tensor) -> Tensor:
+    """Return how often each model loses least; equals share."""
+    is_best = (losses == losses.amin(1, keepdim=True)).double()
+    return (is_best / is_best.sum(1, keepdim=True)).mean(0)

@@ -1,4 +1,4 @@
-"""The prior of a search as a model of BoTorch: an empirical Gaussian process over its archive.
+"""The prior of a search as a model of BoTorch: an empirical Gaussian process over latents.
 
     model = ReturnGP(moments(search.model, latents), points, returns)
 
@@ -7,12 +7,11 @@ Its inputs are indices of latents, so any set of latents can be searched. Lin et
 in the same way; here both come from the training tasks of the policy.
 """
 
-from collections.abc import Sequence
-
 import torch
 from botorch.models import SingleTaskGP
 from gpytorch.kernels import Kernel
 from gpytorch.means import Mean
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from maesn.runtime import Moments
@@ -50,18 +49,19 @@ class ReturnGP(SingleTaskGP):
 
     Args:
         prior: of all latents that can be chosen, `[point]`.
-        points: indices of the latents that were played, at least one.
-        returns: what they returned.
+        points: indices of the latents that were played, `[reading]`, or `[task, reading]` for
+            several tasks at once; at least one.
+        returns: what they returned, alike.
     """
 
-    def __init__(self, prior: Moments, points: Sequence[int], returns: Sequence[float]) -> None:
-        covariance = torch.as_tensor(prior.covariance)
+    def __init__(self, prior: Moments, points: ArrayLike, returns: ArrayLike) -> None:
+        covariance, played = torch.as_tensor(prior.covariance), torch.as_tensor(points)
         least = LEAST_NOISE * float(covariance.diagonal().max())
         noise = torch.as_tensor(prior.noise).clamp_min(least)
         super().__init__(
-            torch.as_tensor(points, dtype=torch.float64)[:, None],
-            torch.as_tensor(returns, dtype=torch.float64)[:, None],
-            train_Yvar=noise[list(points)][:, None],
+            played[..., None].double(),
+            torch.as_tensor(returns)[..., None].double(),
+            train_Yvar=noise[played][..., None],
             mean_module=TableMean(torch.as_tensor(prior.mean)),
             covar_module=TableKernel(covariance),
             outcome_transform=None,
