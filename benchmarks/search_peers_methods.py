@@ -11,7 +11,7 @@ from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
 from botorch_prior import ReturnGP
 from search_peers_play import Points
-from search_peers_rgpe import Ensemble, fit
+from search_peers_rgpe import Ensemble, fit, improvement
 from torch import Tensor
 
 from maesn.runtime import Moments, moments
@@ -135,7 +135,7 @@ def best_of(model: SingleTaskGP, candidates: Tensor, played: Tensor) -> Points:
         played: `[task, reading, input]`.
     """
     with torch.no_grad():
-        improved = model.posterior(played).mean.amax((-1, -2))
+        improved = model.posterior(played).mean.amax(-2)  # `[task, 1]`
         improvement = LogExpectedImprovement(model, improved)
         parts = [
             improvement(part[:, None, None].expand(-1, len(played), 1, -1))
@@ -150,15 +150,19 @@ class BoTorchGP(Base):
     def propose(self) -> Points:
         if self.points.shape[1] < FIRST_DRAWS:
             return self.fresh()
+        return np.concatenate(list(map(self.proposed, self.points, self.returns)))
+
+    def proposed(self, points: Points, returns: FloatArray) -> Points:
+        """Return the point to play in one task."""
         latents = torch.as_tensor(self.known.archive)
         bounds = torch.stack([latents.amin(0), latents.amax(0)])
         model = SingleTaskGP(
-            latents[self.points],
-            torch.as_tensor(self.returns)[..., None],
-            outcome_transform=Standardize(1, batch_shape=torch.Size([len(self.points)])),
+            latents[points],
+            torch.as_tensor(returns)[:, None],
+            outcome_transform=Standardize(1),
             input_transform=Normalize(latents.shape[1], bounds=bounds),
         )
-        return best_of(fit(model), latents, latents[self.points])
+        return best_of(fit(model), latents, latents[points][None])
 
 
 class EmpiricalGP(Base):
@@ -187,11 +191,22 @@ class EmpiricalGP(Base):
 class RankedEnsemble(Base):
     """RGPE (Feurer, Letham and Bakshy 2018) over the training tasks, expected improvement."""
 
+    def __init__(self, known: Known, num_tasks: int) -> None:
+        super().__init__(known, num_tasks)
+        self.beliefs = [known.ensemble.predicted(self.points[0], self.returns[0])] * num_tasks
+
     def propose(self) -> Points:
-        return np.asarray(self.known.ensemble.chosen(self.points, self.returns))
+        if not self.points.shape[1]:
+            return self.best()
+        pairs = zip(self.beliefs, self.points, strict=True)
+        return np.asarray([int(improvement(*one, played).argmax()) for one, played in pairs])
+
+    def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
+        super().told(points, returns, lengths)
+        self.beliefs = list(map(self.known.ensemble.predicted, self.points, self.returns))
 
     def best(self) -> Points:
-        return np.asarray(self.known.ensemble.predicted(self.points, self.returns)[0].argmax(1))
+        return np.asarray([int(mean.argmax()) for mean, _ in self.beliefs])
 
 
 METHODS: dict[str, type[Base]] = {
