@@ -54,8 +54,8 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mj
 # BoTorch brings PyTorch: 6 GB.
 PEERS := .venv-peers
 peers: | $(PEERS)/.ready ## Compare latent search with what BoTorch offers, in an environment of their own
-	@$(PEERS)/bin/python -m pytest --quiet --tb=short tests/peers
-	@$(PEERS)/bin/python benchmarks/search_peers.py --out build/peers
+	@$(PEERS)/bin/python -m pytest --quiet --tb=short -W default tests/peers  # PyTorch warns at import
+	@PYTHONPATH=examples $(PEERS)/bin/python benchmarks/search_peers.py --out build/peers
 
 $(PEERS)/.ready: pyproject.toml constraints.txt constraints-peers.txt
 	@$(PYTHON) -m venv $(PEERS)
