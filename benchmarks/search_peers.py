@@ -148,7 +148,9 @@ def main(settings: Settings) -> None:
     if settings.results is None:
         return
     settings.results.mkdir(parents=True, exist_ok=True)
-    (settings.results / "summary.md").write_text(HEADING + printed(found))
+    tasks = f"the first {settings.num_tasks} {settings.tasks} tasks"
+    heading = HEADING.format(tasks=tasks, version=botorch.__version__)
+    (settings.results / "summary.md").write_text(heading + printed(found))
     with (settings.results / "summary.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
         writer.writeheader()
@@ -158,12 +160,12 @@ def main(settings: Settings) -> None:
         )
 
 
-HEADING = f"""# Latent search beside other searches
+HEADING = """# Latent search beside other searches
 
-Mean return of the deployed latent after 1 to 20 episodes in 100 test tasks, with half its 95 %
+Mean return of the deployed latent after 1 to 20 episodes in {tasks}, with half its 95 %
 interval; in brackets the difference to `search`, paired by task. All choose among the latents of
 the shipped policy's archive and see the same recorded episodes. `ms`: milliseconds of one core for
-a proposal. BoTorch {botorch.__version__}. `benchmarks/search_peers.py` wrote this file.
+a proposal. BoTorch {version}. `benchmarks/search_peers.py` wrote this file.
 """
 
 

@@ -147,13 +147,22 @@ def best_of(model: SingleTaskGP, candidates: Tensor, played: Tensor) -> Points:
 class BoTorchGP(Base):
     """BoTorch's default Gaussian process with log expected improvement."""
 
+    def __init__(self, known: Known, num_tasks: int) -> None:
+        super().__init__(known, num_tasks)
+        self.models: list[SingleTaskGP | None] = [None] * num_tasks
+
     def propose(self) -> Points:
         if self.points.shape[1] < FIRST_DRAWS:
             return self.fresh()
-        return np.concatenate(list(map(self.proposed, self.points, self.returns)))
+        latents = torch.as_tensor(self.known.archive)
+        self.models = list(map(self.fitted, self.points, self.returns, self.models))
+        pairs = zip(self.models, self.points, strict=True)
+        return np.concatenate([best_of(one, latents, latents[own][None]) for one, own in pairs])
 
-    def proposed(self, points: Points, returns: FloatArray) -> Points:
-        """Return the point to play in one task."""
+    def fitted(
+        self, points: Points, returns: FloatArray, before: SingleTaskGP | None
+    ) -> SingleTaskGP:
+        """Return the model of one task."""
         latents = torch.as_tensor(self.known.archive)
         bounds = torch.stack([latents.amin(0), latents.amax(0)])
         model = SingleTaskGP(
@@ -162,7 +171,7 @@ class BoTorchGP(Base):
             outcome_transform=Standardize(1),
             input_transform=Normalize(latents.shape[1], bounds=bounds),
         )
-        return best_of(fit(model), latents, latents[points][None])
+        return fit(model, before)
 
 
 class EmpiricalGP(Base):
@@ -199,21 +208,22 @@ class RankedEnsemble(Base):
         if not self.points.shape[1]:
             return self.best()
         pairs = zip(self.beliefs, self.points, strict=True)
-        return np.asarray([int(improvement(*one, played).argmax()) for one, played in pairs])
+        return np.asarray([int(improvement(one, played).argmax()) for one, played in pairs])
 
     def told(self, points: Points, returns: FloatArray, lengths: FloatArray) -> None:
         super().told(points, returns, lengths)
-        self.beliefs = list(map(self.known.ensemble.predicted, self.points, self.returns))
+        predicted = self.known.ensemble.predicted
+        self.beliefs = list(map(predicted, self.points, self.returns, self.beliefs))
 
     def best(self) -> Points:
-        return np.asarray([int(mean.argmax()) for mean, _ in self.beliefs])
+        return np.asarray([int(one.mean.argmax()) for one in self.beliefs])
 
 
 METHODS: dict[str, type[Base]] = {
     "search": Ours,
+    "empirical GP, log expected improvement": EmpiricalGP,
     "random latents": RandomLatents,
     "CMA-ES": CmaEs,
     "GP, log expected improvement": BoTorchGP,
     "ranking-weighted ensemble": RankedEnsemble,
-    "empirical GP, log expected improvement": EmpiricalGP,
 }

@@ -8,6 +8,7 @@ samples in which it orders the new task's returns best, so tasks that do not hel
 
 import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -31,20 +32,25 @@ def standardized(values: Tensor) -> Tensor:
     return centred / torch.where(spread > 0, spread, 1.0)
 
 
-def fit(model: SingleTaskGP) -> SingleTaskGP:
-    """Put hyperparameters at their posterior mode."""
+def fit(model: SingleTaskGP, start: SingleTaskGP | None = None) -> SingleTaskGP:
+    """Put hyperparameters at their posterior mode, from those of another model on."""
+    if start is not None:
+        for own, other in zip(model.parameters(), start.parameters(), strict=True):
+            own.data.copy_(other)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the optimiser, that it tries once more
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
     return model
 
 
-def fitted(archive: Tensor, latents: Tensor, values: Tensor) -> SingleTaskGP:
+def fitted(
+    archive: Tensor, latents: Tensor, values: Tensor, start: SingleTaskGP | None = None
+) -> SingleTaskGP:
     """Return a process of standardised values, `[n]`, at latents, `[n, z]`."""
     bounds = torch.stack([archive.amin(0), archive.amax(0)])
     scale = Normalize(archive.shape[1], bounds=bounds)
     model = SingleTaskGP(latents, values[:, None], outcome_transform=None, input_transform=scale)
-    return fit(model)
+    return fit(model, start)
 
 
 def misranked(before: Tensor, returns: Tensor) -> Tensor:
@@ -65,6 +71,17 @@ def left_out(model: SingleTaskGP, y: Tensor) -> Tensor:
     return mean + inverse.diagonal().rsqrt() * torch.randn(SAMPLES, len(y), dtype=y.dtype)
 
 
+class Predicted(NamedTuple):
+    """What an ensemble expects."""
+
+    mean: Tensor
+    """`[point]`."""
+    std: Tensor
+    """`[point]`."""
+    own: SingleTaskGP | None
+    """The new task's process, if it has one."""
+
+
 @dataclass(frozen=True)
 class Ensemble:
     """The processes of the training tasks, at the archive.
@@ -82,26 +99,31 @@ class Ensemble:
     @staticmethod
     def of(archive: Tensor, excess: Tensor) -> "Ensemble":
         """Fit a process to each training task's returns, `[task, point]`."""
-        parts = []
+        parts, model = [], None
         for values in standardized(excess[:, :LATENTS]):
-            model = fitted(archive, archive[:LATENTS], values)
+            model = fitted(archive, archive[:LATENTS], values, model)
             with torch.no_grad():
                 posterior = model.posterior(archive)
                 parts.append((posterior.mean[:, 0], posterior.covariance_matrix.float()))
         return Ensemble(archive, *map(torch.stack, zip(*parts, strict=True)))
 
-    def predicted(self, points: np.ndarray, returns: np.ndarray) -> tuple[Tensor, Tensor]:
-        """Return mean and standard deviation of the ensemble in a new task, `[point]` each.
+    def predicted(
+        self, points: np.ndarray, returns: np.ndarray, before: Predicted | None = None
+    ) -> Predicted:
+        """Return what the ensemble expects in a new task.
 
         Args:
             points: indices of the latents that were played, `[reading]`.
             returns: what they returned, alike.
+            before: what was expected a reading before, to begin the fit from.
         """
         torch.manual_seed(len(points))
         y, losses = standardized(torch.as_tensor(returns)), self._losses(points, returns)
         means, variances = self.means, self.covariances.diagonal(dim1=1, dim2=2).double()
+        own = None
         if len(points) >= OWN_FROM:
-            model = fitted(self.archive, self.archive[points], y)
+            start = None if before is None else before.own
+            own = model = fitted(self.archive, self.archive[points], y, start)
             with torch.no_grad():
                 posterior = model.posterior(self.archive)
                 lost = misranked(left_out(model, y)[..., :, None] < y, y)
@@ -110,7 +132,7 @@ class Ensemble:
             variances = torch.cat([variances, posterior.variance.T])
         is_best = (losses == losses.amin(1, keepdim=True)).double()
         weights = (is_best / is_best.sum(1, keepdim=True)).mean(0)  # models that tie share
-        return weights @ means, (weights**2 @ variances.clamp_min(0)).sqrt()
+        return Predicted(weights @ means, (weights**2 @ variances.clamp_min(0)).sqrt(), own)
 
     def _losses(self, points: np.ndarray, returns: np.ndarray) -> Tensor:
         """Count the pairs that each training task's process orders wrongly, `[sample, task]`."""
@@ -124,8 +146,9 @@ class Ensemble:
         return misranked(drawn[..., :, None] < drawn[..., None, :], torch.as_tensor(returns))
 
 
-def improvement(mean: Tensor, std: Tensor, played: np.ndarray) -> Tensor:
+def improvement(one: Predicted, played: np.ndarray) -> Tensor:
     """Return the expected improvement of each point over the best mean of the played, `[point]`."""
+    mean, std, _ = one
     gain = mean - mean[played].amax()
     unit, scaled = Normal(0.0, 1.0), gain / std
     return std * unit.log_prob(scaled).exp() + gain * unit.cdf(scaled)
