@@ -24,7 +24,8 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
-from maesn.runtime.search import LatentSearch, SearchSettings
+from maesn.runtime.search import LatentSearch
+from maesn.runtime.search_settings import SearchSettings
 from maesn.worlds.collector import Collector
 
 SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn
@@ -101,7 +102,7 @@ def draw_beliefs(found: Searched) -> Figure:
     means = []
     for count in SHOWN:
         one = found.searches[count]
-        more = one.posterior.extended(one.model, grid)
+        more = one.posterior.extended(grid)
         means.append(more.mean[len(one.points) :].reshape(POINTS, POINTS))
     limits = (min(map(np.min, means)), max(map(np.max, means)))
     for panel, count, mean in zip(panels, SHOWN, means, strict=True):

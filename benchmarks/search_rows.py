@@ -19,10 +19,8 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
-from maesn.runtime.arrays import FloatArray
-from maesn.runtime.kernel import matern
-from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import SearchSettings
+from maesn.runtime.return_model import ReturnModel, ReturnPrior, UnlikeModel
+from maesn.runtime.search_settings import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file, read_prior, run_prior
@@ -52,42 +50,10 @@ class Line:
     """Reward, and radius as a share of that of the test, that a control makes its prior with."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Stationary:
-    """One Gaussian process: the mean over training tasks, and a stationary kernel alone."""
-
-    base: ReturnModel
-    length_scale: float
-    variance: float
-    num_tasks: int = 1
-
-    @staticmethod
-    def of(model: ReturnModel, settings: SearchSettings) -> "Stationary":
-        """Return the model with the variance over training tasks as that of the kernel."""
-        variance = model.task_means(model.archive).var(axis=0, ddof=1).mean()
-        return Stationary(model, settings.length_scale, float(variance))
-
-    @property
-    def prior(self) -> ReturnPrior:
-        """See `ReturnModel`."""
-        return self.base.prior
-
-    @property
-    def archive(self) -> FloatArray:
-        """See `ReturnModel`."""
-        return self.base.archive
-
-    def task_means(self, latents: FloatArray) -> FloatArray:
-        """Return the mean over training tasks, `[1, point]`."""
-        return np.asarray(self.base.task_means(latents).mean(axis=0, keepdims=True))
-
-    def noise(self, latents: FloatArray) -> FloatArray:
-        """See `ReturnModel`."""
-        return self.base.noise(latents)
-
-    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the kernel, `[first, second]`."""
-        return self.variance * matern(first, second, self.length_scale)
+def stationary(model: ReturnModel, settings: SearchSettings) -> UnlikeModel:
+    """Return one Gaussian process: the mean over training tasks, and a stationary kernel alone."""
+    unlike = model.unlike()
+    return dataclasses.replace(unlike, base=model, length_scale=settings.length_scale)
 
 
 def permuted(model: ReturnModel, settings: SearchSettings) -> ReturnModel:

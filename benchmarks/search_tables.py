@@ -19,13 +19,13 @@ import numpy as np
 import tyro
 from search_rows import (
     Line,
-    Stationary,
     adapted_rows,
     archive_returns,
     ceiling_rows,
     evaluation,
     permuted,
     private_copy,
+    stationary,
     write_row,
 )
 from search_summary import summarize, write_tables
@@ -45,8 +45,8 @@ MAIN = {
 }
 CONTROLS = {
     "discrete": Line("search residual=0"),
-    "permuted": Line(change=permuted),
-    "stationary": Line(change=Stationary.of),
+    "permuted": Line("search familiar=1", change=permuted),
+    "stationary": Line("search familiar=1", change=stationary),
     "thompson": Line("search acquisition=thompson"),
     "archive_alone": Line("search draws=0"),
     "half_radius": Line(prior=("sparse", 0.5)),

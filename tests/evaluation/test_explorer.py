@@ -69,7 +69,7 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     assert (recorded.std >= 0).all()
     # Beliefs are those of the model at the corners of the square.
     corner = np.array([[-recorded.edge, -recorded.edge]])
-    more = first.posterior.extended(model, corner)
+    more = first.posterior.extended(corner)
     np.testing.assert_allclose(recorded.mean[:, 0, 0, 0], more.mean[-1], rtol=1e-5)
     assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
 

@@ -215,7 +215,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
         (
             "search exploration=1 any_reward=true",
             "SearchRule(acquisition='ucb', exploration=1.0, draws=8, draw_std=0.2, residual=0.1, "
-            "length_scale=1.0, jumps=True, prior='', any_reward=True)",
+            "length_scale=1.0, jumps=True, familiar=0.7, prior='', any_reward=True)",
         ),
     ],
 )

@@ -21,7 +21,7 @@ from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runs.run import Run
 from maesn.runtime import Explorer
-from maesn.runtime.search import SearchSettings
+from maesn.runtime.search_settings import SearchSettings
 from maesn.storage import RunError
 
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install -e '.[onnx]'")

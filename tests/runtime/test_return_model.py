@@ -11,14 +11,9 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.kernel import ROUGHNESS, matern, roughness
+from maesn.runtime.posterior import OUTLIER, Posterior, Reading
 from maesn.runtime.prior_moments import moments
-from maesn.runtime.return_model import (
-    OUTLIER,
-    Posterior,
-    Reading,
-    ReturnModel,
-    ReturnPrior,
-)
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 
 
 def random_prior(
@@ -291,6 +286,7 @@ def test_beliefs_scale_with_the_rewards(factor: float) -> None:
         (lambda p: replace(p, excess=np.full_like(p.excess, np.nan)), "must be finite"),
         (lambda p: replace(p, noise=-p.noise), "`noise` must be at least 0"),
         (lambda p: replace(p, offset_std=-1.0), "`offset_std` must be at least 0"),
+        (lambda p: replace(p, deployed_levels=(0.9, 0.1)), "levels must be between 0 and 1"),
     ],
 )
 def test_a_prior_that_means_nothing_is_refused(

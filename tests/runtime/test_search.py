@@ -13,8 +13,10 @@ from runtime.robot import contents, fast_learner, observations
 from maesn.envs import Point
 from maesn.runs.export import exported_policy, write_policy
 from maesn.runtime import Explorer, Safeguards
-from maesn.runtime.return_model import Reading, ReturnPrior
-from maesn.runtime.search import LatentSearch, SearchSettings
+from maesn.runtime.posterior import Reading
+from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.search import LatentSearch
+from maesn.runtime.search_settings import SearchSettings
 from maesn.search import SearchFastLearner
 
 ARCHIVE_ALONE = SearchSettings(draws=0)
@@ -112,6 +114,16 @@ def test_posterior_intervals_cover_what_is_true() -> None:
     assert np.mean(inside) - 4 * np.std(inside, ddof=1) / np.sqrt(len(inside)) > 0.9
 
 
+def test_an_interval_lies_between_the_levels_of_its_latent() -> None:
+    levels = {"proposed_levels": (0.2, 0.7), "deployed_levels": (0.1, 0.6)}
+    search, _ = searched(search_of(replace(PRIOR, **levels)), targets(1, seed=7)[0], 3)
+    other = (search.best + 1) % len(search.points)
+    for point, wanted in ((search.best, (0.1, 0.6)), (other, (0.2, 0.7))):
+        ends = search.interval(point)
+        places = [search.posterior.place(Reading(point, end)) for end in ends]
+        assert places == pytest.approx(wanted, abs=1e-4)
+
+
 def test_no_latent_beyond_the_bound_is_chosen() -> None:
     bounded = replace(search_of(), max_norm=2.0)
     search, chosen = searched(bounded, np.asarray([0.0, 3.0]), 8)
@@ -129,7 +141,8 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def searcher(path: Path, prior: ReturnPrior) -> Path:
     kept = {name: getattr(prior, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
-    search = (replace(prior, **kept), SearchSettings())
+    levels = {"proposed_levels": [0.1, 0.9], "deployed_levels": [0.02, 0.8]}
+    search = (replace(prior, **kept, **levels), SearchSettings())
     write_policy(path, exported_policy(fast_learner(), Point(), {}, search=search))
     return path
 
@@ -172,6 +185,8 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
     assert explorer.begin_episode(explore=False).tolist() == search.latent(search.best).tolist()
     np.testing.assert_array_equal(explorer.beliefs.mean, search.posterior.mean)
     np.testing.assert_array_equal(explorer.beliefs.std, search.posterior.std)
+    assert explorer.beliefs.interval == search.interval(search.best)
+    assert explorer.beliefs.familiar == search.posterior.familiar > 0.5
 
 
 def test_four_robots_search_as_the_library_does_and_report_in_any_order(

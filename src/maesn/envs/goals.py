@@ -1,18 +1,30 @@
 """Goals: their reward (the paper's appendix "Reward Functions"), and where they lie."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.envs.base import AnyEnv, RewardKind
-from maesn.envs.tasks import TaskFamily
+from maesn.envs.tasks import SetName, TaskFamily
 
-# Radii that no training goal has, as multiples of the one that all of them have.
-NEARER_RADII = (0.6, 0.8)
-FARTHER_RADII = (1.2, 1.4)
+
+class Radii(NamedTuple):
+    """Ranges of the radii of unfamiliar goals, as multiples of the one that all others have."""
+
+    behind: tuple[float, float]
+    nearer: tuple[float, float]
+    farther: tuple[float, float]
+
+
+UNFAMILIAR: Mapping[SetName, Radii] = {
+    "ood": Radii(behind=(1.0, 1.0), nearer=(0.6, 0.8), farther=(1.2, 1.4)),
+    "ood-validation": Radii(behind=(0.6, 1.2), nearer=(0.45, 0.9), farther=(1.05, 1.5)),
+}
+"""Sets of tasks unlike those of training: one to report on, one to choose on."""
 
 
 def goal_reward(
@@ -37,17 +49,20 @@ def draw_half_circle(stream: np.random.Generator, size: int, radius: float) -> n
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(np.float32)
 
 
-def draw_unfamiliar_goals(stream: np.random.Generator, size: int, radius: float) -> np.ndarray:
+def draw_unfamiliar_goals(
+    stream: np.random.Generator, size: int, radius: float, radii: Radii
+) -> np.ndarray:
     """Draw goals unlike those of `draw_half_circle`, for tests of generalisation.
 
-    By turns: on the lower half of the same circle, an arc held out of training; on the upper half
-    but nearer; on the upper half but farther.
+    By turns: behind, on the lower half of the circle, an arc held out of training; on the upper
+    half but nearer; on the upper half but farther.
     """
     kind = np.arange(size) % 3
     angle = stream.uniform(0.0, np.pi, size) + np.where(kind == 0, np.pi, 0.0)
-    nearer = stream.uniform(*NEARER_RADII, size)
-    farther = stream.uniform(*FARTHER_RADII, size)
-    distance = radius * np.choose(kind, [np.ones(size), nearer, farther])
+    nearer = stream.uniform(*radii.nearer, size)
+    farther = stream.uniform(*radii.farther, size)
+    behind = stream.uniform(*radii.behind, size)
+    distance = radius * np.choose(kind, [behind, nearer, farther])
     return (distance * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32)
 
 
@@ -68,5 +83,8 @@ def half_circle_family(
         partial(draw_half_circle, radius=radius),
         ("goal",),
         seed,
-        draw_ood_tasks=partial(draw_unfamiliar_goals, radius=radius),
+        draw_unfamiliar={
+            name: partial(draw_unfamiliar_goals, radius=radius, radii=radii)
+            for name, radii in UNFAMILIAR.items()
+        },
     )

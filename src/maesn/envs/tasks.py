@@ -1,7 +1,8 @@
 """Finite sets of tasks, and families that make them."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import equinox as eqx
@@ -11,13 +12,15 @@ from jaxtyping import Array, Int
 
 from maesn.envs.base import AnyEnv
 
-SetName: TypeAlias = Literal["training", "validation", "test", "ood", "final", "final-2"]
+SetName: TypeAlias = Literal[
+    "training", "validation", "test", "ood", "final", "final-2", "ood-validation"
+]
 
 NAMED_SETS: tuple[SetName, ...] = get_args(SetName)
 """The place of a name decides the set's random stream."""
-OUT_OF_DISTRIBUTION: SetName = "ood"
-"""Tasks of a kind that training never shows; not every family has them."""
-SETS = tuple(name for name in NAMED_SETS if name != OUT_OF_DISTRIBUTION)
+OUT_OF_DISTRIBUTION: tuple[SetName, ...] = ("ood", "ood-validation")
+"""Tasks of kinds that training never shows; not every family has them."""
+SETS = tuple(name for name in NAMED_SETS if name not in OUT_OF_DISTRIBUTION)
 """The sets that every family has, all of one distribution; disjoint unless tasks are few."""
 SET_SIZE = 100  # section "Task Setup": 100 distinct meta-training tasks
 
@@ -67,8 +70,10 @@ class TaskFamily(NamedTuple):
     """Names of the arrays in a user's `.npz` file of tasks, in the order of the pytree's leaves."""
     seed: int
     """Fixes the sets of the family."""
-    draw_ood_tasks: Callable[[np.random.Generator, int], Any] | None = None
-    """Draws tasks of a kind that training never shows; None if the family has none."""
+    draw_unfamiliar: Mapping[SetName, Callable[[np.random.Generator, int], Any]] = MappingProxyType(
+        {}
+    )
+    """Draw the tasks of the sets `OUT_OF_DISTRIBUTION`, by their names."""
     check_tasks: Callable[[Any], None] = accept_all
     """Raises a `ValueError`, which says what was expected and what came, at tasks that have the
     right shapes and types and yet no meaning, such as an index out of range."""
@@ -84,8 +89,8 @@ class TaskFamily(NamedTuple):
         Raises:
             ValueError: the family has no tasks out of distribution, or draws no tasks.
         """
-        function = "draw_ood_tasks" if name == OUT_OF_DISTRIBUTION else "draw_tasks"
-        draw = getattr(self, function)
+        function = "draw_unfamiliar" if name in OUT_OF_DISTRIBUTION else "draw_tasks"
+        draw = self.draw_unfamiliar.get(name) if function != "draw_tasks" else self.draw_tasks
         if draw is None:
             raise ValueError(
                 f"family `{self.name}` has the task sets {', '.join(SETS)}, but none called "

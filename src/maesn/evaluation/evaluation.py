@@ -21,8 +21,9 @@ class Evaluation:
     """Adaptation to new tasks. Budgets are episodes per task, in all and for each update."""
 
     tasks: str = "test"
-    """test (report on these), validation (choose on these), training, ood (unlike all of these),
-    final and final-2 (for a last look, when all is chosen), or the path of an `.npz` file."""
+    """test (report on these), validation (choose on these), training, ood and
+    ood-validation (unlike all of these), final and final-2 (for a last look, when all is chosen),
+    or the path of an `.npz` file."""
     num_tasks: int | None = None
     """Number of tasks, the first ones of the set. None: all."""
     reward: RewardKind = "sparse"

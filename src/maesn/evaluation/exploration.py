@@ -168,6 +168,8 @@ def _searches(run: Run) -> RecordedSearches:
         deployed=np.array([[one.latent(one.best) for one in task] for task in searches]),
         mean=beliefs[:, :, 0],
         std=beliefs[:, :, 1],
+        interval=np.array([[one.interval(one.best) for one in task] for task in searches]),
+        familiar=np.array([[one.posterior.familiar for one in task] for task in searches]),
     )
 
 
@@ -178,6 +180,6 @@ def _beliefs(search: LatentSearch) -> np.ndarray:
     points = np.tile(search.latent(search.best), (len(plane), 1))
     width = min(2, points.shape[1])
     points[:, :width] = plane[:, :width]
-    more = search.posterior.extended(search.model, points)
+    more = search.posterior.extended(points)
     found = np.stack([more.mean, more.std])[:, -len(points) :]
     return found.reshape(2, _BELIEFS, _BELIEFS)

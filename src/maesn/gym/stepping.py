@@ -39,7 +39,7 @@ class Stepper:
         num_episodes: how many advance together.
         task: index of the task of every episode, or of each; None to draw one at every start.
         tasks: the set that the index counts in: training, validation, test, ood, final, final-2,
-            or the path of an `.npz` file.
+            ood-validation, or the path of an `.npz` file.
         reward: dense or sparse.
         variant: whose reward formulas.
         sparse_radius: radius of the goal region in metres; None for the family's own.

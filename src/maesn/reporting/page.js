@@ -289,10 +289,13 @@ function searches(found) {
       ways.append(world.path(path, index === done - 1 ? "way now" : "way"));
       if (index === done - 1) ways.append(world.circle(path.at(-1), 5.5, { class: "end" }));
     });
+    const [worst, best] = found.interval[at][done];
+    const expects = ` The red one returns ${worst === best ? number(best) : `${number(worst)} to ${number(best)} (90 %)`}; ` +
+      `the task is like one of training with probability ${number(100 * found.familiar[at][done])} %.`;
     const next = done < episodes ? ` Next it tries z = (${found.played[at][done].map((x) => number(x)).join(", ")}).` : "";
-    said.textContent = done === 0 ? `Before any episode.${next}` :
+    said.textContent = done === 0 ? `Before any episode.${expects}${next}` :
       `Episode ${done} returns ${number(found.returns[at][done - 1])} and ` +
-      `${found.reached[at][done - 1] ? "reaches" : "does not reach"} the goal.${next}`;
+      `${found.reached[at][done - 1] ? "reaches" : "does not reach"} the goal.${expects}${next}`;
   }
 
   section("Watch a search",

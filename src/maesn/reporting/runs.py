@@ -127,6 +127,10 @@ class RecordedSearches:
     # The posterior's mean and standard deviation; rows are the second component.
     mean: Float[np.ndarray, "task episode_plus_1 row column"]
     std: Float[np.ndarray, "task episode_plus_1 row column"]
+    # 90 % interval of the return of the deployed latent.
+    interval: Float[np.ndarray, "task episode_plus_1 2"]
+    # Posterior probability that the task is like one of the training tasks.
+    familiar: Float[np.ndarray, "task episode_plus_1"]
 
 
 def read_recorded(kind: type[Record], file: Path) -> Record | None:

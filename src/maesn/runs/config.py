@@ -73,8 +73,8 @@ class RunSettings:
     """Radius around the goal, in metres, within which sparse reward tells the distance. None: that
     of the family."""
     tasks: str = "training"
-    """Tasks to train on: training, validation, test, ood, final, final-2, or the path of an `.npz`
-    file."""
+    """Tasks to train on: training, validation, test, ood, final, final-2, ood-validation, or the
+    path of an `.npz` file."""
     seed: int = 0
     """Seed of all random draws of the run."""
     iterations: int = 300

@@ -20,7 +20,7 @@ from maesn.runtime.arrays import float64
 from maesn.runtime.exported_search import ExportedSearch
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
-from maesn.runtime.search import SearchSettings
+from maesn.runtime.search_settings import SearchSettings
 from maesn.runtime.storage import Snapshot, read_snapshot, write_snapshot
 from maesn.runtime.table import facts
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, take
-from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import SearchSettings
+from maesn.runtime.return_model import NOMINAL, ReturnModel, ReturnPrior
+from maesn.runtime.search_settings import SearchSettings
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ class ExportedSearch:
             "episodes": prior.episodes,
             "offset_mean": prior.offset_mean,
             "offset_std": prior.offset_std,
+            "proposed_levels": list(prior.proposed_levels),
+            "deployed_levels": list(prior.deployed_levels),
             "horizon": self.horizon,
             "settings": asdict(self.settings),
         }
@@ -63,9 +65,18 @@ class ExportedSearch:
             entry(metadata, "episodes", int),
             entry(metadata, "offset_mean", float),
             entry(metadata, "offset_std", float),
+            *(_levels(metadata, name) for name in ("proposed_levels", "deployed_levels")),
         )
         try:
             settings = SearchSettings(**entry(metadata, "settings", dict))
         except TypeError as error:
             raise ValueError(f"entry `settings` of the search is damaged: {error}") from error
         return ExportedSearch(prior, settings, entry(metadata, "horizon", int))
+
+
+def _levels(metadata: Mapping[str, Any], name: str) -> list[float]:
+    """Return two levels. Files of earlier releases have none: theirs are those of the model."""
+    levels = entry({name: list(NOMINAL), **metadata}, name, list)
+    if len(levels) != 2 or not all(isinstance(level, float) for level in levels):
+        raise ValueError(f"entry `{name}` must be two numbers, got {levels!r}.")
+    return levels

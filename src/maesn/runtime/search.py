@@ -2,63 +2,19 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
-from maesn.runtime.return_model import Posterior, Reading, ReturnModel, ReturnPrior
+from maesn.runtime.hypotheses import Hypotheses, MixedPosterior
+from maesn.runtime.posterior import Reading
+from maesn.runtime.return_model import ReturnModel
+from maesn.runtime.search_settings import SearchSettings
 
 # Plays of the best point before latents are drawn around it. By then the archive is explored.
 PLAYS = 2
-
-AcquisitionName: TypeAlias = Literal["ucb", "thompson"]
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Settings of a search.
-
-    Attributes:
-        acquisition: `ucb` maximises the upper confidence bound, mean + exploration * std.
-            `thompson` draws a training task by its posterior probability and takes that task's best
-            latent.
-        exploration: weight of the standard deviation in the upper confidence bound.
-        draws: latents that are drawn around the best one in every round, once it has been played;
-            0 stays with the archive.
-        draw_std: standard deviation of these draws, in units of z.
-        residual: variance of a new task's returns that no training task explains, as a share of
-            the mean variance over training tasks.
-        length_scale: distance in z over which returns vary.
-        jumps: whether the model allows for jumps of the return between near latents.
-
-    Raises:
-        ValueError: a setting is out of its range.
-    """
-
-    acquisition: AcquisitionName = "ucb"
-    exploration: float = 2.0
-    draws: int = 8
-    draw_std: float = 0.2
-    residual: float = 0.1
-    length_scale: float = 1.0
-    jumps: bool = True
-
-    def __post_init__(self) -> None:
-        if self.acquisition not in get_args(AcquisitionName):
-            names = ", ".join(get_args(AcquisitionName))
-            raise ValueError(f"`acquisition` must be one of {names}, got {self.acquisition!r}.")
-        for name in ("exploration", "draws", "residual"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
-        for name in ("draw_std", "length_scale"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
-
-    def model(self, prior: ReturnPrior) -> ReturnModel:
-        """Return the model of returns with a prior."""
-        return ReturnModel(prior, self.residual, self.length_scale, self.jumps)
 
 
 class Beliefs(NamedTuple):
@@ -70,6 +26,10 @@ class Beliefs(NamedTuple):
     """Posterior mean, `[point]`."""
     std: FloatArray
     """Posterior standard deviation, `[point]`."""
+    interval: tuple[float, float]
+    """90 % interval of the return of an episode with the latent to deploy."""
+    familiar: float
+    """Posterior probability that the task is like a training task: low where the search is lost."""
 
 
 @dataclass(frozen=True)
@@ -86,14 +46,15 @@ class LatentSearch:
 
     model: ReturnModel
     settings: SearchSettings
-    posterior: Posterior
+    posterior: MixedPosterior
     added_after: tuple[int, ...] = ()
     max_norm: float = np.inf
 
     @staticmethod
     def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
         """Return a search that has not played yet."""
-        return LatentSearch(model, settings, Posterior.of_prior(model, model.archive))
+        hypotheses = Hypotheses.around(model, settings.familiar)
+        return LatentSearch(model, settings, MixedPosterior.of_prior(hypotheses, model.archive))
 
     @property
     def points(self) -> FloatArray:
@@ -103,12 +64,26 @@ class LatentSearch:
     @property
     def beliefs(self) -> Beliefs:
         """Beliefs about all points."""
-        return Beliefs(self.points.copy(), self.posterior.mean, self.posterior.std)
+        posterior = self.posterior
+        interval = self.interval(self.best)
+        points = self.points.copy()
+        return Beliefs(points, posterior.mean, posterior.std, interval, posterior.familiar)
 
     @property
     def best(self) -> int:
         """Index of the point to deploy: that of the highest posterior mean."""
         return self.highest(self.posterior.mean)
+
+    def interval(self, point: int) -> tuple[float, float]:
+        """Return the 90 % interval of the return of an episode with a point."""
+        posterior, prior = self.posterior, self.model.prior
+        if posterior.is_known(point):
+            returns = {one.point: one.episode_return for one in posterior.readings}
+            return returns[point], returns[point]
+        is_deployed = point == self.best
+        levels = prior.deployed_levels if is_deployed else prior.proposed_levels
+        low, high = posterior.quantiles(point, levels)
+        return low, high
 
     def latent(self, point: int) -> FloatArray:
         """Return z of a point, `[z]`."""
@@ -120,21 +95,23 @@ class LatentSearch:
         """Choose the point to play next.
 
         Args:
-            generator: draws the points around the best one, and the task of Thompson sampling.
+            generator: draws what the task may be, by its posterior probability: a hypothesis, and
+                the training task of Thompson sampling; and the points around the best one.
             taken: points that others play already.
 
         Returns:
             The search, which may have one more point, and the index of the chosen point.
         """
-        task = generator.choice(self.model.num_tasks, p=self.posterior.task_weights)
-        chosen = self.highest(self.open_scores(task, taken))
+        weights = self.posterior.weights
+        component = int(generator.choice(len(weights), p=weights))
+        chosen = self.highest(self.open_scores(component, taken))
         is_explored = self._is_known[self.best] or (
             chosen == self.best and self._plays(chosen) >= PLAYS
         )
         if self.settings.draws == 0 or not is_explored:
             return self, chosen
         wider = self._with_draws(generator)
-        refined = wider.highest(wider.open_scores(task, taken))
+        refined = wider.highest(wider.open_scores(component, taken))
         if refined < len(self.points):
             return self, chosen
         return self.with_latent(wider.latent(refined)), len(self.points)
@@ -200,7 +177,7 @@ class LatentSearch:
         """Return the search after some episodes."""
         posterior = self.posterior
         for reading in readings:
-            posterior = posterior.conditioned(self.model, reading)
+            posterior = posterior.conditioned(reading)
         return replace(self, posterior=posterior)
 
     def highest(self, scores: FloatArray) -> int:
@@ -210,27 +187,28 @@ class LatentSearch:
             return int(np.argmin(norms))
         return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
 
-    def scores(self, task: int) -> FloatArray:
+    def scores(self, component: int) -> FloatArray:
         """Return the value of the acquisition function at each point, `[point]`.
 
         Args:
-            task: the training task that was drawn.
+            component: the component of the posterior that was drawn.
         """
+        part, task = self.posterior.part(component)
         if self.settings.acquisition == "thompson":
-            return self.posterior.task_mean[task]
-        return self.posterior.mean + self.settings.exploration * self.posterior.std
+            return part.task_mean[task]
+        return part.mean + self.settings.exploration * part.std
 
-    def open_scores(self, task: int, taken: Collection[int]) -> FloatArray:
+    def open_scores(self, component: int, taken: Collection[int]) -> FloatArray:
         """Return the scores of the points that are worth an episode, -inf for the others."""
         closed = self._is_known
         closed[list(taken)] = True
-        return np.where(closed, -np.inf, self.scores(task))
+        return np.where(closed, -np.inf, self.scores(component))
 
     @property
     def _is_known(self) -> NDArray[np.bool_]:
         known = np.zeros(len(self.points), bool)
         for point in {one.point for one in self.posterior.readings}:
-            known[point] = self.posterior.is_known(self.model, point)
+            known[point] = self.posterior.is_known(point)
         return known
 
     def arrays(self) -> Arrays:
@@ -284,6 +262,6 @@ class LatentSearch:
         added_after = [len(self.posterior.readings)] * len(more)
         return replace(
             self,
-            posterior=self.posterior.extended(self.model, more),
+            posterior=self.posterior.extended(more),
             added_after=(*self.added_after, *added_after),
         )

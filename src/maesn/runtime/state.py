@@ -20,7 +20,7 @@ from maesn.runtime.episode import (
 )
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.latent import Latent
-from maesn.runtime.return_model import Reading
+from maesn.runtime.posterior import Reading
 from maesn.runtime.search import LatentSearch
 
 

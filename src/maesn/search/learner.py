@@ -14,8 +14,10 @@ from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
-from maesn.runtime.return_model import Reading, ReturnModel
-from maesn.runtime.search import LatentSearch, SearchSettings
+from maesn.runtime.posterior import Reading
+from maesn.runtime.return_model import ReturnModel
+from maesn.runtime.search import LatentSearch
+from maesn.runtime.search_settings import SearchSettings
 
 logger = logging.getLogger(__name__)
 

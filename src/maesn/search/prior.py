@@ -48,6 +48,9 @@ class PriorSettings:
     share episodes. The noise of returns is then learned from a few latents alone."""
     action_noise: bool = False
     """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
+    searches: int = 20
+    """Validation tasks that are searched once, so that 90 % intervals hold 90 % of the returns. 0
+    keeps the model's own intervals."""
     seed: int = 0
     """Seed of the draws and the episodes."""
     simulations: int = 1000
@@ -56,6 +59,7 @@ class PriorSettings:
     def __post_init__(self) -> None:
         check_number("draws", self.draws, 0 if self.adapted else 1)
         check_number("episodes", self.episodes, 1)
+        check_number("searches", self.searches, 0)
         check_number("seed", self.seed, 0, 2**32 - 1)
         check_number("simulations", self.simulations, 1)
         check_positive(self, "spread")

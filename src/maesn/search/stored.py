@@ -16,7 +16,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
-from maesn.envs import AnyEnv, RewardKind, describe_env
+from maesn.envs import AnyEnv, RewardKind, TaskSet, describe_env
+from maesn.learners import AbstractSettableLatent
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
 from maesn.runs.log import TIMING
 from maesn.runs.run import Run
@@ -24,6 +25,7 @@ from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.archive import adapted_latents, drawn_latents, latent_of
+from maesn.search.calibration import EPISODES, calibrated
 from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
 from maesn.storage import RunError, read_json_lines, refusals
 from maesn.worlds import AbstractWorld
@@ -33,6 +35,7 @@ logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
 _ARRAYS = ("latents", "excess", "noise")
+_NUMBERS = ("episodes", "offset_mean", "offset_std", "proposed_levels", "deployed_levels")
 # What a prior is bound to, as its file names it -> how a refusal begins.
 _ANOTHER = {
     "checkpoint": "other weights than those of the latest checkpoint of",
@@ -40,6 +43,7 @@ _ANOTHER = {
     "reward": "another reward than that of",
     "action noise": "another choice of `--action-noise` than this adaptation of",
 }
+_SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that calibrate
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 _STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
 _SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
@@ -108,11 +112,28 @@ def run_prior(
             / _file_name(world, settings.action_noise)
         )
         arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
-        numbers = {name: getattr(prior, name) for name in ("episodes", "offset_mean", "offset_std")}
+        if settings.searches and not settings.action_noise:
+            prior = _calibrated(prior, run, latent, world.env, settings)
+        numbers = {name: getattr(prior, name) for name in _NUMBERS}
         bound = bound_to(run, state, world, settings.action_noise)
         metadata = bound | {"numbers": json.dumps(numbers)}
     save_checkpoint(path, arrays, metadata)
     return path, read_prior(path)[0]
+
+
+def _calibrated(
+    prior: ReturnPrior,
+    run: Run,
+    latent: AbstractSettableLatent,
+    env: AnyEnv,
+    settings: PriorSettings,
+) -> ReturnPrior:
+    tasks = run.task_set("validation")
+    some = TaskSet(tasks[: settings.searches])
+    radius = env.sparse_radius or None
+    with closing(run.world(some, env.reward_kind, sparse_radius=radius)) as world:
+        key = jax.random.fold_in(jax.random.key(settings.seed), _SEARCHES)
+        return calibrated(prior, latent, world, key)
 
 
 def find_prior(
@@ -158,8 +179,8 @@ def find_prior(
 
 def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
     """Say how long it takes to make the prior of a run, and which command makes a cheaper one."""
-    cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False)
-    options = "--draws 100 --episodes 1 --adapted False"
+    cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False, searches=0)
+    options = "--draws 100 --episodes 1 --adapted False --searches 0"
     if settings.action_noise:
         options += " --action-noise True"
     if env.reward_kind != "sparse":
@@ -178,7 +199,8 @@ def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
 def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
     """Return the environment steps of a prior, with those that adapt to the training tasks."""
     adapting = settings.adapted * _EPISODES_TO_ADAPT * len(run.training_tasks) * env.horizon
-    return settings.steps(env, run.training_tasks) + adapting
+    searching = settings.searches * EPISODES * env.horizon
+    return settings.steps(env, run.training_tasks) + adapting + searching
 
 
 def _speed(run: Run) -> float:

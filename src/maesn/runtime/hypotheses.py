@@ -1,0 +1,181 @@
+"""What a new task may be, and what some readings make of it.
+
+A new task may be *familiar*, like one of the training tasks; *shifted*, like one of them but with
+another return c where the goal is never near; or *unlike* all of them. Each is a model of the
+returns. Bayes' rule weighs them by what the episodes returned.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from maesn.runtime.arrays import FloatArray
+from maesn.runtime.posterior import Posterior, Reading, TaskModel, normalized
+from maesn.runtime.return_model import ReturnModel
+
+# Components with a smaller share of the largest weight move no quantile that is shown.
+_NEGLIGIBLE = 1e-6
+_FAR = 8.0  # standard deviations from a mean, beyond which no quantile lies
+_HALVINGS = 40
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """What a new task may be, before its first episode.
+
+    Attributes:
+        models: a model of the returns under each; the first is that of the training tasks.
+        probabilities: of each, `[hypothesis]`.
+    """
+
+    models: tuple[TaskModel, ...]
+    probabilities: tuple[float, ...]
+
+    @staticmethod
+    def around(model: ReturnModel, familiar: float) -> "Hypotheses":
+        """Return all three, or the first alone.
+
+        Args:
+            model: the model of a task like a training task.
+            familiar: its probability; the other two share the rest.
+        """
+        if familiar == 1.0:
+            return Hypotheses((model,), (1.0,))
+        other = (1.0 - familiar) / 2.0
+        return Hypotheses((model, model.shifted(), model.unlike()), (familiar, other, other))
+
+
+@dataclass(frozen=True)
+class MixedPosterior:
+    """The posterior of f at some latents, under all hypotheses.
+
+    A *component* is one Gaussian process: a training task under one hypothesis. They are counted
+    hypothesis by hypothesis.
+
+    Attributes:
+        hypotheses: what the new task may be.
+        parts: the posterior under each hypothesis; they have the same points and readings.
+    """
+
+    hypotheses: Hypotheses
+    parts: tuple[Posterior, ...]
+
+    @staticmethod
+    def of_prior(hypotheses: Hypotheses, points: FloatArray) -> "MixedPosterior":
+        """Return the distribution at some latents before any reading."""
+        parts = tuple(Posterior.of_prior(model, points) for model in hypotheses.models)
+        return MixedPosterior(hypotheses, parts)
+
+    @property
+    def points(self) -> FloatArray:
+        """The latents, `[point, z]`."""
+        return self.parts[0].points
+
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """The readings so far."""
+        return self.parts[0].readings
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Posterior probability of each component, `[component]`."""
+        prior = (
+            np.log(probability / model.num_tasks)
+            for model, probability in zip(
+                self.hypotheses.models, self.hypotheses.probabilities, strict=True
+            )
+        )
+        pairs = zip(prior, self.parts, strict=True)
+        return normalized(np.concatenate([log + part.task_evidence for log, part in pairs]))
+
+    @property
+    def familiar(self) -> float:
+        """Posterior probability that the task is like one of the training tasks."""
+        return float(self.weights[: self.hypotheses.models[0].num_tasks].sum())
+
+    @cached_property
+    def mean(self) -> FloatArray:
+        """Mean of f, `[point]`."""
+        return np.asarray(self.weights @ self._component_means)
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """Standard deviation of f, `[point]`."""
+        between = self.weights @ (self._component_means - self.mean) ** 2
+        within = [np.maximum(part.variance, 0.0) for part in self.parts]
+        return np.sqrt(between + self._hypothesis_weights @ within)
+
+    def part(self, component: int) -> tuple[Posterior, int]:
+        """Return the posterior under a component's hypothesis, and the task within it."""
+        for part in self.parts:
+            if component < len(part.task_mean):
+                break
+            component -= len(part.task_mean)
+        return part, component
+
+    def predicted(
+        self, point: int, length: float = 1.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return weights, means and standard deviations of an episode's return, `[component]`."""
+        pairs = zip(self.hypotheses.models, self.parts, strict=True)
+        found = [part.predicted(model, point, length) for model, part in pairs]
+        stds = [np.full(len(mean), std) for mean, std in found]
+        return self.weights, np.concatenate([mean for mean, _ in found]), np.concatenate(stds)
+
+    def place(self, reading: Reading) -> float:
+        """Return the probability of a return below that of a reading."""
+        weights, means, stds = self.predicted(reading.point, reading.length)
+        return float(weights @ normal_cdf((reading.episode_return - means) / stds))
+
+    def quantiles(self, point: int, levels: Sequence[float]) -> tuple[float, ...]:
+        """Return quantiles of the return of a whole episode with a latent, by bisection."""
+        weights, means, stds = self.predicted(point)
+        heavy = weights > _NEGLIGIBLE * weights.max()
+        weights, means, stds = weights[heavy] / weights[heavy].sum(), means[heavy], stds[heavy]
+        ends = float((means - _FAR * stds).min()), float((means + _FAR * stds).max())
+        found = []
+        for level in levels:
+            low, high = ends
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2.0
+                below = weights @ normal_cdf((middle - means) / stds) < level
+                low, high = (middle, high) if below else (low, middle)
+            found.append((low + high) / 2.0)
+        return tuple(found)
+
+    def expected(self, point: int) -> Reading:
+        """Return the reading that is expected of a whole episode with a latent."""
+        weights, means, _ = self.predicted(point)
+        return Reading(point, float(weights @ means))
+
+    def is_known(self, point: int) -> bool:
+        """Whether a latent would return what it returned before: its episodes have no noise."""
+        return self.parts[0].is_known(self.hypotheses.models[0], point)
+
+    def conditioned(self, reading: Reading) -> "MixedPosterior":
+        """Return the posterior with one more reading."""
+        pairs = zip(self.hypotheses.models, self.parts, strict=True)
+        return replace(self, parts=tuple(part.conditioned(one, reading) for one, part in pairs))
+
+    def extended(self, more: FloatArray) -> "MixedPosterior":
+        """Return the posterior at its latents and at some more."""
+        pairs = zip(self.hypotheses.models, self.parts, strict=True)
+        return replace(self, parts=tuple(part.extended(one, more) for one, part in pairs))
+
+    @property
+    def _component_means(self) -> FloatArray:
+        return np.concatenate([part.task_mean for part in self.parts])
+
+    @property
+    def _hypothesis_weights(self) -> FloatArray:
+        ends = np.cumsum([len(part.task_mean) for part in self.parts])[:-1]
+        return np.array([one.sum() for one in np.split(self.weights, ends)])
+
+
+def normal_cdf(standard: FloatArray) -> FloatArray:
+    """Return the distribution function of N(0, 1), which NumPy lacks."""
+    values = [math.erfc(-value / math.sqrt(2.0)) / 2.0 for value in standard.tolist()]
+    return np.asarray(values, np.float64)

@@ -1,0 +1,194 @@
+"""The posterior over the returns of latents in a new task, under one model of them."""
+
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from maesn.runtime.arrays import FloatArray
+from maesn.runtime.return_model import ReturnPrior
+
+# A return is an outlier if it is further from every task's prediction than this, in standard
+# deviations. Its noise is then raised until it is exactly this far from the nearest prediction.
+OUTLIER = 4.0
+# Episodes have no noise if its variance is less than this share of that of returns.
+KNOWN = 1e-9
+_TINY = np.finfo(np.float64).tiny  # of a standard deviation, where nothing varies
+
+
+@runtime_checkable
+class TaskModel(Protocol):
+    """A mixture of Gaussian processes that share one covariance; see `ReturnModel`."""
+
+    @property
+    def prior(self) -> ReturnPrior:
+        """What is known of the noise and of c."""
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of components."""
+
+    def task_means(self, latents: FloatArray) -> FloatArray:
+        """Return the mean of f in each component, `[task, point]`."""
+
+    def noise(self, latents: FloatArray) -> FloatArray:
+        """Return the variance of one episode's return, `[point]`."""
+
+    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return the covariance of f in each component, `[first, second]`."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One observed return.
+
+    Attributes:
+        point: index of the latent that was played.
+        episode_return: y, the return of the episode.
+        length: l, steps of the episode as a share of the horizon.
+    """
+
+    point: int
+    episode_return: float
+    length: float = 1.0
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The posterior of f at some latents, given some readings.
+
+    The components of the mixture, one per training task, share one covariance. Let L be the
+    Cholesky factor of the covariance of the readings. The posterior keeps L^-1 cov(readings, f) and
+    L^-1 cov(readings, c). A further reading adds one row to each and changes no other.
+
+    Attributes:
+        points: the latents, `[point, z]`.
+        task_mean: mean of f if the new task is like training task i, `[task, point]`.
+        task_offset: mean of c if the new task is like training task i, `[task]`.
+        variance: variance of f in each component, `[point]`.
+        rows: L^-1 cov(readings, f), `[reading, point]`.
+        offset_rows: L^-1 cov(readings, c), `[reading]`.
+        readings: the readings so far.
+        scales: diagonal of L, the predicted standard deviation of each reading given those before
+            it, `[reading]`.
+        innovations: each reading minus its prediction in each component, divided by its scale,
+            `[reading, task]`.
+    """
+
+    points: FloatArray
+    task_mean: FloatArray
+    task_offset: FloatArray
+    variance: FloatArray
+    rows: FloatArray
+    offset_rows: FloatArray
+    readings: tuple[Reading, ...]
+    scales: FloatArray
+    innovations: FloatArray
+
+    @staticmethod
+    def of_prior(model: TaskModel, points: FloatArray) -> "Posterior":
+        """Return the distribution at some latents before any reading."""
+        return Posterior(
+            points,
+            model.task_means(points),
+            np.full(model.num_tasks, model.prior.offset_mean),
+            model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points)),
+            rows=np.zeros((0, len(points))),
+            offset_rows=np.zeros(0),
+            readings=(),
+            scales=np.zeros(0),
+            innovations=np.zeros((0, model.num_tasks)),
+        )
+
+    @property
+    def task_evidence(self) -> FloatArray:
+        """Log probability density of the readings in each component, up to a constant, `[task]`."""
+        scales = self.scales[np.isfinite(self.scales)]
+        return np.asarray(-0.5 * (self.innovations**2).sum(axis=0) - np.log(scales).sum())
+
+    @property
+    def task_weights(self) -> FloatArray:
+        """Posterior probability that the new task is like each training task, `[task]`."""
+        return normalized(self.task_evidence)
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean of f, `[point]`."""
+        return np.asarray(self.task_weights @ self.task_mean)
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of f, `[point]`."""
+        between = self.task_weights @ (self.task_mean - self.mean) ** 2
+        return np.sqrt(between + np.maximum(self.variance, 0.0))
+
+    def is_known(self, model: TaskModel, point: int) -> bool:
+        """Whether a latent would return what it returned before: its episodes have no noise."""
+        played = any(one.point == point for one in self.readings)
+        z = self.points[point : point + 1]
+        return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
+
+    def predicted(
+        self, model: TaskModel, point: int, length: float = 1.0
+    ) -> tuple[FloatArray, float]:
+        """Return mean `[task]` and standard deviation of an episode's return in each component."""
+        covariance, offset = self._covariances(model, point, length)
+        noise = float(model.noise(self.points[point : point + 1])[0])
+        variance = float(covariance[point]) + length * offset + noise
+        return self.task_mean[:, point] + length * self.task_offset, float(
+            np.sqrt(max(variance, 0.0))
+        )
+
+    def conditioned(self, model: TaskModel, reading: Reading) -> "Posterior":
+        """Return the posterior with one more reading: one step of a Cholesky decomposition."""
+        expected, std = self.predicted(model, reading.point, reading.length)
+        covariance, offset = self._covariances(model, reading.point, reading.length)
+        error = reading.episode_return - expected
+        if self.is_known(model, reading.point):
+            scale = np.inf  # it teaches nothing, so its row is zero
+        else:
+            scale = max(std, float(np.abs(error).min()) / OUTLIER, _TINY)
+        innovation, row, offset_row = error / scale, covariance / scale, offset / scale
+        return replace(
+            self,
+            task_mean=self.task_mean + np.outer(innovation, row),
+            task_offset=self.task_offset + innovation * offset_row,
+            variance=self.variance - row**2,
+            rows=np.vstack([self.rows, row]),
+            offset_rows=np.append(self.offset_rows, offset_row),
+            readings=(*self.readings, reading),
+            scales=np.append(self.scales, scale),
+            innovations=np.vstack([self.innovations, innovation]),
+        )
+
+    def _covariances(self, model: TaskModel, j: int, length: float) -> tuple[FloatArray, float]:
+        """Return the covariances of a reading with f and with c, given the readings so far."""
+        reading_row = self.rows[:, j] + length * self.offset_rows
+        covariance = model.covariance(self.points[j : j + 1], self.points)[0]
+        offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
+        return covariance - reading_row @ self.rows, offset
+
+    def extended(self, model: TaskModel, more: FloatArray) -> "Posterior":
+        """Return the posterior at its latents and at some more."""
+        rows = np.zeros((len(self.readings), len(more)))
+        for index, reading in enumerate(self.readings):
+            j, length = reading.point, reading.length
+            reading_row = self.rows[:index, j] + length * self.offset_rows[:index]
+            covariance = model.covariance(self.points[j : j + 1], more)[0]
+            rows[index] = (covariance - reading_row @ rows[:index]) / self.scales[index]
+        before = Posterior.of_prior(model, more)
+        task_mean = before.task_mean + self.innovations.T @ rows
+        variance = before.variance - (rows**2).sum(axis=0)
+        return replace(
+            self,
+            points=np.concatenate([self.points, more]),
+            task_mean=np.hstack([self.task_mean, task_mean]),
+            variance=np.append(self.variance, variance),
+            rows=np.hstack([self.rows, rows]),
+        )
+
+
+def normalized(log_weights: FloatArray) -> FloatArray:
+    """Return weights that add up to 1, given their logarithms up to a constant."""
+    weights = np.exp(log_weights - log_weights.max())
+    return np.asarray(weights / weights.sum())
