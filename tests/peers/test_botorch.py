@@ -91,7 +91,7 @@ def test_every_search_improves_on_a_random_latent(method: int) -> None:
         points = search.propose()
         returns = value[np.arange(4), points] - 20.0 + NOISE * noise.standard_normal(4)
         search.told(points, returns, np.ones(4))
-    assert (value[np.arange(4), search.best()] > value.mean(axis=1)).all()
+    assert value[np.arange(4), search.best()].mean() > 2 * value.mean()
 
 
 def test_of_two_tasks_at_once_each_is_searched_as_alone() -> None:
