@@ -3,17 +3,13 @@
     python docs/hide_a_goal/build.py
 
 records episodes, writes `docs/site/hide_a_goal.html`, one file that needs no network, and prints
-the share of goals that are found by attempt 5. The page searches among the recorded latents alone;
-`transcript` is what it does, with the library's own search.
+the share of goals that are found by attempt 5.
 """
 
-import base64
 import json
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from games import ATTEMPTS, SEARCH, SEED, SHOWN, STRIDE, UNIT, Game, Recording, Robot, shares
 
 from maesn.envs.blockpush import BAND_HEIGHT, GOAL_X, LOWEST_Y, NUM_BLOCKS
 from maesn.runs.run import Run
-from maesn.runtime.posterior import Reading
-from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.return_model import ReturnPrior
 from maesn.search import latent_of
 from maesn.search.prior import LEAST_NOISE
 from maesn.search.stored import prior_file, read_prior
@@ -35,18 +29,10 @@ from maesn.worlds.collector import Collector
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "site" / "hide_a_goal.html"
-UNIT = 0.0005  # metres; positions are whole multiples of it
-ATTEMPTS, SHOWN = 10, 5  # of a game; those within which a goal counts as found
-SEARCH = SearchSettings(draws=0)
-SEED = 0  # of the uniform numbers by which a search draws hypotheses, the same in every game
-STRIDE = 7  # game g begins with draw 7 g of those of N(0, I)
 # Reward at the goal, reward lost per metre, and the norm; see `maesn.envs`.
 REWARDS = {"wheeled": (0.0, 1.0, 2), "blockpush": (0.0, 5.0, 2), "ant": (4.0, 1.0, 1)}
-EPISODES = {"wheeled": 4, "blockpush": 1, "ant": 4}  # of each latent: the starts of a pusher are exact
-TASKS = {"wheeled": (0,), "blockpush": (0, 1, 3), "ant": (0,)}  # of the test set; they fix the layout
-PRIOR_NUMBERS = ("episodes", "offset_mean", "offset_std")
-
-Document = dict[str, Any]
+EPISODES = {"wheeled": 4, "blockpush": 1, "ant": 4}  # of each latent; pushing starts exactly
+TASKS = {"wheeled": (0,), "blockpush": (0, 1, 3), "ant": (0,)}  # of the test set: their layouts
 
 
 @dataclass(frozen=True)
@@ -58,151 +44,6 @@ class Size:
     draws: int = 20
     """Of N(0, I), per robot."""
     out: Path = PAGE
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Episodes of some latents: what a visitor sees, and what a reward is computed from."""
-
-    latents: np.ndarray
-    """`[latent, z]`."""
-    tracks: np.ndarray
-    """Positions in `UNIT`, `[latent, episode, track, xy, time_plus_1]`: track 0 is the robot; then
-    come the blocks, if there are any. After the end of an episode all stay where they are."""
-    steps: np.ndarray
-    """Length, `[latent, episode]`."""
-    free: np.ndarray
-    """The part of the return that is due to no goal, `[latent, episode]`."""
-
-    def document(self) -> Document:
-        """Return what the page holds of it."""
-        rows = {name: getattr(self, name).tolist() for name in ("latents", "steps", "free")}
-        twice = np.diff(self.tracks, n=2, prepend=np.zeros((*self.tracks.shape[:-1], 2), np.int16))
-        return {**rows, "shape": self.tracks.shape, "tracks": packed(twice.astype(np.int16))}
-
-    @staticmethod
-    def of(document: Document) -> "Recording":
-        """Return what `document` gave."""
-        twice = unpacked(document["tracks"], np.int16, document["shape"])
-        tracks = twice.cumsum(-1, dtype=np.int16).cumsum(-1, dtype=np.int16)
-        return Recording(tracks=tracks, **{
-            name: np.asarray(document[name]) for name in ("latents", "steps", "free")
-        })  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Robot:
-    """A robot of the page: its goals, its rewards, its prior over returns, its recordings."""
-
-    name: str
-    radius: float
-    """Sparse radius in metres."""
-    horizon: int
-    bonus: float
-    """Reward at the goal."""
-    scale: float
-    """Reward lost per metre from the goal."""
-    order: int
-    """1 or 2: of the norm that measures this distance."""
-    training_goals: np.ndarray
-    prior: ReturnPrior
-    scenes: Sequence[tuple[Recording, Recording]]
-    """Layouts: latents of the archive, and draws of N(0, I)."""
-
-    @cached_property
-    def model(self) -> ReturnModel:
-        """The model of returns that all searches share."""
-        return SEARCH.model(self.prior)
-
-    def document(self) -> Document:
-        """Return what the page holds of it."""
-        plain = ("name", "radius", "horizon", "bonus", "scale", "order")
-        prior = {name: getattr(self.prior, name) for name in PRIOR_NUMBERS} | {
-            "noise": self.prior.noise.tolist(),
-            "excess": packed(self.prior.excess.astype(np.float32)),
-            "jump": self.model.unlike().jump,  # from eigenvalues, which the page does not compute
-        }
-        return {name: getattr(self, name) for name in plain} | {
-            "goals": self.training_goals.tolist(),
-            "prior": prior,
-            "scenes": [[one.document() for one in scene] for scene in self.scenes],
-        }
-
-    @staticmethod
-    def of(document: Document) -> "Robot":
-        """Return what `document` gave."""
-        own = {name: value for name, value in document.items() if name in Robot.__annotations__}
-        scenes = [tuple(map(Recording.of, scene)) for scene in document["scenes"]]
-        goals, held = np.asarray(document["goals"]), document["prior"]
-        latents = scenes[0][0].latents
-        excess = unpacked(held["excess"], np.float32, (len(goals), len(latents)))
-        numbers = {name: held[name] for name in PRIOR_NUMBERS}
-        noise = np.asarray(held["noise"])
-        prior = ReturnPrior(latents, excess.astype(np.float64), noise, **numbers)
-        return Robot(**own | {"training_goals": goals, "prior": prior, "scenes": scenes})
-
-    def far(self, goal: np.ndarray) -> float:
-        """Return the reward of a step far from a goal."""
-        return float(self.bonus - self.scale * np.linalg.norm(goal, ord=self.order))
-
-    def goal_returns(
-        self, recording: Recording, goal: np.ndarray, track: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what a goal adds to returns, and whether it is reached, `[latent, episode]`."""
-        way = recording.tracks[:, :, track, :, 1:] * UNIT - goal[:, None]
-        distance = np.sqrt(way[:, :, 0] ** 2 + way[:, :, 1] ** 2)
-        played = np.arange(distance.shape[-1]) < recording.steps[..., None]
-        near = (distance <= self.radius) & played
-        judged = distance if self.order == 2 else np.abs(way).sum(2)
-        reward = np.where(near, self.bonus - self.scale * judged, self.far(goal))
-        return np.where(played, reward, 0.0).sum(-1), near.any(-1)
-
-
-def packed(array: np.ndarray) -> str:
-    """Return an array as text: its bytes, all first ones first, compressed, in base 64."""
-    planes = np.ascontiguousarray(array).reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
-    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
-
-
-def unpacked(text: str, kind: Any, shape: Sequence[int]) -> np.ndarray:
-    """Return what `packed` was given."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
-    return planes.reshape(np.dtype(kind).itemsize, -1).T.copy().view(kind).reshape(shape)
-
-
-def transcript(robot: Robot, scene: int, goal: np.ndarray, track: int) -> list[Document]:
-    """Search for a goal among the recorded latents, as the page does; one row per attempt."""
-    recording, rows = robot.scenes[scene][0], []
-    added, reached = robot.goal_returns(recording, goal, track)
-    returns = added + recording.free
-    search, generator = LatentSearch.start(robot.model, SEARCH), np.random.default_rng(SEED)
-    for attempt in range(ATTEMPTS):
-        search, point = search.proposed(generator)
-        one = point, attempt % returns.shape[1]
-        length = float(recording.steps[one] / robot.horizon)
-        search = search.after([Reading(point, float(returns[one]), length)])
-        beliefs = search.posterior
-        rows.append(
-            {"point": point, "return": float(returns[one]), "reached": bool(reached[one])}
-            | {"mean": beliefs.mean, "std": beliefs.std, "familiar": beliefs.familiar}
-        )
-    return rows
-
-
-def shares(robot: Robot, games: Sequence[tuple[int, np.ndarray, int]]) -> Document:
-    """Return for search and for draws of N(0, I) what share of goals is found by attempt 5, and
-    what share of the later attempts reaches the goal."""
-    searched, drawn = [], []
-    for game, (scene, goal, track) in enumerate(games):
-        searched.append([row["reached"] for row in transcript(robot, scene, goal, track)])
-        _, reached = robot.goal_returns(robot.scenes[scene][1], goal, track)
-        attempts = np.arange(ATTEMPTS)
-        rows = (STRIDE * game + attempts) % len(reached), attempts % reached.shape[1]
-        drawn.append(reached[rows].tolist())
-    return {
-        name: {"found": float(hits[:, :SHOWN].any(1).mean()), "later": float(hits[:, SHOWN:].mean())}
-        for name, hits in (("search", np.array(searched)), ("draws", np.array(drawn)))
-    }
 
 
 def covering(prior: ReturnPrior, count: int) -> np.ndarray:
@@ -229,18 +70,21 @@ def record(run: Run, latents: np.ndarray, task: int, episodes: int) -> Recording
     latents, parts = latents.astype(np.float32), []
     with closing(run.world(run.task_set("test"), "sparse")) as world:
         collect, env, of_block = Collector(world, episodes), world.env, world.tasks[task]
-        blocks = [of_block._replace(block=b) for b in range(NUM_BLOCKS * hasattr(of_block, "block"))]
+        count = NUM_BLOCKS * hasattr(of_block, "block")
+        blocks = [of_block._replace(block=block) for block in range(count)]
 
         def places(readings: Any) -> jax.Array:
             robot = env.position(env.observe(readings))
             return jnp.stack([robot, *(env.judged_position(readings, one) for one in blocks)])
 
-        keys = jax.random.split(jax.random.key(SEED), len(latents))
+        numbers = jnp.arange(len(latents))
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(SEED), numbers)
         for part in collect.parts(len(latents)):
             agents = replace(latent.holding(latents[part]), is_noisy=False)
             played, readings = collect.play(keys[part], agents, jnp.full(len(latents[part]), task))
             steps = np.asarray(played.valid.sum(-1))
-            tracks = np.asarray(jax.vmap(jax.vmap(places))(readings))  # [time, simulation, track, xy]
+            # [time, simulation, track, xy]
+            tracks = np.asarray(jax.vmap(jax.vmap(places))(readings))
             tracks = np.moveaxis(tracks, 0, -1).reshape(*steps.shape, *tracks.shape[2:], -1)
             times = np.minimum(np.arange(tracks.shape[-1]), steps[..., None])
             stopped = np.take_along_axis(tracks, times[:, :, None, None], axis=-1)
@@ -285,7 +129,7 @@ def make_robot(name: str, size: Size) -> Robot:
     return robot if name == "blockpush" else replace(robot, prior=prior_of(scenes[0][0], robot))
 
 
-def games(robot: Robot) -> Iterator[tuple[int, np.ndarray, int]]:
+def hundred(robot: Robot) -> Iterator[Game]:
     """Yield scene, goal and track of 100 goals: the test set, or draws in the page's layouts."""
     if len(robot.scenes) == 1:
         for goal in Run.open(robot.name).task_set("test").tasks:
@@ -302,11 +146,11 @@ def games(robot: Robot) -> Iterator[tuple[int, np.ndarray, int]]:
 
 def write_page(robots: Sequence[Robot], out: Path) -> None:
     """Write the page, and print the share of goals found by attempt 5."""
-    held = [shares(robot, list(games(robot))) for robot in robots]
+    held = [shares(robot, list(hundred(robot))) for robot in robots]
     for robot, one in zip(robots, held, strict=True):
         for name, share in one.items():
-            print(f"{robot.name} {name}: {share['found']:.0%} of goals found by attempt {SHOWN}, ", end="")
-            print(f"{share['later']:.0%} of later attempts at the goal")
+            print(f"{robot.name} {name}: {share['found']:.0%} of goals found by attempt {SHOWN};")
+            print(f"  of the attempts after it, {share['later']:.0%} reach the goal")
     document = {
         "robots": [robot.document() for robot in robots],
         "shares": held,
@@ -322,12 +166,6 @@ def write_page(robots: Sequence[Robot], out: Path) -> None:
         page = page.replace(f"<!-- {name} -->", (HERE / name).read_text("utf-8"), 1)
     out.write_text(page.replace("<!-- data -->", json.dumps(document, allow_nan=False), 1), "utf-8")
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB")
-
-
-def read_page(path: Path = PAGE) -> list[Robot]:
-    """Return the robots of a page."""
-    text = path.read_text("utf-8").split('id="data">', 1)[1].split("</script>", 1)[0]
-    return [Robot.of(one) for one in json.loads(text)["robots"]]
 
 
 def main(size: Size) -> None:

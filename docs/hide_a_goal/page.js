@@ -200,11 +200,11 @@ function drawn(robot, scene, goal, track, game) { // the same number of draws of
 
 const $ = (selector) => document.querySelector(selector);
 const WIDTH = 600; // of a floor, in units of its drawing
-const ROUND = { low: [-2.9, -1], high: [2.9, 2.9], goal: [-1.4, 1.4] }, PUSH = { low: [-0.12, -0.6], high: [1.13, 0.6] };
+const ROUND = { low: [-2.9, -0.8], high: [2.9, 2.9] }, PUSH = { low: [-0.12, -0.6], high: [1.13, 0.6] };
 const ABOUT = {
-  wheeled: { title: "Wheeled robot", ...ROUND, body: "M14 0 L-10 9 L-5 0 L-10 -9 Z" },
+  wheeled: { title: "Wheeled robot", ...ROUND, goal: [1.75, 0.97], body: "M14 0 L-10 9 L-5 0 L-10 -9 Z" },
   blockpush: { title: "Block pushing", ...PUSH, goal: [0.85, -0.16], body: "M-9 0 a9 9 0 1 0 18 0 a9 9 0 1 0 -18 0" },
-  ant: { title: "Ant", ...ROUND, body: "M-6 0 a6 6 0 1 0 12 0 a6 6 0 1 0 -12 0 M4 4 L15 15 M4 -4 L15 -15 M-4 4 L-15 15 M-4 -4 L-15 -15" },
+  ant: { title: "Ant", ...ROUND, goal: [-1.73, 1], body: "M-6 0 a6 6 0 1 0 12 0 a6 6 0 1 0 -12 0 M4 4 L15 15 M4 -4 L15 -15 M-4 4 L-15 15 M-4 -4 L-15 -15" },
 };
 const BLOCK = 0.03, GOAL_X = [0.75, 0.95], BAND = 0.2, LOWEST = -0.5; // metres; maesn/envs/blockpush.py
 const NEAREST = 1, FARTHEST = 2.8; // metres, of a goal anywhere
@@ -247,8 +247,8 @@ class Lane { // a floor, and one circle per attempt
   }
   to([x, y]) { return [(x - this.low[0]) * this.scale, this.height - (y - this.low[1]) * this.scale]; }
   from(event) {
-    const box = this.svg.getBoundingClientRect(), unit = WIDTH / box.width / this.scale;
-    return [this.low[0] + (event.clientX - box.left) * unit, this.low[1] + (box.bottom - event.clientY) * unit];
+    const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
+    return [this.low[0] + x / this.scale, this.low[1] + (this.height - y) / this.scale];
   }
   circle(at, radius, name) {
     const [cx, cy] = this.to(at);
@@ -278,8 +278,9 @@ class Lane { // a floor, and one circle per attempt
       const name = at === attempt ? "way now" : this.rows[at].reached ? "way reached" : "way";
       way.setAttribute("class", name);
       const steps = at < attempt ? 1 : at === attempt ? share : 0;
-      if (at >= attempt || !way.hasAttribute("d") || way.share !== 1) way.setAttribute("d", steps ? this.track(at, 0, steps) : "");
-      way.share = steps;
+      if (way.shown === name + steps) return;
+      way.shown = name + steps;
+      way.setAttribute("d", steps ? this.track(at, name === "way reached" ? now.track : 0, steps) : "");
     });
     const { point, episode } = this.rows[attempt], times = this.recording.steps[point][episode];
     const time = Math.round(share * times), at = (t, track = 0) => place(this.recording, point, episode, track, t);
@@ -329,15 +330,21 @@ function showBelief(believed, attempt) {
   const isLost = believed.familiar < 0.5;
   $("#familiar").className = isLost ? "lost" : "";
   $("#familiar").textContent = `The goal is like those of training with probability ${percent(believed.familiar)}`
-    + (isLost ? ": the search knows that it is lost." : ".");
+    + (isLost ? ". The search has noticed, and relies less on what it learned." : ".");
   lane.guess(believed.weights);
 }
 
-function say(count) { // after so many attempts
-  const [search, draws] = lanes, first = search.rows.findIndex((row) => row.reached), isFound = first >= 0 && first < count;
-  const text = isFound ? `Found in attempt ${first + 1}.` : count < ATTEMPTS ? `Attempt ${count + 1} …` : "Not found in ten attempts.";
-  const beside = count ? `At the goal in ${search.hits(count)} of ${count} attempts; by chance in ${draws.hits(count)}.` : "";
-  $("#said").replaceChildren(text, make("small", {}, beside));
+function said(lane, count) { // after so many attempts
+  const first = lane.rows.findIndex((row) => row.reached), isFound = first >= 0 && first < count;
+  const open = count < ATTEMPTS ? `Attempt ${count + 1} …` : `Not found in ${ATTEMPTS} attempts.`;
+  const hits = count ? `At the goal in ${lane.hits(count)} of ${count} attempts.` : "";
+  return { found: isFound ? `Found in attempt ${first + 1}.` : open, hits };
+}
+
+function say(count) {
+  const [search, draws] = lanes.map((lane) => said(lane, count));
+  $("#said").replaceChildren(search.found, make("small", {}, search.hits));
+  $("#drawn").textContent = draws.hits;
 }
 
 function show(attempt, share) {
@@ -371,7 +378,7 @@ function play() {
 
 function hide([x, y]) { // a goal at the nearest place where one may be
   if (isPushing()) {
-    const layout = lanes[0].recording ?? now.robot.scenes[now.scene][0], band = bandOf([x, y]);
+    const band = bandOf([x, y]);
     const bands = [1, 2, 3, 4, 5].map((track) => bandOf(place(now.robot.scenes[now.scene][0], 0, 0, track, 0)));
     now.track = bands.indexOf(band) + 1;
     now.goal = [clamp(x, ...GOAL_X), clamp(y, LOWEST, LOWEST + 5 * BAND)];
@@ -386,7 +393,7 @@ function hide([x, y]) { // a goal at the nearest place where one may be
 }
 
 async function choose(robot, scene = 0) {
-  if (!robot.prior.excess.length || typeof robot.prior.excess === "string") await open(robot);
+  if (typeof robot.prior.excess === "string") await open(robot);
   Object.assign(now, { robot, scene, anywhere: false });
   const index = data.robots.indexOf(robot);
   [...$("#tabs").children].forEach((tab, at) => tab.setAttribute("aria-selected", at === index));
