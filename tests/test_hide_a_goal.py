@@ -4,6 +4,7 @@ import json
 from types import ModuleType
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scripts import ROOT, load_script
@@ -41,11 +42,9 @@ def test_the_page_holds_its_sources_and_its_own_prior(build: ModuleType) -> None
 @pytest.mark.parametrize("family", [wheeled, ant, blockpush])
 def test_a_goal_adds_what_it_does_in_the_environment(build: ModuleType, family: object) -> None:
     env = family.make_env(reward_kind="sparse")
-    task = jax.tree.map(np.asarray, family.task_set("test")[3])
-    goal, track = (
-        np.asarray(env.goal(task), np.float64),
-        1 + task.block if env.name == "blockpush" else 0,
-    )
+    task = jax.tree.map(jnp.asarray, family.task_set("test")[3])
+    goal = np.asarray(env.goal(task), np.float64)
+    track = 1 + int(task.block) if env.name == "blockpush" else 0
     drawn = np.random.default_rng(0).normal(scale=env.sparse_radius / build.UNIT, size=(2, 60))
     path = np.round(goal[:, None] / build.UNIT + drawn).astype(np.int16)
     tracks = np.zeros((1, 1, 6, 2, 61), np.int16)
@@ -75,4 +74,5 @@ def _readings(env: object, place: np.ndarray, task: object) -> tuple[object, ...
         qpos[3 + 2 * block : 5 + 2 * block] = place - [0.2 * (block + 1), 0.0]
     else:
         qpos[:2] = place
-    return held, np.zeros(env.action_size, np.float32), held
+    held = jax.tree.map(jnp.asarray, held)
+    return held, jnp.zeros(env.action_size), held
