@@ -63,8 +63,9 @@ def test_a_goal_adds_what_it_does_in_the_environment(build: ModuleType, family: 
 
 def _readings(env: object, place: np.ndarray, task: object) -> tuple[object, ...]:
     """Readings, action and readings after it, in which what is judged stands at a place."""
-    qpos = np.zeros(15 if env.name == "ant" else 13 if env.name == "blockpush" else 6, np.float32)
-    held = {"qpos": qpos, "qvel": np.zeros(14, np.float32)}
+    sizes = {"wheeled": (6, 6), "ant": (15, 14), "blockpush": (13, 13)}[env.name]
+    qpos, qvel = (np.zeros(size, np.float32) for size in sizes)
+    held = {"qpos": qpos, "qvel": qvel}
     if env.name == "ant":
         centre = np.zeros((14, 3), np.float32)
         centre[:, :2] = place

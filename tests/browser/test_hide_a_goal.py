@@ -5,9 +5,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from chromium import DESK, PHONE, Opened
 from playwright.sync_api import Browser
 from scripts import ROOT, load_script
-from test_page import DESK, PHONE, Opened
 
 PAGE = ROOT / "docs/site/hide_a_goal.html"
 # Robot, scene, goal in metres, track. The last of `wheeled` and `ant` lie where none was trained.
