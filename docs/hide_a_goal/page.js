@@ -287,8 +287,9 @@ class Lane { // a floor, and one circle per attempt
     const [here, before] = [at(time), at(Math.max(time - 5, 0))].map((one) => this.to(one));
     const angle = (Math.atan2(here[1] - before[1], here[0] - before[0]) * 180) / Math.PI;
     const body = make("path", { d: ABOUT[now.robot.name].body, class: "robot", transform: `translate(${here}) rotate(${angle})` });
-    const blocks = [...Array(this.recording.shape[2] - 1).keys()].map((block) => {
-      const [x, y] = this.to(at(time, block + 1)), half = BLOCK * this.scale;
+    this.blocks = [...Array(this.recording.shape[2] - 1).keys()].map((block) => at(time, block + 1));
+    const blocks = this.blocks.map((middle, block) => {
+      const [x, y] = this.to(middle), half = BLOCK * this.scale;
       const name = block + 1 === now.track ? "block chosen" : "block";
       return make("rect", { x: x - half, y: y - half, width: 2 * half, height: 2 * half, rx: 3, class: name });
     });
@@ -376,10 +377,12 @@ function play() {
 
 // ---- what the visitor does ----------------------------------------------------------------------
 
+const startOf = (track) => place(now.robot.scenes[now.scene][0], 0, 0, track, 0); // of a block
+
 function hide([x, y]) { // a goal at the nearest place where one may be
   if (isPushing()) {
     const band = bandOf([x, y]);
-    const bands = [1, 2, 3, 4, 5].map((track) => bandOf(place(now.robot.scenes[now.scene][0], 0, 0, track, 0)));
+    const bands = [1, 2, 3, 4, 5].map((track) => bandOf(startOf(track)));
     now.track = bands.indexOf(band) + 1;
     now.goal = [clamp(x, ...GOAL_X), clamp(y, LOWEST, LOWEST + 5 * BAND)];
   } else {
@@ -418,7 +421,10 @@ async function open(robot) {
 
 const lanes = [new Lane($("#search"), 0), new Lane($("#draws"), 1)];
 $("#tabs").append(...data.robots.map((robot) => make("button", { role: "tab", onclick: () => choose(robot) }, ABOUT[robot.name].title)));
-lanes[0].svg.addEventListener("click", (event) => hide(lanes[0].from(event)));
+lanes[0].svg.addEventListener("click", (event) => {
+  const at = lanes[0].from(event), hit = lanes[0].blocks.findIndex(([x, y]) => Math.hypot(x - at[0], y - at[1]) < 2 * BLOCK);
+  hide(hit < 0 ? at : startOf(hit + 1));
+});
 lanes[0].svg.addEventListener("keydown", (event) => {
   const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
   if (!way) return;

@@ -78,11 +78,17 @@ def test_a_visitor_hides_a_goal(browser: Browser, width: int) -> None:
     assert page.evaluate("now.goal[0]") == pytest.approx(0.2)
     page.get_by_role("tab", name="Block pushing").click()
     page.get_by_role("button", name="Layout 2").click()
-    page.locator("#search .block").first.click()
-    block, goal = page.evaluate(
-        "[place(data.robots[1].scenes[1][0], 0, 0, now.track, 0), now.goal]"
+    x, y = page.evaluate(
+        """() => {
+          const point = new DOMPoint(...lanes[0].to(lanes[0].blocks[2]));
+          const { x, y } = point.matrixTransform(lanes[0].svg.getScreenCTM());
+          return [x, y];
+        }"""
     )
-    assert goal == pytest.approx([0.75, block[1]], abs=0.03)
+    page.mouse.click(x, y)
+    track, block, goal = page.evaluate("[now.track, startOf(3), now.goal]")
+    assert track == 3
+    assert goal == pytest.approx([0.75, block[1]])
     page.get_by_role("tab", name="Ant").click()
     page.wait_for_selector("#search .pips .reached", timeout=10_000)
     assert "Found in attempt" in opened.text("#said")
