@@ -200,10 +200,11 @@ function drawn(robot, scene, goal, track, game) { // the same number of draws of
 
 const $ = (selector) => document.querySelector(selector);
 const WIDTH = 600; // of a floor, in units of its drawing
-const ROUND = { low: [-2.9, -0.8], high: [2.9, 2.9] }, PUSH = { low: [-0.12, -0.6], high: [1.13, 0.6] };
+const ROUND = { low: [-2.9, -0.8], high: [2.9, 2.9], hint: "Tap or click the floor to hide a goal." }, PUSH = { low: [-0.12, -0.6], high: [1.13, 0.6] };
 const ABOUT = {
   wheeled: { title: "Wheeled robot", ...ROUND, goal: [1.75, 0.97], body: "M14 0 L-10 9 L-5 0 L-10 -9 Z" },
-  blockpush: { title: "Block pushing", ...PUSH, goal: [0.85, -0.16], body: "M-9 0 a9 9 0 1 0 18 0 a9 9 0 1 0 -18 0" },
+  blockpush: { title: "Block pushing", ...PUSH, goal: [0.85, -0.16], hint: "Tap or click a block to give it a hidden goal.",
+    body: "M-9 0 a9 9 0 1 0 18 0 a9 9 0 1 0 -18 0" },
   ant: { title: "Ant", ...ROUND, goal: [-1.73, 1], body: "M-6 0 a6 6 0 1 0 12 0 a6 6 0 1 0 -12 0 M4 4 L15 15 M4 -4 L15 -15 M-4 4 L-15 15 M-4 -4 L-15 -15" },
 };
 const BLOCK = 0.03, GOAL_X = [0.75, 0.95], BAND = 0.2, LOWEST = -0.5; // metres; maesn/envs/blockpush.py
@@ -404,11 +405,12 @@ async function choose(robot, scene = 0) {
     "aria-pressed": at === scene, onclick: () => choose(robot, at),
   }, `Layout ${at + 1}`));
   const box = make("input", { type: "checkbox", id: "anywhere", onchange: () => { now.anywhere = box.checked; hide(now.goal); } });
-  const anywhere = make("label", {}, box, "anywhere, where the robot was never trained");
+  const anywhere = make("label", {}, box, "anywhere: never trained there");
   $("#options").replaceChildren(...(layouts.length > 1 ? layouts : [anywhere]));
   const { search, draws } = data.shares[index];
   $("#shares").textContent = `Of 100 goals, search finds ${percent(search.found)} by attempt 5, chance ${percent(draws.found)}. `
     + `In attempts 6 to 10 search is at the goal in ${percent(search.later)} of attempts, chance in ${percent(draws.later)}.`;
+  $("#hint").textContent = ABOUT[robot.name].hint;
   $("#count").textContent = robot.scenes[0][0].latents.length;
   hide(ABOUT[robot.name].goal);
 }
