@@ -14,13 +14,24 @@ BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-browser test-faults test-long test-docs soak test-external fast unit lint style types imports bench docs clean
+.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs soak test-external test-metaworld fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
 	@$(BIN)/maesn demo
+
+# Meta-World needs a MuJoCo that the engine of our own robots is too new for.
+METAWORLD := .venv-metaworld
+metaworld: $(METAWORLD)/.ready ## Install Meta-World in an environment of its own, for `--family metaworld:reach`
+
+$(METAWORLD)/.ready: constraints-metaworld.txt  # Gymnasium imports `packaging` and does not ask for it
+	@echo "== installing Meta-World into $(METAWORLD)"
+	@$(PYTHON) -m venv $(METAWORLD)
+	@$(METAWORLD)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints-metaworld.txt metaworld packaging
+	@touch $@
 
 check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under a minute
 	@$(MAKE) --no-print-directory --keep-going lint fast
@@ -38,16 +49,18 @@ test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged fil
 soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end
 	@PYTHONPATH=tests $(BIN)/python -m faults.soak $(SOAK)
 
-# Meta-World needs a MuJoCo that the engine of our own robots is too new for, sb3-contrib PyTorch, and
-# rliable an older pandas.
+test-metaworld: $(METAWORLD)/.ready $(TEST_READY) ## Test the families of Meta-World, and its protocol
+	@$(BIN)/python -m pytest --quiet --tb=short tests/simulators
+
+# sb3-contrib needs PyTorch, and rliable an older pandas.
 EXTERNAL := .venv-external
 test-external: | $(EXTERNAL)/.ready ## Test against other libraries, in an environment of their own
 	@$(EXTERNAL)/bin/python -m pytest --quiet --tb=short tests/external
 
-$(EXTERNAL)/.ready: pyproject.toml constraints-external.txt  # without mujoco-mjx, which is too new as well
+$(EXTERNAL)/.ready: pyproject.toml constraints-external.txt
 	@$(PYTHON) -m venv $(EXTERNAL)
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  --constraint constraints-external.txt --editable '.[gym]' beartype metaworld pytest \
+	  --constraint constraints-external.txt --editable '.[gym]' beartype pytest \
 	  rliable sb3-contrib torch wandb
 	@touch $@
 
@@ -99,7 +112,7 @@ test-docs: $(TEST_READY) ## Run every example and every command of the documenta
 	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
-	rm -rf $(VENV) $(EXTERNAL) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(EXTERNAL) $(METAWORLD) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

@@ -7,6 +7,8 @@ A collection is everything: policies, recording, rewards, and episodes as arrays
 with the same tasks, seeds and controls, played by
 
 - workers alone: as many worker processes, of which nothing else is asked;
+- workers elsewhere: the same in another interpreter, as by `--python`; the first divided by this is
+  the rate of another interpreter relative to this one;
 - environments alone: environments in this process, one episode after the other, their time divided
   by the number of workers. That is a bound: no process waits for another, or for memory.
 
@@ -17,6 +19,7 @@ environments and compiling is excluded and reported apart.
 import itertools
 import pickle
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -34,7 +37,7 @@ from gymnasium import spaces
 from maesn.envs.hosted import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
-from maesn.foreign import Readings, pack_task
+from maesn.foreign import Readings, WorkerPool, pack_task
 from maesn.learners import Problem, maesn
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory, make_world
 from maesn.worlds.budget import num_cpus
@@ -55,6 +58,8 @@ class Settings:
     """Worker processes; 0 for one for each CPU."""
     repetitions: int = 7
     """Timed collections; the medians count."""
+    python: str = sys.executable
+    """Another interpreter that has the family's environments, or this one, treated as another."""
 
 
 class Played(NamedTuple):
@@ -105,8 +110,14 @@ class RecordingWorld(AbstractWorld):
 class WorkersAlone:
     """Worker processes that play a collection's controls, and nothing else."""
 
-    def __init__(self, env: AbstractGymnasiumEnv, num_workers: int) -> None:
-        self._pool = env.open_pool(num_workers)
+    def __init__(self, env: AbstractGymnasiumEnv, num_workers: int, python: str = "") -> None:
+        how, make_env = env.recipe, env.recipe.make_env
+        if python and not isinstance(make_env, str):  # which cannot be sent there
+            make_env = f"{make_env.__module__}:{make_env.__qualname__}"
+        spaces = env.interface.spaces
+        self._pool = WorkerPool(
+            make_env, env.reward_kind, spaces, num_workers, how.time_limit, python
+        )
 
     def play(self, played: Played) -> Readings:
         """Play all episodes side by side, and return the last readings."""
@@ -153,6 +164,7 @@ class Times(NamedTuple):
 
     collection: float
     workers_alone: float
+    workers_elsewhere: float
     environments_alone: float
     """Divided by the number of workers."""
 
@@ -198,16 +210,18 @@ def measure(settings: Settings) -> Measurement:
     world = RecordingWorld(make_world(env, tasks, num_workers))
     collect = Collector(world, settings.episodes_per_task)
     workers, environments = WorkersAlone(env, num_workers), EnvironmentsAlone(env)
+    elsewhere = WorkersAlone(env, num_workers, settings.python)
     times = []
-    with closing(world), closing(workers), closing(environments):
+    with closing(world), closing(workers), closing(elsewhere), closing(environments):
         for repetition in range(1 + settings.repetitions):
             keys = jax.random.split(jax.random.key(repetition), len(tasks))
             agents = fast.agents(fast.init(keys))
             whole, episodes = timed(partial(collect, keys, agents, jnp.arange(len(tasks))))
             played = world.played(episodes)
-            hosted, _ = timed(partial(workers.play, played))
+            pools = [workers, elsewhere][:: (-1) ** repetition]  # neither always comes first
+            found = {pool: timed(partial(pool.play, played))[0] for pool in pools}
             bare, _ = timed(partial(environments.play, played))
-            times.append(Times(whole, hosted, bare / num_workers))
+            times.append(Times(whole, found[workers], found[elsewhere], bare / num_workers))
     return Measurement(times[0], times[1:], int(played.lengths.sum()))
 
 

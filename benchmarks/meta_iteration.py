@@ -11,6 +11,7 @@ excluded and reported apart.
 import resource
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,7 +22,7 @@ from bare_physics import BarePhysics, Recorder
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
-from maesn.learners import PRESETS, Problem
+from maesn.learners import PRESETS, AbstractMetaLearner, Problem
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -65,23 +66,29 @@ class Times:
         return float(np.median(self.whole / self.bare))
 
 
-def measure(settings: Settings) -> Times:
-    """Time meta-iterations and the bare engine in turn."""
+def measure(settings: Settings, learner: AbstractMetaLearner[Any, Any] | None = None) -> Times:
+    """Time meta-iterations and the bare engine in turn.
+
+    Args:
+        settings: what is timed.
+        learner: the learner instead of `settings.method` with `settings.meta_batch_size` tasks.
+    """
     family = resolve_family(settings.family)
     env = family.make_env(reward_kind="dense")
     assert isinstance(env, AbstractMujocoEnv), f"{settings.family} does not run on MuJoCo"
     world = make_world(env, family.task_set("training"), num_threads=settings.num_threads)
     collect = Recorder(Collector(world, settings.episodes_per_task))
-    learner = PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
-    state = learner.init(
-        jax.random.key(0), Problem(env.observation_size, env.action_size, collect.num_tasks)
-    )
+    if learner is None:
+        learner = PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
+    sizes = env.observation_size, env.action_size, collect.num_tasks
+    problem = Problem(*sizes, episodes_per_task=settings.episodes_per_task, horizon=env.horizon)
+    state = learner.init(jax.random.key(0), problem)
     state = eqx.tree_at(lambda s: s.iteration, state, jnp.asarray(settings.first_iteration))
     begin = time.perf_counter()
     state, _ = jax.block_until_ready(learner.step(jax.random.key(1), state, collect))
     first = time.perf_counter() - begin
 
-    num_simulations = settings.meta_batch_size * settings.episodes_per_task
+    num_simulations = len(collect.played()[0].qpos)
     physics = BarePhysics(env, num_simulations, settings.num_threads)
     whole, collecting, bare = [], [], []
     for iteration in range(settings.iterations):

@@ -23,12 +23,22 @@ from meta_iteration import measure as measure_iterations
 
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
-from maesn.learners import SCRATCH, AbstractFastLearner
+from maesn.learners import (
+    PRESETS,
+    SCRATCH,
+    AbstractFastLearner,
+    AbstractMetaLearner,
+    recommended,
+    recommended_run,
+    rl2,
+)
+from maesn.policies import HyperRecurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 # As if half of a run were over: of `maesn_theta`, all parts move by then.
 SECOND_STAGE = 150
+HYPERNETWORK = "rl2_hyper"
 
 
 @dataclass(frozen=True)
@@ -39,9 +49,10 @@ class Settings:
     """A family that is moved by the MuJoCo engine; your own as `module:name`."""
     methods: tuple[str, ...] = (
         "maesn", "latent_space", "maml_bias_only", "maml", "maml_bias", "maesn_theta", "rl2",
-        "rl2_trpo",
+        "rl2_trpo", HYPERNETWORK, "varibad", "pearl",
     )  # fmt: skip
-    """Presets that are meta-trained."""
+    """Presets that are meta-trained, and `rl2_hyper`, RL2 with a hypernetwork. `pearl` has the
+    settings and batches of `maesn train pearl`, the others those that follow."""
     scratch: tuple[str, ...] = ("reinforce", "trpo", "vime")
     """Methods that learn each task from scratch."""
     tasks: int = 20
@@ -52,6 +63,15 @@ class Settings:
     """Episodes per task and update from scratch."""
     repetitions: int = 9
     """Timed meta-iterations or updates; the median counts."""
+
+
+def learner_of(method: str, settings: Settings) -> AbstractMetaLearner[Any, Any]:
+    """Return what is meta-trained."""
+    if method == "pearl":
+        return recommended(method, settings.family)
+    if method == HYPERNETWORK:
+        return rl2(policy=HyperRecurrent(), meta_batch_size=settings.tasks)
+    return PRESETS[method](meta_batch_size=settings.tasks)
 
 
 def measure_updates(name: str, settings: Settings) -> Times:
@@ -91,15 +111,14 @@ def main(settings: Settings) -> None:
     print(f"{'':15s} {'whole':>9s} {'collections':>12s} {'physics':>9s} {'ratio':>8s}")
     print(f"a meta-iteration, {settings.meta_episodes} episodes per task and collection")
     for method in settings.methods:
+        own = recommended_run(method, settings.family) if method == "pearl" else {}
         chosen = IterationSettings(
             family=settings.family,
-            method=method,
-            meta_batch_size=settings.tasks,
-            episodes_per_task=settings.meta_episodes,
+            episodes_per_task=own.get("episodes_per_task", settings.meta_episodes),
             iterations=settings.repetitions,
             first_iteration=SECOND_STAGE,
         )
-        report(method, measure_iterations(chosen))
+        report(method, measure_iterations(chosen, learner_of(method, settings)))
     print(f"an update of all tasks, {settings.scratch_episodes} episodes each")
     for method in settings.scratch:
         report(method, measure_updates(method, settings))

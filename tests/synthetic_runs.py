@@ -184,6 +184,8 @@ def write_explorer(directory: Path) -> None:
         deployed=draw.normal(size=(2, 4, 2)),
         mean=beliefs[0],
         std=np.abs(beliefs[1]),
+        interval=np.sort(draw.uniform(-300.0, -200.0, (2, 4, 2)), axis=-1),
+        familiar=np.linspace(0.7, 1.0, 8).reshape(2, 4),
     )
     (directory / "figures").mkdir(exist_ok=True)
     np.savez(directory / LATENT_PATHS, **vars(LatentPaths(points, paths)))

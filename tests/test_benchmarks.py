@@ -90,10 +90,10 @@ LINES: dict[str, tuple[dict[str, Any], str, int]] = {
         1,
     ),
     "methods": (
-        {"methods": ("maesn",), "scratch": ("reinforce",), "tasks": 2, "meta_episodes": 2}
+        {"methods": ("maesn", "pearl"), "scratch": ("reinforce",), "tasks": 2, "meta_episodes": 2}
         | {"scratch_episodes": 2, "repetitions": 1},
-        r"^(?:maesn|reinforce)(?: +\d+\.\d+){4}$",
-        2,
+        r"^(?:maesn|pearl|reinforce)(?: +\d+\.\d+){4}$",
+        3,
     ),
     # Steps per second, three times, and how far the unlimited engine ends from itself.
     "mjx": (

@@ -18,6 +18,8 @@ from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.gradient.outer import FirstOrderInfo
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
+from maesn.learners.varibad.inference import InferenceInfo
+from maesn.learners.varibad.state import VaribadInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
@@ -139,6 +141,8 @@ def test_the_site_describes_every_method_and_every_public_name(
     [
         ("", GradientInfo),
         ("", RecurrentInfo),
+        ("", VaribadInfo),
+        ("inference/", InferenceInfo),
         ("shares/", GroupShares),
         ("outer/", TrustRegionInfo),
         ("outer/", FirstOrderInfo),

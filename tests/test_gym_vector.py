@@ -39,13 +39,14 @@ def assert_same(batched: list[Any], one_by_one: list[Any]) -> None:
     # point: three episodes one after the other. hidden_end: episodes of different lengths, NaN
     # behind their ends. The robots: states that only the engine knows.
     [("point", 90, 0), (hidden_end, 40, 0), ("wheeled", 10, 2), ("ant", 10, 2),
-     ("blockpush", 110, 1), ("grid_navi", 40, 0)],
+     ("blockpush", 110, 1), ("grid_navi", 40, 0), ("cheetah_body", 10, 2)],
 )  # fmt: skip
 def test_rows_are_single_environments(family: Any, steps: int, num_threads: int) -> None:
     batched = TaskVectorEnv(family, COUNT, num_threads=num_threads)
     single = SyncVectorEnv([lambda: TaskEnv(family)] * COUNT)
     assert batched.observation_space == single.observation_space
     assert batched.action_space == single.action_space
+    assert batched.tasks.digest() == TaskEnv(family).tasks.digest()
     got = play(batched, steps, seed=11)
     assert_same(got, play(single, steps, seed=11))
     assert np.array([result[0] for result in got]).std() > 0

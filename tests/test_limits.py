@@ -104,3 +104,22 @@ def test_a_sweep_lies_below_what_no_searcher_exceeds(
     path = sparse_point.ring_path(point, 0.92, 0.2)
     steps = np.diff(path, axis=0, prepend=np.zeros((1, 2)))
     assert np.abs(steps).max() <= 0.1 + 1e-9
+
+
+def test_bounds_of_the_walking_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    walking = load_script("benchmarks/limits_walking.py")
+    rng = np.random.default_rng(0)
+    speeds, goals = rng.uniform(0.0, 3.0, 25), rng.uniform(-2.0, 2.0, (25, 2))
+    tried = -200 * np.abs(np.linspace(0, 3, 3001)[:, None] - speeds).mean(1).min()
+    np.testing.assert_allclose(walking.bounds("cheetah_vel", speeds), [tried, 0.0], atol=0.1)
+    grid = np.stack(np.meshgrid(*[np.linspace(-2, 2, 401)] * 2), -1).reshape(-1, 1, 2)
+    dense = -200 * np.abs(grid - goals).sum(-1).mean(1).min()
+    np.testing.assert_allclose(walking.bounds("ant_goal", goals), [dense, 0.0], atol=1.0)
+    # One goal that a place of the grid hits, and one that is out of its reach.
+    two = np.array([[0.3, 0.0], [-1.5, 0.0]])
+    expected = 200 * (1.0 - 0.75) / 2, 200.0
+    np.testing.assert_allclose(walking.bounds("sparse_ant_goal", two), expected, atol=1e-6)
+    assert walking.bounds("ant_dir", goals).blind == 200.0
+    # It stands where it starts: 3 m are left to the farthest goals, and a sixteenth is reached.
+    assert -150.0 < walking.standing_return("sparse_ant_goal") < -115.0

@@ -223,7 +223,7 @@ function make(name, attributes, ...children) {
 }
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-const percent = (share) => `${Math.round(100 * share)} %`;
+const percent = (share) => `${Math.round(100 * share)}\u00a0%`;
 
 class Lane { // a floor, and one circle per attempt
   constructor(section, which) {

@@ -36,6 +36,10 @@ from maesn.learners import AbstractFastLearner as AbstractFastLearner
 from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners import AbstractOuterStep as AbstractOuterStep
 from maesn.learners import AbstractSettableLatent as AbstractSettableLatent
+from maesn.learners import BeliefDecoderSettings as BeliefDecoderSettings
+from maesn.learners import BeliefEncoderSettings as BeliefEncoderSettings
+from maesn.learners import BeliefInference as BeliefInference
+from maesn.learners import BeliefValue as BeliefValue
 from maesn.learners import BonusFastLearner as BonusFastLearner
 from maesn.learners import Capabilities as Capabilities
 from maesn.learners import EncoderSettings as EncoderSettings
@@ -43,6 +47,7 @@ from maesn.learners import FineTuning as FineTuning
 from maesn.learners import FirstOrderOuterStep as FirstOrderOuterStep
 from maesn.learners import FixedPolicy as FixedPolicy
 from maesn.learners import GradientMetaLearner as GradientMetaLearner
+from maesn.learners import HyperBonus as HyperBonus
 from maesn.learners import MetaObjective as MetaObjective
 from maesn.learners import MetaParameters as MetaParameters
 from maesn.learners import PearlMetaLearner as PearlMetaLearner
@@ -56,6 +61,7 @@ from maesn.learners import RecurrentValue as RecurrentValue
 from maesn.learners import SoftActorCritic as SoftActorCritic
 from maesn.learners import TrustRegionOuterStep as TrustRegionOuterStep
 from maesn.learners import TrustRegionStep as TrustRegionStep
+from maesn.learners import VaribadMetaLearner as VaribadMetaLearner
 from maesn.learners import latent_space as latent_space
 from maesn.learners import maesn as maesn
 from maesn.learners import maesn_theta as maesn_theta
@@ -67,6 +73,7 @@ from maesn.learners import pearl as pearl
 from maesn.learners import recommended as recommended
 from maesn.learners import rl2 as rl2
 from maesn.learners import rl2_trpo as rl2_trpo
+from maesn.learners import varibad as varibad
 from maesn.learners.meta_batch import draw_tasks as draw_tasks
 from maesn.learners.meta_batch import task_keys as task_keys
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
@@ -78,6 +85,7 @@ from maesn.policies import AbstractPolicySettings as AbstractPolicySettings
 from maesn.policies import AnnealedGaussianMLP as AnnealedGaussianMLP
 from maesn.policies import CategoricalMLP as CategoricalMLP
 from maesn.policies import GaussianMLP as GaussianMLP
+from maesn.policies import HyperRecurrent as HyperRecurrent
 from maesn.policies import Recurrent as Recurrent
 from maesn.rules import AbstractRule as AbstractRule
 from maesn.rules import AbstractWrapper as AbstractWrapper

@@ -23,6 +23,11 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f" Did you mean `{near[0]}`?" if near else ""
 
 
+def in_files(name: str) -> str:
+    """Return a name as files and directories have it: without a colon."""
+    return name.replace(":", "-")
+
+
 def check_choice(name: str, value: str, choices: Any) -> None:
     """Refuse by ValueError what is not in a `Literal`: misspelt, it would count as another one.
 

@@ -11,6 +11,8 @@ def test_a_family_is_found_by_its_name() -> None:
     assert list(FAMILIES) == [
         *("point", "wheeled", "ant", "blockpush"),
         *("sparse_point", "grid_navi"),
+        *("cheetah_vel", "cheetah_dir", "cheetah_body"),
+        *("ant_dir", "ant_goal", "sparse_ant_goal"),
     ]
     for name, family in FAMILIES.items():
         assert find_family(name) is family

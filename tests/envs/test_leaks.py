@@ -25,6 +25,10 @@ EVERY = FAMILIES | PROBES
 
 # Here the agent sees its goal.
 INSTRUCTED = {("blockpush", "paper")}
+# Here the motion depends on the task.
+SHOWN_BY_DYNAMICS = {"cheetah_body"}
+# Here every step's reward tells about the task: there is no other, dense or sparse.
+INFORMATIVE = {"cheetah_vel", "cheetah_dir", "cheetah_body", "ant_dir", "ant_goal"}
 
 
 def two_tasks(name: str) -> list[int]:
@@ -68,7 +72,7 @@ def leaks(one: Episodes, other: Episodes) -> bool:
     return not all(same)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", sorted(EVERY.keys() - SHOWN_BY_DYNAMICS))
 def test_nothing_seen_in_an_episode_depends_on_the_task(name: str) -> None:
     one, other = pair_of(name)
     assert not leaks(one, other)
@@ -155,7 +159,7 @@ class SparseSeer(GaussianMLPPolicy):
     # the same in both variants.
     # The wheeled robot has the point's rewards.
     [
-        *((name, "reference") for name in EVERY),
+        *((name, "reference") for name in EVERY if name not in INFORMATIVE),
         *((name, "paper") for name in ("ant", "point")),
         *(("sparse_point", variant) for variant in ("varibad", "metacure")),
         pytest.param("wheeled", "paper", marks=pytest.mark.long),

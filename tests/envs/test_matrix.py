@@ -16,7 +16,7 @@ from playing import readings_at
 from maesn.envs import FAMILIES, AbstractPureEnv, AnyEnv, TaskFamily
 
 EVERY = FAMILIES | PROBES
-BATCH = 3
+BATCH = 2
 
 
 @pytest.fixture(params=EVERY)

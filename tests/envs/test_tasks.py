@@ -51,6 +51,41 @@ DIGESTS = {
         "34df464ee14f5afd",
         "4b991db89b3de49c",
     ],
+    "cheetah_vel": [
+        "38b037e435ad632a",
+        "794655e54aa5968a",
+        "a8a7704c54f10476",
+        "511adaa515c38c9c",
+        "0e1dab6c9d080186",
+    ],
+    "cheetah_body": [
+        "98e95117e61c2759",
+        "ed5d6fa448a17fc0",
+        "f0d14d426300dc7a",
+        "054660876b3f4511",
+        "df0d1476d1ae046d",
+    ],
+    "ant_dir": [
+        "f63f25254a9c0843",
+        "eb904d8ee79cd434",
+        "a143507676689fb1",
+        "3f48c2b5370039e6",
+        "eefaebdcfff8a8ab",
+    ],
+    "ant_goal": [
+        "8db328eec581d49b",
+        "a62348296fc0531a",
+        "5b6218a38d14ca90",
+        "2dc5868eb4a4a07a",
+        "896149a342c7767a",
+    ],
+    "sparse_ant_goal": [
+        "3572510acee7e78b",
+        "0e1a7f7fffe326be",
+        "0f68b85e796eb027",
+        "0f7ebea70a5f5ca7",
+        "ba195f3cde15db7c",
+    ],
     "bandit": [
         "97273fe932b95947",
         "0f8d6e0d8c0c3648",
@@ -89,12 +124,18 @@ def test_no_task_comes_twice(name: str) -> None:
     assert len(np.unique(tasks, axis=0)) == 100 * len(SETS)
 
 
-def test_every_set_of_a_family_with_few_tasks_is_all_of_them() -> None:
-    family = FAMILIES["grid_navi"]
+@pytest.mark.parametrize(
+    ("name", "count", "digest"),
+    [("grid_navi", 21, "03584e89fb510693"), ("cheetah_dir", 2, "0f1b4cef39893a2c")],
+)
+def test_every_set_of_a_family_with_few_tasks_is_all_of_them(
+    name: str, count: int, digest: str
+) -> None:
+    family = FAMILIES[name]
     sets = [family.task_set(which) for which in SETS]
-    assert [len(tasks) for tasks in sets] == [21] * len(SETS)
-    assert {tasks.digest() for tasks in sets} == {"03584e89fb510693"}
-    np.testing.assert_array_equal(family.task_set("test", 5).tasks, sets[0].tasks[:5])
+    assert [len(tasks) for tasks in sets] == [count] * len(SETS)
+    assert {tasks.digest() for tasks in sets} == {digest}
+    np.testing.assert_array_equal(family.task_set("test", 1).tasks, sets[0].tasks[:1])
 
 
 def test_families_have_seeds_of_their_own() -> None:

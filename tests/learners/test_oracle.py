@@ -59,7 +59,7 @@ def test_descriptions_tell_all_tasks_apart(name: str) -> None:
     assert description.ndim == 2
     assert np.isfinite(description).all()
     different = {tuple(row) for row in description}
-    leaves = [np.asarray(leaf).reshape(20, -1) for leaf in jax.tree.leaves(tasks.tasks)]
+    leaves = [np.asarray(leaf).reshape(len(tasks), -1) for leaf in jax.tree.leaves(tasks.tasks)]
     assert len(different) == len(np.unique(np.concatenate(leaves, axis=1), axis=0))
 
 

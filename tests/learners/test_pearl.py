@@ -151,8 +151,9 @@ def test_networks_that_are_not_finite_are_not_taken() -> None:
 # A new task.
 
 
-def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean() -> None:
-    learner, collect = small(prior_episodes=4), mortal()
+@pytest.mark.parametrize("noise", [False, True])
+def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean(noise: bool) -> None:
+    learner, collect = small(prior_episodes=4, noisy_exploration=noise), mortal()
     fast = learner.fast_learner(learner.init(jax.random.key(0), PROBLEM))
     tasks, keys = jnp.arange(TASKS), jax.random.split(jax.random.key(5), TASKS)
     state, product = fast.init(keys), fast.encoder.none(TASKS)
@@ -164,7 +165,7 @@ def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean() -> None
         np.testing.assert_allclose(explore.context.mean, expected.mean, rtol=1e-5)
         np.testing.assert_allclose(explore.context.log_std, expected.log_std, rtol=1e-5)
         np.testing.assert_allclose(deploy.context.mean, posterior.mean, rtol=1e-5)
-        assert not explore.is_noisy
+        assert explore.is_noisy == noise
         assert not deploy.is_noisy
         episodes = collect(keys, explore, tasks)
         assert np.unique(np.asarray(episodes.z), axis=1).shape[1] == EPISODES

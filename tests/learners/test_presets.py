@@ -36,14 +36,14 @@ SMALL = {
     "meta_batch_size": META_BATCH,
     "outer": TrustRegionOuterStep(curvature_stride=2, hessian_stride=2),
 }
-# Those that infer or remember have tests of their own (`test_pearl`, `test_recurrent`). The slots
-# of MAML with a bias appear in MAML and in MAESN.
+# Those that infer or remember have tests of their own (`test_pearl`, `test_varibad`,
+# `test_recurrent`). The slots of MAML with a bias appear in MAML and in MAESN.
 every_preset = pytest.mark.parametrize(
     "preset",
     [
         pytest.param(name, marks=[pytest.mark.long] if name.startswith("maml_bias") else [])
         for name in PRESETS
-        if not name.startswith(("rl2", "pearl"))
+        if not name.startswith(("rl2", "pearl", "varibad"))
     ],
 )
 

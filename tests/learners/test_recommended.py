@@ -9,7 +9,7 @@ import pytest
 import maesn
 from maesn import cli
 from maesn.commands.train import read_options
-from maesn.envs import FAMILIES
+from maesn.envs import FAMILIES, HOSTED
 from maesn.learners import PRESETS, method_name, recommended_settings
 from maesn.learners.recommended import ANY, RECOMMENDED, with_setting
 from maesn.runs.config import RunSettings
@@ -34,7 +34,7 @@ def test_what_is_recommended_is_all_that_differs(method: str, family: str) -> No
 
 def test_the_file_names_families_methods_and_settings() -> None:
     fields = {field.name for field in dataclasses.fields(RunSettings)}
-    assert set(RECOMMENDED) <= {ANY, *FAMILIES}
+    assert set(RECOMMENDED) <= {ANY, *FAMILIES, *HOSTED}
     for of_family in RECOMMENDED.values():
         assert set(of_family) <= set(PRESETS)
         assert all(set(one.get("run", {})) <= fields for one in of_family.values())

@@ -33,7 +33,7 @@ from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import Recurrent
+from maesn.policies import HyperRecurrent, Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -84,13 +84,18 @@ def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
 
 
 @pytest.mark.parametrize(
-    "policy_step",
-    [ProximalStep(descent=DESCENT), TrustRegionStep(TrustRegion(cg_steps=3), curvature_stride=2)],
+    "slots",
+    [
+        {},
+        {"policy": HyperRecurrent(hidden_size=4, readout_sizes=(3,), symlog=True)},
+        {"policy_step": TrustRegionStep(TrustRegion(cg_steps=3), curvature_stride=2)},
+    ],
+    ids=["gated", "hypernetwork", "trust region"],
 )
 def test_a_meta_iteration_plays_trials_and_improves(
-    policy_step: Any, caplog: pytest.LogCaptureFixture
+    slots: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    learner, collect = small(policy_step=policy_step), Watching(mortal())
+    learner, collect = small(**slots), Watching(mortal())
     state = start(learner)
     after, info = learner.step(jax.random.key(1), state, collect)
     assert int(learner.iteration(after)) == 1

@@ -16,6 +16,7 @@ from maesn.policies import (
     AbstractPolicySettings,
     CategoricalMLP,
     GaussianMLP,
+    HyperRecurrent,
     PolicyInput,
     Recurrent,
 )
@@ -26,6 +27,7 @@ SETTINGS: dict[str, AbstractPolicySettings] = {
     "categorical": CategoricalMLP((4,)),
     "recurrent": Recurrent(hidden_size=4, readout_sizes=(3,)),
     "recurrent, discrete": Recurrent("discrete", (5,), 4, (3,)),
+    "hypernetwork": HyperRecurrent(hidden_size=4, readout_sizes=(3,), symlog=True),
 }
 
 
@@ -57,6 +59,10 @@ def advance(policy: AbstractPolicy, *given: Any) -> Any:
 def test_unroll_is_step_by_step(name: str) -> None:
     policy = SETTINGS[name].init(jax.random.key(0), OBSERVATION, ACTION, CONTEXT)
     stream = np.random.default_rng(1)
+    # A hypernetwork does not read the recurrent state at its start.
+    policy = jax.tree.map(
+        lambda x: x + jnp.asarray(0.1 * stream.normal(size=x.shape), float), policy
+    )
     inputs, context = random_inputs(), jnp.asarray(stream.normal(size=(EPISODES, CONTEXT)), float)
     valid = stream.random((EPISODES, STEPS)) < 0.7
     before = jax.tree.map(
@@ -75,6 +81,25 @@ def test_unroll_is_step_by_step(name: str) -> None:
                          distribution, here)  # fmt: skip
         kept = jax.tree.map(lambda x: x[episode], last)  # noqa: B023
         jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), carry, kept)
+
+
+def test_symlog_is_what_the_network_reads_of_all_that_is_a_number() -> None:
+    own, plain = (
+        HyperRecurrent(hidden_size=4, symlog=one).init(jax.random.key(0), OBSERVATION, ACTION, 0)
+        for one in (True, False)
+    )
+    *numbers, start = (100.0 * np.asarray(x) for x in random_inputs())
+    valid, z = jnp.ones((EPISODES, STEPS), bool), jnp.zeros((EPISODES, 0))
+    logs = (jnp.asarray(np.sign(x) * np.log(1.0 + np.abs(x)), float) for x in numbers)
+    read, given = (
+        PolicyInput(*(jnp.asarray(x, float) for x in found), jnp.asarray(start > 0))
+        for found in (logs, numbers)
+    )
+    found, expected = (
+        unroll(policy, inputs, valid, z, fresh_memory(policy))
+        for policy, inputs in ((own, given), (plain, read))
+    )
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6), found, expected)
 
 
 @pytest.mark.parametrize(
@@ -110,6 +135,7 @@ def test_kinds_of_actions() -> None:
         "categorical": "discrete",
         "recurrent": "continuous",
         "recurrent, discrete": "discrete",
+        "hypernetwork": "continuous",
     }
     policy = SETTINGS["recurrent, discrete"].init(jax.random.key(0), OBSERVATION, ACTION, 0)
     first = jax.tree.map(lambda x: x[0, 0], random_inputs())

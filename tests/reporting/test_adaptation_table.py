@@ -75,7 +75,7 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
         ),
         (
             {"rule": SearchRule(), "episodes": 10, "deploy_after": (0, 10)},
-            "test-sparse-search-39fae0-with-10-episodes-after-0-10",
+            "test-sparse-search-300275-with-10-episodes-after-0-10",
             "search with 10 episodes after 0 10",
         ),
     ],
@@ -113,7 +113,7 @@ def test_the_usual_table_is_by_the_methods_own_rule_and_the_usual_budget_if_ther
 ) -> None:
     assert usual_table(tmp_path) is None
     folder = tmp_path / "adaptation"
-    for name in ("test-sparse-search-39fae0", "test-dense", "ood-sparse"):
+    for name in ("test-sparse-search-300275", "test-dense", "ood-sparse"):
         write_adaptation(folder / f"{name}.csv", adaptation_table())
     assert usual_table(tmp_path) is None
     for name in ("test-sparse-with-100-episodes", "test-sparse"):

@@ -82,8 +82,8 @@ def test_the_tidy_table_has_one_row_per_method_seed_task_and_update(tmp_path: Pa
     with (tmp_path / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert ",".join(rows[0]) == (
-        "method,seed,task,update,purpose,steps,mean_return,goal_return,success_rate,score,"
-        "solved_at_reset"
+        "method,seed,task,update,purpose,protocol,steps,mean_return,goal_return,success_rate,"
+        "score,solved_at_reset"
     )
     # Baselines and oracle are played once, at the start.
     assert len(rows) == (2 * 8 + 5) * (NUM_UPDATES + 1) + 3 * 8

@@ -1,9 +1,12 @@
 """Environments in an interpreter that has NumPy and nothing else: neither this library nor JAX."""
 
+import json
+import os
 import re
 import sys
 import venv
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,9 +15,9 @@ from playing import play
 from small_runs import metrics
 
 from maesn import cli
-from maesn.envs import TaskFamily
+from maesn.envs import TaskFamily, describe_env
 from maesn.envs.foreign import gymnasium_family
-from maesn.foreign import InterfaceError, hosted_in
+from maesn.foreign import InterfaceError, WorkerPool, hosted_in
 from maesn.runs.run import Run
 from maesn.storage import RunError
 from maesn.worlds import EpisodeError
@@ -61,11 +64,11 @@ def hang(task, reward):
 """
 
 
-def family_of(name: str, time_limit: float = 60.0) -> TaskFamily:
+def family_of(name: str, time_limit: float = 60.0, **settings: Any) -> TaskFamily:
     def draw(stream: np.random.Generator, size: int) -> np.ndarray:
         return stream.uniform(-1, 1, (size, 2)).astype(np.float32)
 
-    return gymnasium_family("there", f"{name}", draw, horizon=5, time_limit=time_limit)
+    return gymnasium_family("there", f"{name}", draw, horizon=5, time_limit=time_limit, **settings)
 
 
 @pytest.fixture
@@ -118,17 +121,43 @@ def test_what_goes_wrong_there_is_said_with_its_last_words(name: str, python: Pa
     assert wanted.get(name, "") in words
 
 
-def test_an_interpreter_that_cannot_do_it_is_named(tmp_path: Path) -> None:
+def test_an_interpreter_that_cannot_do_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     family = family_of("there_env:make")
-    reason = "before it could make one .*No module named 'numpy'"
-    bare = bare_interpreter(tmp_path / "bare")
-    with hosted_in(bare), pytest.raises(InterfaceError, match=reason):
-        family.make_env()
+    bare, text = bare_interpreter(tmp_path / "bare"), tmp_path / "text"
+    text.write_text("no program")
+    text.chmod(0o755)
+    monkeypatch.setenv("PYTHONPATH", str(Path(np.__file__).parents[1]))  # of this interpreter
+    reasons = {
+        bare: "python` ended before it could make an environment .*No module named 'numpy'",
+        text: "text` cannot be started: Exec format error",
+        Path("/bin/true"): r"true` ended before it could make an environment \(exit code 0\)",
+    }
+    for python, reason in reasons.items():
+        with hosted_in(python), pytest.raises(InterfaceError, match=reason):
+            family.make_env()
     with pytest.raises(RunError, match="`--python` must be the path of an interpreter"):
         hosted_in(tmp_path).__enter__()
     sent = gymnasium_family("there", lambda task, reward: None, family.draw_tasks, horizon=5)
     with hosted_in(sys.executable), pytest.raises(InterfaceError, match="must be its"):
         sent.make_env()
+    monkeypatch.setattr("maesn.foreign.process.PROTOCOL", 0)
+    with pytest.raises(InterfaceError, match="speaks version 0 of the protocol, this file 1"):
+        family.make_env()
+
+
+def test_a_family_may_know_its_interpreter(python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the current directory, unless there is none or another one is named."""
+    monkeypatch.delenv("MAESN_PYTHON", raising=False)
+    usual = os.path.relpath(python)
+    pools = [WorkerPool("there_env:make", "dense", None, 1, 60.0, x) for x in (usual, "absent", "")]
+    assert [pool._python for pool in pools] == [str(python), None, None]
+    with hosted_in(sys.executable):
+        assert WorkerPool("there_env:make", "dense", None, 1, 60.0, usual)._python == sys.executable
+    made = family_of("there_env:make", python=usual).make_env()
+    assert made.recipe.python == usual
+    assert "there" not in json.dumps(describe_env(made)).replace('"there"', "")
 
 
 def test_commands_take_the_interpreter_and_runs_do_not_name_it(

@@ -45,3 +45,20 @@ def test_a_ball_looks_the_same_in_a_world_of_any_size() -> None:
         np.testing.assert_allclose(small.astype(int), usual.astype(int), atol=3)
         np.testing.assert_allclose(large.astype(int), usual.astype(int), atol=3)
         assert np.ptp(usual) > 100
+
+
+def test_a_robot_whose_tasks_are_no_places_is_followed_by_its_own_camera() -> None:
+    env, task = FAMILIES["cheetah_vel"].make_env(), FAMILIES["cheetah_vel"].task_set("test")[0]
+    assert arena(env, np.asarray(task)[None], {"qpos": np.zeros((1, 9))}) is None
+
+    def pictures() -> list[np.ndarray]:
+        with closing(Scene(env, None, 60, 40)) as scene:
+            # The floor repeats every 80 / 60 m, of which 8 m are six.
+            poses = np.zeros((3, 9))
+            poses[1, 0], poses[2, 2] = 8.0, 0.5  # elsewhere, and nose down
+            return [scene.draw({"qpos": pose}, task).astype(float) for pose in poses]
+
+    shown = drawn(pictures)
+    if shown is not None:
+        here, there, down = shown
+        assert np.abs(here - there).mean() < 0.5 * np.abs(here - down).mean()

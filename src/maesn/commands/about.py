@@ -10,7 +10,7 @@ import numpy as np
 
 from maesn._version import __version__
 from maesn.commands.options import command
-from maesn.envs import FAMILIES
+from maesn.envs import FAMILIES, HOSTED
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
 from maesn.learners import PRESETS, SCRATCH
@@ -60,7 +60,8 @@ def list() -> None:  # noqa: A001
         settings = {name: _settings(rule()) for name, rule in rules.items()}
         described = _first_lines(rules)
         _show(f"for `--{option}`", {name: described[name] + settings[name] for name in rules})
-    _show("families", _first_lines({name: one.make_env for name, one in FAMILIES.items()}))
+    families = FAMILIES | HOSTED
+    _show("families", _first_lines({name: one.make_env for name, one in families.items()}))
     trained = {name: read_config(TRAINED / name).settings for name in policy_names()}
     _show(
         "trained policies, for `maesn adapt NAME`",
@@ -69,7 +70,7 @@ def list() -> None:  # noqa: A001
 
 
 def _show(title: str, texts: Mapping[str, str]) -> None:
-    print(f"{title}:", *(f"  {name:16s}{text}" for name, text in texts.items()), sep="\n")
+    print(f"{title}:", *(f"  {name:15s} {text}" for name, text in texts.items()), sep="\n")
 
 
 def _settings(rule: Any) -> str:

@@ -1,5 +1,6 @@
 """Command lines: a command is a function, and tyro makes its parameters options."""
 
+import argparse
 import functools
 import inspect
 import re
@@ -9,6 +10,7 @@ from typing import Any
 import tyro
 import tyro._strings
 
+from maesn.evaluation.evaluation import Evaluation
 from maesn.runs.process import enable_compilation_cache
 from maesn.storage import refusals
 
@@ -31,7 +33,8 @@ def command(
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
 
-    Its parameters are the options, its docstring is the help.
+    Its parameters are the options, its docstring is the help. `--protocol` decides the defaults of
+    an evaluation.
     """
 
     @functools.wraps(function)
@@ -42,14 +45,25 @@ def command(
     bound.__doc__ = re.sub(r"\n {5,}", " ", inspect.getdoc(function) or "")  # each argument a line
     signature = inspect.signature(function)
     named = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    bound.__signature__ = signature.replace(parameters=named)  # type: ignore[attr-defined]
 
     def main(arguments: list[str]) -> None:
+        suited = [_by_protocol(one, arguments) for one in named]
+        bound.__signature__ = signature.replace(parameters=suited)  # type: ignore[attr-defined]
         run = parse(bound, function.__name__, arguments)
         enable_compilation_cache()
         show(run())
 
     return main
+
+
+def _by_protocol(parameter: inspect.Parameter, arguments: list[str]) -> inspect.Parameter:
+    """Return a parameter whose default, if it is an evaluation, is by the protocol, if any."""
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--protocol", nargs="?")
+    name, usual = first.parse_known_args(arguments)[0].protocol, parameter.default
+    if name is None or not isinstance(usual, Evaluation):
+        return parameter
+    return parameter.replace(default=usual.changed(protocol=name))
 
 
 def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:

@@ -11,6 +11,7 @@ import tyro
 from maesn import api, learners
 from maesn.commands.options import parse
 from maesn.commands.runs import say_what_is_next
+from maesn.envs import is_own
 from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing
@@ -18,7 +19,7 @@ from maesn.runs.config import RunSettings, make_env
 from maesn.runs.process import enable_compilation_cache
 from maesn.runs.sources import own_method
 from maesn.runs.training import KEEP
-from maesn.settings import suggestion
+from maesn.settings import in_files, suggestion
 from maesn.storage import RunError
 
 
@@ -65,7 +66,10 @@ def train(arguments: list[str]) -> None:
     options = read_options(method, rest)
     enable_compilation_cache()
     settings = options.run_settings
-    names = (name.rpartition(":")[2] for name in (method, settings.family))
+    names = (
+        name.rpartition(":")[2] if is_own(name) else in_files(name)
+        for name in (method, settings.family)
+    )
     directory = options.run or Path("runs") / "-".join([*names, str(settings.seed)])
     env = make_env(resolve_family(settings.family), settings)
     # Actions are choices in some families: nobody should have to say so.

@@ -2,6 +2,12 @@
 
 from maesn.envs.ant import Ant as Ant
 from maesn.envs.ant import ant as ant
+from maesn.envs.ant_v5 import AntDir as AntDir
+from maesn.envs.ant_v5 import AntGoal as AntGoal
+from maesn.envs.ant_v5 import SparseAntGoal as SparseAntGoal
+from maesn.envs.ant_v5 import ant_dir as ant_dir
+from maesn.envs.ant_v5 import ant_goal as ant_goal
+from maesn.envs.ant_v5 import sparse_ant_goal as sparse_ant_goal
 from maesn.envs.base import AbstractEnv as AbstractEnv
 from maesn.envs.base import AbstractMujocoEnv as AbstractMujocoEnv
 from maesn.envs.base import AbstractPureEnv as AbstractPureEnv
@@ -14,8 +20,17 @@ from maesn.envs.blockpush import BlockPushTask as BlockPushTask
 from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import find_family as find_family
+from maesn.envs.catalogue import is_own as is_own
+from maesn.envs.cheetah import Body as Body
+from maesn.envs.cheetah import CheetahBody as CheetahBody
+from maesn.envs.cheetah import CheetahDir as CheetahDir
+from maesn.envs.cheetah import CheetahVel as CheetahVel
+from maesn.envs.cheetah import cheetah_body as cheetah_body
+from maesn.envs.cheetah import cheetah_dir as cheetah_dir
+from maesn.envs.cheetah import cheetah_vel as cheetah_vel
 from maesn.envs.grid_navi import GridNavi as GridNavi
 from maesn.envs.grid_navi import grid_navi as grid_navi
+from maesn.envs.metaworld import HOSTED as HOSTED
 from maesn.envs.point import Point as Point
 from maesn.envs.point import point as point
 from maesn.envs.recorded import EnvRecord as EnvRecord

@@ -119,7 +119,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         task: Goal,
     ) -> Reward:
         # A state that blew up has no reward: the last sound one counts instead.
-        alive = _is_sound(next_readings)
+        alive = is_sound(next_readings)
         seen = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
         goal = self._goal_reward(seen, task)
         if self.variant == "paper":
@@ -148,7 +148,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         return BONUS - C_MAX
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
-        lost = jnp.logical_not(_is_sound(readings))
+        lost = jnp.logical_not(is_sound(readings))
         if self.variant == "paper":
             return lost
         height = readings["qpos"][2]
@@ -181,7 +181,7 @@ def _centre(readings: Readings) -> Float[Array, " 2"]:
     return readings["subtree_com"][TORSO, :2]
 
 
-def _is_sound(readings: Readings) -> Bool[Array, ""]:
+def is_sound(readings: Readings) -> Bool[Array, ""]:
     """Whether the state is finite and of a size that the engine can go on from."""
     state = jnp.concatenate([readings["qpos"], readings["qvel"]])
     return jnp.all(jnp.abs(state) <= LARGEST)  # false of NaN as well

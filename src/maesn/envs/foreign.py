@@ -34,6 +34,8 @@ def gymnasium_family(
     reward: Callable[..., Any] | None = None,
     time_limit: float = TIME_LIMIT,
     max_environments: int = MAX_ENVIRONMENTS,
+    python: str = "",
+    interface: Interface | None = None,
 ) -> TaskFamily:
     """Return a family of tasks in a Gymnasium environment.
 
@@ -66,6 +68,10 @@ def gymnasium_family(
         time_limit: seconds that one call of an environment may take before it counts as hanging.
         max_environments: adaptation takes fewer tasks at a time to keep no more environments
             than that; each episode that is played at the same time has one.
+        python: path of the interpreter in which `make_env` is imported, from the current directory,
+            such as `.venv-arm/bin/python`; `--python` names another. Where there is no such file,
+            it is the library's own.
+        interface: what the environments look like, so that none needs to be made to see it.
 
     Raises:
         ValueError: `situation` is given without `reward`.
@@ -75,11 +81,14 @@ def gymnasium_family(
             f"`situation` of `{name}` needs `reward`: the environment can only be asked for the "
             "reward of the task that it plays."
         )
-    recipe = Recipe(make_env, time_limit, max_environments, position, goal, situation, reward)
+    recipe = Recipe(
+        make_env, time_limit, max_environments, position, goal, situation, reward, python
+    )
 
     @cache
     def family_class() -> type[AbstractGymnasiumEnv]:
-        found = _look_at(name, recipe, task_row(family.task_set("training").tasks, 0))
+        tasks = family.task_set("training").tasks
+        found = interface or _look_at(name, recipe, task_row(tasks, 0))
         return _family_class(name, found, recipe, control_period)
 
     def make(
@@ -142,7 +151,7 @@ def _look_at(name: str, recipe: Recipe, task: Any) -> Interface:
     # In a process of its own, where it may hang or crash.
     try:
         with contextlib.closing(
-            WorkerPool(recipe.make_env, "dense", None, 1, recipe.time_limit)
+            WorkerPool(recipe.make_env, "dense", None, 1, recipe.time_limit, recipe.python)
         ) as pool:
             return pool.describe(pack_task(task))
     except (WorkerError, InterfaceError) as error:

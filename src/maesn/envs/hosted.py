@@ -51,6 +51,8 @@ class Recipe:
     """What of a task an episode depends on; None for all of it."""
     reward: Callable[..., Any] | None
     """The environment's own reward, as a function; None if it cannot be said."""
+    python: str = ""
+    """Path of the interpreter, unless `--python` names one; as in `gymnasium_family`."""
 
 
 class AbstractGymnasiumEnv(AbstractEnv[Any]):
@@ -122,9 +124,9 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
 
     def open_pool(self, num_workers: int) -> WorkerPool:
         """Return workers that host this environment; nothing is started yet."""
-        how = self.recipe
+        how, kind = self.recipe, self.reward_kind
         return WorkerPool(
-            how.make_env, self.reward_kind, self.interface.spaces, num_workers, how.time_limit
+            how.make_env, kind, self.interface.spaces, num_workers, how.time_limit, how.python
         )
 
     def check_shown(self, kind: ObservedReward) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from maesn.envs.catalogue import find_family
+from maesn.envs.catalogue import find_family, is_own
 from maesn.envs.tasks import NAMED_SETS, TaskFamily, TaskSet
 from maesn.storage import RunError, read_arrays, refusals, write_arrays
 
@@ -18,7 +18,7 @@ LARGEST_TASKS = 2**24
 
 def resolve_family(name: str) -> TaskFamily:
     """Return a family by its name, or as `imported`."""
-    if ":" not in name:
+    if not is_own(name):
         try:
             return find_family(name)
         except ValueError as error:

@@ -8,6 +8,7 @@ import tyro
 
 from maesn.envs import AnyEnv, RewardKind
 from maesn.evaluation.arguments import AnyRule, AnyWrappers
+from maesn.evaluation.protocols import PROTOCOLS, ProtocolName, check_protocol, settings_by
 from maesn.learners import AbstractFastLearner
 from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, written_out
 from maesn.runs.serialization import digest_of_document
@@ -62,9 +63,13 @@ class Evaluation:
     tasks_at_once: int = 25
     """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
     about 100 MB. What is played does not depend on it."""
+    protocol: ProtocolName | None = None
+    """How others evaluate, such as metaworld-ml1: sets tasks, reward and numbers of episodes, all
+    of which are in the table's record. None: as the other settings say."""
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
+        check_protocol(self.protocol, self)
         check_numbers(
             self,
             num_tasks=1,
@@ -94,9 +99,15 @@ class Evaluation:
             )
 
     def changed(self, **settings: Any) -> "Evaluation":
-        """Return the evaluation with some settings changed; `RunError` if they cannot be."""
+        """Return the evaluation with some settings changed; `RunError` if they cannot be.
+
+        A protocol takes the place of defaults.
+        """
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
         with refusals():
-            return dataclasses.replace(self, **settings)
+            asked = settings_by(settings.get("protocol")).items()
+            by = {name: value for name, value in asked if getattr(self, name) == usual[name]}
+            return dataclasses.replace(self, **by | settings)
 
     @property
     def budget(self) -> Budget:
@@ -115,6 +126,13 @@ class Evaluation:
     def count(self, tasks: Sized) -> int:
         """Return how many tasks of a set are adapted to: the first ones."""
         return len(tasks) if self.num_tasks is None else min(self.num_tasks, len(tasks))
+
+    @property
+    def protocol_record(self) -> dict[str, str]:
+        """Name of the protocol and the measure that it reports, for records; empty without one."""
+        if self.protocol is None:
+            return {}
+        return {"protocol": self.protocol, "measure": PROTOCOLS[self.protocol].measure}
 
     @property
     def label(self) -> str:

@@ -78,6 +78,7 @@ def evaluate(
     return outcome, {
         **known,
         **run.identity(),
+        **evaluation.protocol_record,
         "rule": evaluation.rule_text,
         "label": evaluation.label,
         "world": describe_env(world.env),
@@ -149,10 +150,14 @@ class Adapted(NamedTuple):
 
 
 def write_outcome(table: Path, outcome: AdaptationOutcome, record: Mapping[str, Any]) -> Adapted:
-    """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents."""
+    """Write curves as the `.csv` file `table`; beside it the record, and the adapted latents.
+
+    If the record names a protocol, each row does as well.
+    """
     # In this order: a record never stands beside curves or latents that it does not belong to.
     table.with_suffix(RECORD).unlink(missing_ok=True)
-    write_rows(table, as_rows(outcome))
+    named = {name: record[name] for name in ("protocol",) if name in record}
+    write_rows(table, ({**row, **named} for row in as_rows(outcome)))
     held, latents = held_latents(outcome), None
     if held is not None:
         latents = table.with_suffix(LATENTS)

@@ -30,7 +30,7 @@ Readings: TypeAlias = dict[str, Float[np.ndarray, "simulation ..."]]
 _NUMBERS = ("reward", "terminated", "truncated", "solved")
 
 # Variable with the interpreter of the environments. Processes that this one starts inherit it.
-_PYTHON = "MAESN_PYTHON"
+PYTHON = "MAESN_PYTHON"
 
 _CHECKS_PER_LIMIT = 10
 
@@ -49,6 +49,8 @@ class WorkerPool:
         spaces: those that every task must have; None for the first one's.
         num_workers: largest number of processes; they start when there are simulations for them.
         time_limit: seconds that one call of one environment may take.
+        python: path of the interpreter, unless `hosted_in` names another; empty, or where there is
+            none: this one.
 
     Raises:
         WorkerError: `make_env` cannot be sent to a process.
@@ -61,10 +63,12 @@ class WorkerPool:
         spaces: dict[str, Any] | None,
         num_workers: int,
         time_limit: float,
+        python: str = "",
     ) -> None:
         self._num_workers = num_workers
         self._time_limit = time_limit
-        self._python = os.environ.get(_PYTHON)
+        usual = str(Path(python).absolute()) if Path(python).is_file() else None
+        self._python = os.environ.get(PYTHON, usual)
         self._recipe = _recipe(make_env, (reward, spaces), self._python)
         self._workers: list[Worker] = []
         self._guard: Guard | None = None
@@ -198,14 +202,14 @@ def hosted_in(python: str | os.PathLike[str]) -> Iterator[None]:
             "`--python` must be the path of an interpreter, such as .venv/bin/python, got "
             f"`{os.fspath(python)}`."
         )
-    before = os.environ.get(_PYTHON)
-    os.environ[_PYTHON] = str(Path(python).absolute())  # unresolved: a venv's is a link
+    before = os.environ.get(PYTHON)
+    os.environ[PYTHON] = str(Path(python).absolute())  # unresolved: a venv's is a link
     try:
         yield
     finally:
-        del os.environ[_PYTHON]
+        del os.environ[PYTHON]
         if before is not None:
-            os.environ[_PYTHON] = before
+            os.environ[PYTHON] = before
 
 
 def pack_task(task: Any) -> bytes:

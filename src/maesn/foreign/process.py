@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -61,16 +62,8 @@ class Worker:
             # With this interpreter's module path, a worker can import all that the parent can.
             path = json.dumps(None if python else sys.path)
             arguments = [str(Path(program.__file__)), str(PROTOCOL), *map(str, descriptors), path]
-            self.process = subprocess.Popen(
-                [python or sys.executable, *arguments],
-                pass_fds=descriptors,
-                # A user's module may import JAX, which must leave the accelerator to the parent.
-                env=os.environ | {"JAX_PLATFORMS": "cpu"},
-                stdin=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                # A session of its own: Ctrl-C is the parent's to handle.
-                start_new_session=True,
-            )
+            self._python = python or sys.executable
+            self.process = _started([self._python, *arguments], descriptors)
         self._seen, self._since = -1, time.monotonic()
         self._written: deque[bytes] = deque(maxlen=_LAST_LINES)
         self._relay = threading.Thread(target=self._pass_on, daemon=True)
@@ -103,7 +96,7 @@ class Worker:
             reason = f"the environment has ended its process (exit code {code})"
             return WorkerError(first + stride * environment, reason, lines)
         said = f": {lines.splitlines()[-1]}" if lines else ""
-        who = "the process of the environment ended before it could make one"
+        who = f"`{self._python}` ended before it could make an environment"
         return WorkerError(first, f"{who} (exit code {code}){said}")
 
     def _last_lines(self) -> str:
@@ -151,3 +144,31 @@ class Worker:
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self._mark.close()
+
+
+def _variables() -> dict[str, str]:
+    """Return the environment variables of a worker.
+
+    Another interpreter must not find this one's packages, which a module path may name.
+    """
+    own = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    kept = [x for x in given if not any(Path(x).is_relative_to(place) for place in own)]
+    # A user's module may import JAX, which must leave the accelerator to the parent.
+    return os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(kept)}
+
+
+def _started(command: list[str], descriptors: tuple[int, ...]) -> "subprocess.Popen[bytes]":
+    """Start a worker; a `WorkerError` if its interpreter is no program."""
+    try:
+        return subprocess.Popen(
+            command,
+            pass_fds=descriptors,
+            env=_variables(),
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            # A session of its own: Ctrl-C is the parent's to handle.
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise WorkerError(0, f"`{command[0]}` cannot be started: {error.strerror}") from error

@@ -527,8 +527,9 @@ def main(protocol: str, connection: str, mark: str, path: str) -> None:
     # an empty handler, and not SIG_IGN, which the environments' own processes would inherit.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: None)
-    # The place of this file is no place of modules.
-    sys.path[:] = json.loads(path) or [*sys.path[1:], str(Path.cwd())]
+    # The place of this file is no place of modules; the one of those for known simulators is.
+    own = str(Path(__file__).with_name("adapters"))
+    sys.path[:] = [*(json.loads(path) or [*sys.path[1:], str(Path.cwd())]), own]
     with mmap.mmap(int(mark), MARK.size) as shared, contextlib.suppress(EOFError, OSError):
         _serve(Connection(int(connection)), shared)
 

@@ -22,6 +22,12 @@ IDS: dict[str, str] = {
     "point": "maesn/Point-v0",
     "sparse_point": "maesn/SparsePoint-v0",
     "grid_navi": "maesn/GridNavi-v0",
+    "cheetah_vel": "maesn/CheetahVel-v0",
+    "cheetah_dir": "maesn/CheetahDir-v0",
+    "cheetah_body": "maesn/CheetahBody-v0",
+    "ant_dir": "maesn/AntDir-v0",
+    "ant_goal": "maesn/AntGoal-v0",
+    "sparse_ant_goal": "maesn/SparseAntGoal-v0",
 }
 """Family -> the name under which Gymnasium makes it."""
 

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
+from maesn.envs import TaskSet
 from maesn.gym.settings import NO_EPISODE, RENDER_MODES, refuse_unknown
 from maesn.gym.stepping import SETTINGS, Information, Stepper
 
@@ -41,6 +42,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self.action_space = self._stepper.action_space
         self.render_mode = render_mode
         self.metadata = self._stepper.metadata
+
+    @property
+    def tasks(self) -> TaskSet:
+        """The tasks that an index counts in: `len(env.tasks)`, `env.tasks[3]`."""
+        return self._stepper.tasks
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

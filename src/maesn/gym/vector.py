@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Int
 
+from maesn.envs import TaskSet
 from maesn.gym.settings import NO_EPISODE, RENDER_MODES, refuse_unknown
 from maesn.gym.stepping import SETTINGS, Information, Stepper
 
@@ -62,6 +63,11 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         self.metadata = self._stepper.metadata | {"autoreset_mode": self._mode}
         self._streams = [seeding.np_random()[0] for _ in range(num_envs)]
         self._running = False
+
+    @property
+    def tasks(self) -> TaskSet:
+        """The tasks that an index counts in: `len(envs.tasks)`, `envs.tasks[3]`."""
+        return self._stepper.tasks
 
     def reset(
         self,

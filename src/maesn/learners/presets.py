@@ -16,6 +16,7 @@ from maesn.learners.pearl.meta_learner import PearlMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
 from maesn.learners.scratch.policy_gradient import PolicyImprovement
+from maesn.learners.varibad.meta_learner import VaribadMetaLearner
 from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import FineTuning
@@ -170,6 +171,15 @@ def pearl(**settings: Any) -> PearlMetaLearner:
     return PearlMetaLearner(**settings)
 
 
+def varibad(**settings: Any) -> VaribadMetaLearner:
+    """VariBAD: a recurrent belief about the task, acted on by PPO; with a bonus, HyperX.
+
+    Source: Zintgraf et al. 2020 and 2021. Settings are those that the authors' code has on most
+    tasks; docs/explanation/methods/varibad.md lists those of GridNavi and of point goals.
+    """
+    return VaribadMetaLearner(**settings)
+
+
 def fine_tuned(
     learner: AbstractFastLearner[Any], improvement: PolicyImprovement, after: int
 ) -> AbstractFastLearner[Any]:
@@ -200,6 +210,7 @@ PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {
         rl2,
         rl2_trpo,
         pearl,
+        varibad,
         oracle,
     )
 }

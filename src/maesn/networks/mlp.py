@@ -22,7 +22,7 @@ class Linear(eqx.Module):
 
 
 class MLP(eqx.Module):
-    """Rectified linear hidden layers and a linear output.
+    """Rectified linear hidden layers and a linear output, of its inputs side by side.
 
     `equinox.nn.MLP` would do, but it carries its activation function as a leaf, and everything
     that travels through `jax.lax.scan` or is written to a checkpoint here holds arrays alone.
@@ -30,7 +30,8 @@ class MLP(eqx.Module):
 
     layers: tuple[Linear, ...]
 
-    def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
+    def __call__(self, *inputs: Float[Array, " _"]) -> Float[Array, " outputs"]:
+        x = jnp.concatenate(inputs)
         for layer in self.layers[:-1]:
             x = jax.nn.relu(layer(x))
         return self.layers[-1](x)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.networks.gru import GRU, init_gru
+from maesn.networks.hyper import HyperMLP, hyper_mlp
 from maesn.networks.mlp import MLP, Linear, init_mlp
 
 # Outputs start close to 0: "What matters in on-policy reinforcement learning?" (Andrychowicz et
@@ -17,15 +18,16 @@ OUTPUT_SCALE = 0.01
 
 
 class RecurrentNetwork(eqx.Module):
-    """y = readout([e, h']), h' = gru(e, h), e = encoder(x).
+    """y = readout(e, h'), h' = gru(e, h), e = encoder(x).
 
-    The readout sees the present input beside h': a reaction to it need not go through h'.
+    The readout sees the present input beside h': a reaction to it need not go through h'. It is a
+    network of both side by side, or one of e whose weights h' makes.
     """
 
     encoder: tuple[Linear, ...]
     """Rectified linear layers; none for e = x."""
     gru: GRU
-    readout: MLP
+    readout: MLP | HyperMLP
 
     def initial_recurrent_state(self) -> Float[Array, " hidden"]:
         """Return h = 0."""
@@ -37,7 +39,7 @@ class RecurrentNetwork(eqx.Module):
         """Return y and h' of one step."""
         encoded = self._encode(x)
         after = self.gru(encoded, recurrent_state)
-        return self.readout(jnp.concatenate([encoded, after])), after
+        return self.readout(encoded, after), after
 
     def unroll(
         self,
@@ -48,7 +50,7 @@ class RecurrentNetwork(eqx.Module):
         """Return y of every step, and the last h'; where `valid` is false, h is kept."""
         encoded = jax.vmap(self._encode)(x)
         states, last = self.gru.unroll(encoded, valid, recurrent_state)
-        return jax.vmap(self.readout)(jnp.concatenate([encoded, states], axis=-1)), last
+        return jax.vmap(self.readout)(encoded, states), last
 
     def _encode(self, x: Float[Array, " inputs"]) -> Float[Array, " encoded"]:
         for layer in self.encoder:
@@ -73,6 +75,7 @@ def init_recurrent_network(
     encoder_sizes: tuple[int, ...],
     hidden_size: int,
     readout_sizes: tuple[int, ...],
+    hyper: bool = False,
 ) -> RecurrentNetwork:
     """Return a network whose outputs are close to 0.
 
@@ -83,14 +86,17 @@ def init_recurrent_network(
         encoder_sizes: widths of the encoder's layers.
         hidden_size: components of h.
         readout_sizes: widths of the readout's hidden layers.
+        hyper: whether h' makes the weights of the readout, instead of being an input of it.
     """
     encoder_key, gru_key, readout_key = jax.random.split(key, 3)
     sizes = (inputs, *encoder_sizes)
     encoder = init_mlp(encoder_key, sizes).layers if encoder_sizes else ()
-    readout = init_mlp(readout_key, (sizes[-1] + hidden_size, *readout_sizes, outputs))
+    beside = 0 if hyper else hidden_size
+    readout = init_mlp(readout_key, (sizes[-1] + beside, *readout_sizes, outputs))
     last = eqx.tree_at(lambda layer: layer.weight, readout.layers[-1], replace_fn=_shrink)
     readout = MLP((*readout.layers[:-1], last))
-    return RecurrentNetwork(encoder, init_gru(gru_key, sizes[-1], hidden_size), readout)
+    gru = init_gru(gru_key, sizes[-1], hidden_size)
+    return RecurrentNetwork(encoder, gru, hyper_mlp(readout, hidden_size) if hyper else readout)
 
 
 def _shrink(weight: Array) -> Array:

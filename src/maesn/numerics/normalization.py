@@ -77,4 +77,6 @@ def no_observations(size: int) -> ObservationStatistics:
     Args:
         size: components of an observation.
     """
-    return ObservationStatistics(jnp.zeros(()), jnp.zeros(size), jnp.full(size, 1.0 - EPSILON))
+    return ObservationStatistics(
+        jnp.zeros(()), jnp.zeros(size), jnp.full(size, 1.0 - EPSILON, float)
+    )

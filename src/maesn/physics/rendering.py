@@ -71,7 +71,7 @@ class Renderer:
 
     Args:
         model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
-        view: what the camera must see.
+        view: what the camera must see; None for the model's own first camera.
         width: width of the pictures, in pixels.
         height: height of the pictures, in pixels.
 
@@ -81,7 +81,7 @@ class Renderer:
     """
 
     def __init__(
-        self, model: str | os.PathLike[str], view: View, width: int = 320, height: int = 240
+        self, model: str | os.PathLike[str], view: View | None, width: int = 320, height: int = 240
     ) -> None:
         compiled = load_model(model)
         compiled.vis.global_.offwidth, compiled.vis.global_.offheight = width, height
@@ -112,11 +112,17 @@ class Renderer:
             trail: positions on the floor, in metres, that are joined by a line; None for no line.
             ringed: whether a ring marks what has to reach the goal.
         """
-        if not self._close.alive:
-            raise RuntimeError("the renderer is closed: make a new one")
         way = np.stack([judged, goal])
         walked = way[:0] if trail is None else trail
-        scene = self._arrangement.of(qpos, goal, radius, way, walked, ringed=ringed)
+        return self._picture(self._arrangement.of(qpos, goal, radius, way, walked, ringed=ringed))
+
+    def draw_alone(self, qpos: Float[np.ndarray, " qpos"]) -> UInt8[np.ndarray, "height width 3"]:
+        """Return a picture of one state without a goal, from its generalised positions."""
+        return self._picture(self._arrangement.alone(qpos))
+
+    def _picture(self, scene: Any) -> UInt8[np.ndarray, "height width 3"]:
+        if not self._close.alive:
+            raise RuntimeError("the renderer is closed: make a new one")
         self._context.make_current()
         mujoco.mjr_render(self._viewport, scene, self._drawer)
         upside_down = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
@@ -131,13 +137,14 @@ class Renderer:
 class _Arrangement:
     """Puts shapes and camera where they belong; needs no library to draw with."""
 
-    def __init__(self, model: Any, view: View, aspect: float) -> None:
+    def __init__(self, model: Any, view: View | None, aspect: float) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
-        self._camera = _camera(view, math.radians(model.vis.global_.fovy), aspect)
+        fovy = math.radians(model.vis.global_.fovy)
+        self._camera = _own_camera(model) if view is None else _camera(view, fovy, aspect)
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._options = mujoco.MjvOption()
-        self._side = float(np.ptp(view, axis=0).max())
+        self._side = 1.0 if view is None else float(np.ptp(view, axis=0).max())
         self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
         self._floor = _missing_floor(model, self._data)
         if not model.nlight:
@@ -153,14 +160,9 @@ class _Arrangement:
         *,
         ringed: bool = False,
     ) -> Any:
-        """Return the scene of one state."""
-        self._data.qpos[:] = qpos
+        """Return the scene of one state with its goal."""
         self._marker.move(self._data, goal, radius)
-        mujoco.mj_forward(self._model, self._data)
-        mujoco.mjv_updateScene(
-            self._model, self._data, self._options, None, self._camera,
-            int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
-        )  # fmt: skip
+        self.alone(qpos)
         self._marker.add_to(self._scene, goal, radius)
         if self._floor is not None:
             size, place = (10 * self._side, 10 * self._side, 0.1), (*goal, self._floor)
@@ -173,6 +175,16 @@ class _Arrangement:
             circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
             ring = way[0] + _RING_SHARE * self._side * circle
             _add_line(self._scene, ring, height, _TRAIL_WIDTH, _GOAL_COLOUR)
+        return self._scene
+
+    def alone(self, qpos: np.ndarray) -> Any:
+        """Return the scene of one state."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_forward(self._model, self._data)
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._options, None, self._camera,
+            int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
+        )  # fmt: skip
         return self._scene
 
 
@@ -255,6 +267,15 @@ def _camera(view: View, field_of_view: float, aspect: float) -> Any:
         max(half_x / (slope * aspect), abs(y) * sine / slope) - y * cosine
         for y in (-half_y, half_y)
     )
+    return camera
+
+
+def _own_camera(model: Any) -> Any:
+    """Return a model's first camera, or one that sees all of it where it has none."""
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    if model.ncam:
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
     return camera
 
 

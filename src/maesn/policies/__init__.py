@@ -8,6 +8,7 @@ from maesn.policies.categorical_mlp import CategoricalMLP as CategoricalMLP
 from maesn.policies.categorical_mlp import CategoricalMLPPolicy as CategoricalMLPPolicy
 from maesn.policies.gaussian_mlp import GaussianMLP as GaussianMLP
 from maesn.policies.gaussian_mlp import GaussianMLPPolicy as GaussianMLPPolicy
+from maesn.policies.recurrent import HyperRecurrent as HyperRecurrent
 from maesn.policies.recurrent import Recurrent as Recurrent
 from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy
 from maesn.policies.recurrent import input_features as input_features

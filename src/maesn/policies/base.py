@@ -65,6 +65,13 @@ class AbstractPolicy(eqx.Module):
         """The kind of reward that the policy receives as the previous one."""
         return "own"
 
+    def seen(self, inputs: PolicyInput) -> PolicyInput:
+        """Return inputs in the units in which a network reads them: as they are, by default.
+
+        A value function beside a recurrent policy reads the same.
+        """
+        return inputs
+
     def after_episode(
         self, policy_input: PolicyInput, recurrent_state: RecurrentState
     ) -> RecurrentState:

@@ -25,11 +25,13 @@ class RecurrentPolicy(AbstractPolicy):
     network: RecurrentNetwork
     head: AbstractHead
     observed: ObservedReward = eqx.field(static=True)
+    symlog: bool = eqx.field(static=True, default=False)
 
     def __call__(
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
     ) -> tuple[AbstractDistribution, RecurrentState]:
-        outputs, after = self.network(input_features(policy_input, z), recurrent_state)
+        features = input_features(self.seen(policy_input), z)
+        outputs, after = self.network(features, recurrent_state)
         return self.head(outputs), after
 
     def initial_recurrent_state(self) -> Float[Array, " hidden"]:
@@ -43,6 +45,13 @@ class RecurrentPolicy(AbstractPolicy):
     def observed_reward(self) -> ObservedReward:
         return self.observed
 
+    def seen(self, inputs: PolicyInput) -> PolicyInput:
+        if not self.symlog:
+            return inputs
+        numbers = inputs.observation, inputs.previous_action, inputs.previous_reward
+        o, a, r = (jnp.sign(x) * jnp.log1p(jnp.abs(x)) for x in numbers)
+        return PolicyInput(o, a, r, inputs.episode_start)
+
     def unroll(
         self,
         inputs: PolicyInput,
@@ -51,7 +60,7 @@ class RecurrentPolicy(AbstractPolicy):
         recurrent_state: RecurrentState,
     ) -> tuple[AbstractDistribution, RecurrentState]:
         along_time = jax.vmap(input_features, in_axes=(0, None))
-        features = jax.vmap(along_time)(inputs, z)
+        features = jax.vmap(along_time)(self.seen(inputs), z)
         outputs, after = jax.vmap(self.network.unroll)(features, valid, recurrent_state)
         return jax.vmap(jax.vmap(self.head))(outputs), after
 
@@ -84,6 +93,16 @@ class Recurrent(AbstractPolicySettings):
     def is_recurrent(self) -> bool:
         return True
 
+    @property
+    def hyper(self) -> bool:
+        """Whether the recurrent state makes the weights of the readout."""
+        return False
+
+    @property
+    def symlog(self) -> bool:
+        """Whether the network reads sign(x) log(1 + |x|) of its inputs."""
+        return False
+
     def for_actions(self, kind: ActionKind) -> "Recurrent":
         if kind == "continuous" or self.initial_std != Recurrent.initial_std:
             return self
@@ -99,9 +118,33 @@ class Recurrent(AbstractPolicySettings):
             encoder_sizes=self.encoder_sizes,
             hidden_size=self.hidden_size,
             readout_sizes=self.readout_sizes,
+            hyper=self.hyper,
         )
         head = make_head(self.action_kind, action_size, self.initial_std)
-        return RecurrentPolicy(network, head, self.observed_reward)
+        return RecurrentPolicy(network, head, self.observed_reward, self.symlog)
+
+
+class HyperRecurrent(Recurrent):
+    """Settings of a `RecurrentPolicy` whose recurrent state makes the weights of its readout.
+
+        π(a_t | x_0 ... x_t) from y_t = mlp_w(e_t),   w = w_0 + W h_t,   W = 0 at the start
+
+    Source: Beck et al. 2023, "Recurrent Hypernetworks are Surprisingly Strong in Meta-RL",
+    https://arxiv.org/abs/2309.14970. `readout_sizes` are the widths of mlp_w, whose input does not
+    hold h_t. `maesn.networks.HyperMLP` has the start.
+    """
+
+    readout_sizes: tuple[int, ...] = (32,)
+    """Widths of the hidden layers that are made. Their GridNavi: one layer of 32."""
+
+    symlog: bool = False
+    """Whether the network reads sign(x) log(1 + |x|) of observation, action and reward (Hafner et
+    al. 2023, "Mastering diverse domains through world models", equation 9). Gates of a recurrent
+    layer do not react where inputs are large, such as the speeds of wheels."""
+
+    @property
+    def hyper(self) -> bool:
+        return True
 
 
 def input_size(observation_size: int, action_size: int, z_size: int = 0) -> int:

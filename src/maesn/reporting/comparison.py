@@ -44,6 +44,11 @@ class Line:
         return self.style.label
 
     @property
+    def protocol(self) -> str:
+        """The name of the protocol that it was evaluated by, if any."""
+        return str(self.settings.get("evaluation.protocol", ""))
+
+    @property
     def num_tasks(self) -> int:
         """Number of tasks; in a comparison the first ones of all."""
         return self.table.num_tasks
@@ -164,7 +169,8 @@ def note_on_judging(lines: Sequence[Line]) -> str:
     """Say which episodes the lines are judged on; with their labels if they differ in it."""
     named: dict[str, list[str]] = {}
     for line in lines:
-        named.setdefault(_JUDGED[line.table.purpose], []).append(line.label)
+        by = f", by the protocol `{line.protocol}`" if line.protocol else ""
+        named.setdefault(_JUDGED[line.table.purpose] + by, []).append(line.label)
     if len(named) == 1:
         return next(iter(named))
     return "; or ".join(f"{text} ({', '.join(labels)})" for text, labels in named.items())
@@ -187,6 +193,7 @@ def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                 "task": task,
                 "update": line.table.updates[column],
                 "purpose": line.table.purpose,
+                "protocol": line.protocol,
                 "steps": line.table.episodes[column] * comparison.horizon,
                 **{name: "" if np.isnan(value) else value for name, value in measures.items()},
                 "solved_at_reset": int(solved[task]),

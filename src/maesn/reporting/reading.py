@@ -17,7 +17,7 @@ from maesn.runtime import archive
 from maesn.storage import RunError, read_json
 
 # TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
-# `-search-39fae0-with-10-episodes`.
+# `-search-300275-with-10-episodes`.
 _NUMBERS = r"(?:-\d+-(?:episodes|per-update|deployed)|-after(?:-\d+)+|-seed-\d+|-action-noise)+"
 _NAME = re.compile(rf"(.+)-(dense|sparse)(-.+?)??(-with{_NUMBERS})?")
 

@@ -61,6 +61,7 @@ METHOD_STYLES = {
     "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, ":", "P"),
     "rl2": MethodStyle("RL²", BLACK, "--", "X"),
     "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, ":", "p"),
+    "varibad": MethodStyle("VariBAD", BLUISH_GREEN, "--", "d"),
     "vime": MethodStyle("VIME", ORANGE, "--", "h"),
     "trpo": MethodStyle("TRPO", GREY, "-.", "<"),
     "reinforce": MethodStyle("REINFORCE", GREY, ":", ">"),

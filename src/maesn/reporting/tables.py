@@ -16,6 +16,7 @@ from maesn.reporting.comparison import Comparison, Line, note_on_judging, note_o
 from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
 from maesn.reporting.statistics import INTERVAL, Interval, bootstrap, curve
 from maesn.reporting.style import MethodStyle
+from maesn.settings import leaves
 
 _MAX_WIDTH = 120  # columns that a table may take where numbers need them
 _FEW_TASKS = 10  # each has a row of its own
@@ -104,7 +105,9 @@ def adaptation_tables(path: Path) -> list[TextTable]:
     tasks or fewer, each has a row. A `RunError` says if the file is missing or broken.
     """
     table = stack_seeds([read_adaptation(path)])
-    parts = Comparison((Line("", MethodStyle("the method"), (0,), table),)).parts().items()
+    settings = leaves({"evaluation": table.about})
+    line = Line("", MethodStyle("the method"), (0,), table, settings=settings)
+    parts = Comparison((line,)).parts().items()
     tables = [_by_update(part.lines[0], f"Adaptation: {path.stem}{more}") for more, part in parts]
     if table.num_tasks <= _FEW_TASKS:
         tables.append(_by_task(table))
@@ -139,12 +142,14 @@ def _by_update(line: Line, title: str) -> TextTable:
 
 
 def _end_in_words(line: Line) -> str:
-    success, returns = (
-        UNITS[name].text(bootstrap(statistics.mean, line.column(-1, name)))
-        for name in ("success_rate", "mean_return")
+    reported = line.settings.get("evaluation.measure")
+    names = (reported,) if reported else ("success_rate", "mean_return")
+    means = (bootstrap(statistics.mean, line.column(-1, name)) for name in names)
+    found = (
+        f"{UNITS[name].heading} {UNITS[name].text(x)}" for name, x in zip(names, means, strict=True)
     )
     done = f"after {line.table.episodes[-1]} episodes in each of {line.table.num_tasks} tasks"
-    return f"{done}: reaches goal (%) {success}, return {returns}"
+    return f"{done}: {', '.join(found)}"
 
 
 def _by_task(table: AdaptationTable) -> TextTable:

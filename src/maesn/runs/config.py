@@ -14,7 +14,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from maesn.envs import AnyEnv, EnvRecord, RewardKind, TaskFamily, TaskSet, Variant, describe_env
+from maesn.envs import (
+    AnyEnv,
+    EnvRecord,
+    RewardKind,
+    TaskFamily,
+    TaskSet,
+    Variant,
+    describe_env,
+    is_own,
+)
 from maesn.learners import AbstractMetaLearner
 from maesn.runs.serialization import (
     UnknownTypeError,
@@ -37,7 +46,7 @@ class NotNamedError(RunError):
 
     def __init__(self, directory: Path, settings: Mapping[str, Any], **found: str) -> None:
         recorded = {option: str(settings.get(option)) for option in ("method", "family")}
-        own = found | {option: name for option, name in recorded.items() if ":" in name}
+        own = found | {option: name for option, name in recorded.items() if is_own(name)}
         self.options = "".join(f" --{option} {name}" for option, name in own.items())
         python = ", ".join(f"{option}={name!r}" for option, name in own.items())
         super().__init__(
@@ -98,7 +107,7 @@ class RunSettings:
     @property
     def own_family(self) -> str | None:
         """The family as it has to be named again, if it is the user's own."""
-        return self.family if ":" in self.family else None
+        return self.family if is_own(self.family) else None
 
     @property
     def own_method(self) -> str | None:

@@ -202,6 +202,8 @@ def describe(progress: Progress) -> str:
     if (kl := progress.find("kl")) is not None:
         rejected = progress.find("accepted") == 0.0
         parts.append("step rejected" if rejected else f"KL {kl:.4f}")
+    if (elbo := progress.find("elbo")) is not None:
+        parts.append(f"ELBO {elbo:.2f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")
     return ", ".join(parts)
 

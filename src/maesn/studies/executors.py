@@ -13,6 +13,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Literal
 
+from maesn.foreign.pool import PYTHON
 from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import RunError
 from maesn.studies.execution import AbstractExecutor
@@ -112,7 +113,8 @@ class Ray(AbstractExecutor):
             log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local
         )
         path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        variables = path | thread_variables(threads)
+        hosts = {name: os.environ[name] for name in (PYTHON,) if name in os.environ}
+        variables = path | hosts | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
             num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
         )

@@ -25,7 +25,7 @@ from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document, fields_to_json, own_type, replaced
 from maesn.runs.sources import own_method
 from maesn.search import latent_of
-from maesn.settings import leaves, suggestion
+from maesn.settings import in_files, leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.spec import Place, ScratchSpec, StudySpec, is_for
 from maesn.worlds import check_policy, make_world
@@ -222,7 +222,7 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
         del document[immaterial]
     del document["settings"]["checkpoint_every"]
     digest = digest_of_document(document)
-    job = f"train-{resolved.name}-{settings.method}-seed-{seed}-{digest}"
+    job = f"train-{in_files(resolved.name)}-{settings.method}-seed-{seed}-{digest}"
     start = "" if source is None else str(source.directory.resolve())
     return trained_run(run, digest, needs=(job,), init_from=start)
 

@@ -17,6 +17,7 @@ from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import PriorSettings
+from maesn.settings import in_files
 from maesn.storage import RunError
 from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run
 from maesn.studies.members import (
@@ -63,7 +64,7 @@ class PlannedLine:
             "label": self.label,
             "addition": bool(asked.wrappers),
             "settings": first.settings,
-            "evaluation": {"rule": asked.rule_text, **budget},
+            "evaluation": {**asked.protocol_record, "rule": asked.rule_text, **budget},
             "trial_episodes": self.trial_episodes,
             "seeds": seeds,
         }
@@ -124,7 +125,7 @@ class _Planner:
         for world, lines in worlds.items():
             texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
             told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
-            name = "-".join([resolve_family(self.family).name, *told])
+            name = "-".join([in_files(resolve_family(self.family).name), *told])
             yield self.comparison(name, lines)
 
     def run(self, name: str) -> Sequence[TrainedRun]:
@@ -216,14 +217,15 @@ class _Planner:
                 env = member.run.env()
                 if drawn and env.planar:
                     digest = _digest(member, env)
-                    job = f"record-{env.name}-{member.method}-seed-{member.seed}-{digest}"
+                    who = f"{in_files(env.name)}-{member.method}"
+                    job = f"record-{who}-seed-{member.seed}-{digest}"
                     steps = RECORDED_EPISODES * env.horizon
                     yield name, self.add(job, member.needs, steps, partial(record_run, member))
 
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
         tasks, budget, env, needs = self.tasks(asked), asked.budget, member.env(asked), member.needs
-        who = f"{env.name}-{member.method or name}"
+        who = f"{in_files(env.name)}-{member.method or name}"
         without_noise = {} if asked.action_noise else {"action_noise": False}
         is_search = asked.rule is not None and asked.rule.needs_return_prior
         if is_search and isinstance(member, TrainedRun):

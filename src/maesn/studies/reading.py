@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from maesn import learners
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.protocols import settings_by
 from maesn.rules import KNOWN, from_text
 from maesn.runs.serialization import decode
 from maesn.storage import RunError, explained
@@ -97,7 +98,10 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
     for option in (one for one in KNOWN if one in table):
         with (place / option).refusing():
             chosen[option] = from_text(option, decode(table[option], str, option))
-    plain = {name: value for name, value in table.items() if name not in KNOWN}
+    with (place / "protocol").refusing():
+        by = settings_by(table.get("protocol")).items()
+    usual = {name: [*value] if isinstance(value, tuple) else value for name, value in by}
+    plain = usual | {name: value for name, value in table.items() if name not in KNOWN}
     given = {"rule": chosen.pop("rule", None), "wrappers": tuple(chosen.values())}
     return _object(Evaluation, plain, place, **given, engine=None, num_threads=None, seed=0)
 

@@ -24,11 +24,12 @@ _FOLLOWED = 0.15
 class Scene:
     """Draws the states of one environment.
 
-    What MuJoCo moves is drawn as its model; everything else as a ball where `env.position` says.
+    What MuJoCo moves is drawn as its model; everything else as a ball where `env.position` says. A
+    model whose tasks are no places is drawn without a goal, by its own first camera.
 
     Args:
         env: whose states.
-        view: what the camera must see.
+        view: what the camera must see; None where tasks are no places.
         width: width of the pictures, in pixels.
         height: height of the pictures, in pixels.
 
@@ -37,17 +38,18 @@ class Scene:
             position.
     """
 
-    def __init__(self, env: AnyEnv, view: View, width: int = 320, height: int = 240) -> None:
-        if not env.planar:
+    def __init__(self, env: AnyEnv, view: View | None, width: int = 320, height: int = 240) -> None:
+        if not env.planar and not isinstance(env, AbstractMujocoEnv):
             raise RenderingError(
                 f"`{env.name}` cannot be drawn: it does not say where in a plane its agent "
                 "(`position`) and the goal of a task (`goal`) are; define both if there are such."
             )
         self.env = env
-        side = float(np.ptp(view, axis=0).max())
-        self._scale = 1.0 if isinstance(env, AbstractMujocoEnv) else _BALL_SCENE / side
-        scaled = View(*((self._scale * x, self._scale * y) for x, y in view))
-        self._renderer = Renderer(_model(env), scaled, width, height)
+        self._scale = 1.0
+        if view is not None and not isinstance(env, AbstractMujocoEnv):
+            self._scale = _BALL_SCENE / float(np.ptp(view, axis=0).max())
+            view = View(*((self._scale * x, self._scale * y) for x, y in view))
+        self._renderer = Renderer(_model(env), view, width, height)
 
     def draw(
         self,
@@ -62,6 +64,8 @@ class Scene:
             task: whose goal is shown, and the way to it that is left.
             trail: positions, in metres, that are joined by a line; None for no line.
         """
+        if not self.env.planar:
+            return self._renderer.draw_alone(np.asarray(readings["qpos"]))
         scale, marks = self._scale, _marks(self.env, readings, task)
         position, judged, goal = (scale * np.asarray(mark) for mark in marks)
         pose = readings["qpos"] if isinstance(self.env, AbstractMujocoEnv) else position
@@ -95,8 +99,8 @@ def _marks(env: AnyEnv, readings: dict[str, Array], task: Any) -> tuple[Array, A
     return position, env.judged_position(readings, task), env.goal(jax.tree.map(jnp.asarray, task))
 
 
-def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View:
-    """Return a view of the tasks, and of all that moves in some states.
+def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View | None:
+    """Return a view of tasks and of all that moves in some states; None if tasks are no places.
 
     Who goes astray leaves the picture: it would make everything else too small to see.
 
@@ -105,6 +109,8 @@ def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View:
         tasks: which; a pytree of arrays with a leading `row` axis.
         readings: readings `[state, ...]`; the first state is the start of an episode.
     """
+    if not env.planar:
+        return None
     rows = jax.tree.map(jnp.asarray, tasks)
     goals, objects = (np.asarray(jax.vmap(f)(rows)) for f in (env.goal, env.landmarks))
     start, covered = _covered(env, jax.tree.map(lambda x: x[:1], readings)), _covered(env, readings)

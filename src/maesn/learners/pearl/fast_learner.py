@@ -1,5 +1,7 @@
 """The fast learner of PEARL: posterior sampling, with a product of Gaussians as its memory."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,15 +39,17 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
     """Episodes of a task whose z is drawn from the prior."""
     next_observation: bool = False
     """Whether the next observation is part of the context."""
+    noisy_exploration: bool = False
+    """Whether actions have the noise of training, to explore."""
 
     def init(self, keys: TaskKeys) -> PearlFastState:
         """Nothing is random."""
         return PearlFastState(self.encoder.none(keys.shape[0]), jnp.asarray(0))
 
     def agents(self, state: PearlFastState, purpose: Purpose = "explore") -> Agents:
-        """Return agents without noise in their actions, as the reference evaluates them.
+        """Return agents that draw one z per episode to explore.
 
-        To explore, they draw one z per episode; to be judged, they act on the posterior mean.
+        To be judged, they act on the posterior mean, without noise.
         """
         posterior = state.factors.posterior()
         if purpose == "deploy":
@@ -55,7 +59,7 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
         context = jax.tree.map(
             lambda x, y: jnp.where(begins, x, y), Latent(zeros, zeros), posterior
         )
-        return Agents(self.policy, context, shares_policy=True, is_noisy=False)
+        return Agents(self.policy, context, shares_policy=True, is_noisy=self.noisy_exploration)
 
     @eqx.filter_jit
     def update(self, state: PearlFastState, episodes: Episodes) -> PearlFastState:
@@ -97,5 +101,7 @@ class PearlLatent(AbstractSettableLatent):
         """Return the posterior means after one batch of episodes on latents from the prior."""
         learner = self.learner
         state = learner.init(keys)
-        state = learner.update(state, collect(keys, learner.agents(state), task_index))
+        # Without noise, as a search plays.
+        agents = replace(learner.agents(state), is_noisy=False)
+        state = learner.update(state, collect(keys, agents, task_index))
         return np.asarray(state.factors.posterior().mean, np.float64)

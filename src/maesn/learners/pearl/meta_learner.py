@@ -59,6 +59,9 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     prior_episodes: int = 1
     """Episodes of a new task whose z is drawn from the prior. Reference: 1; 5 on sparse point
     goals."""
+    noisy_exploration: bool = False
+    """Whether actions have the noise of training where a new task is explored. Reference: no, which
+    makes contexts unlike those that the encoder has learned from."""
     replay_steps: int = 20_000
     """Transitions that are kept of each task; fewer if those of all tasks would take more than
     150 MB. Reference: 1e6."""
@@ -153,6 +156,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
             networks.latent_scale,
             self.prior_episodes,
             self.encoder.next_observation,
+            self.noisy_exploration,
         )
 
     def player(self, state: PearlState) -> AbstractPolicy:

@@ -20,8 +20,9 @@ from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.base import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
-from maesn.learners.recurrent.fast_learner import RecurrentFastLearner
-from maesn.learners.recurrent.value import RecurrentValue, ValueState
+from maesn.learners.recurrent.value import RecurrentValue
+from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import mesh, standardize, trial_advantages
 from maesn.numerics.mesh import check_split, over_tasks
@@ -163,14 +164,15 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         key, state = shared
         policy_key, value_key = jax.random.split(key)
         trials = join_episodes(episodes)
-        expected = self.value.values(state.value, trials)
+        judged = replace(trials, inputs=state.policy.seen(trials.inputs))
+        expected = self.value.values(state.value, judged)
         advantages = self.advantages(trials, expected)
         standard = standardize(advantages, trials.valid, mean=mesh.mean_of_valid)
         policy, opt_state, step = self.policy_step(
             policy_key, state.policy, state.opt_state, trials, standard
         )
         policy = self.policy.after_iteration(policy, state.iteration + 1)
-        value, accepted = self.value.fit(value_key, state.value, trials, advantages + expected)
+        value, accepted = self.value.fit(value_key, state.value, judged, advantages + expected)
         info = _describe(episodes, trials, advantages, expected, accepted, step)
         return (RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info), None
 
@@ -198,20 +200,13 @@ def _describe(
 ) -> RecurrentInfo:
     first, last = episodes[0], episodes[-1]
     valid, behaviour = trials.valid, trials.behaviour
-    spread = _variance(advantages + expected, trials)
-    unknown = _variance(advantages, trials) / jnp.where(spread > 0, spread, 1.0)
     return RecurrentInfo(
         return_before=mesh.mean(first.undiscounted_return.mean()),
         return_after=mesh.mean(last.undiscounted_return.mean()),
         success_after=mesh.mean(last.success.mean()),
         action_std=mesh.mean_of_valid(behaviour.std().mean(-1), valid),
         entropy=mesh.mean_of_valid(behaviour.entropy(), valid),
-        explained_variance=jnp.where(spread > 0, 1.0 - unknown, 0.0),
+        explained_variance=explained_variance(advantages, expected, valid),
         value_accepted=value_accepted,
         policy_step=policy_step,
     )
-
-
-def _variance(values: Float[Array, "trial time"], trials: Trials) -> Float[Array, ""]:
-    mean = mesh.mean_of_valid(values, trials.valid)
-    return mesh.mean_of_valid((values - mean) ** 2, trials.valid)

@@ -1,4 +1,4 @@
-"""The fast learner of RL2: the recurrent state of its policy is all that it learns."""
+"""The fast learner of trials: the recurrent state of its policy is all that it learns."""
 
 import equinox as eqx
 
@@ -28,6 +28,8 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
     policy: AbstractPolicy
     trained_episodes: int
     """Episodes of a trial in meta-training."""
+    is_noisy: bool = True
+    """Whether its actions are drawn at random."""
 
     def init(self, keys: TaskKeys) -> RecurrentFastState:
         """Trials begin; nothing is random."""
@@ -35,7 +37,13 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
 
     def agents(self, state: RecurrentFastState, purpose: Purpose = "explore") -> Agents:
         """To be judged, they do what they always do."""
-        return Agents(self.policy, Nothing(), shares_policy=True, trial_state=state.trial_state)
+        return Agents(
+            self.policy,
+            Nothing(),
+            shares_policy=True,
+            trial_state=state.trial_state,
+            is_noisy=self.is_noisy,
+        )
 
     def update(self, state: RecurrentFastState, episodes: Episodes) -> RecurrentFastState:
         """Go on from where the trials are after the episodes."""

@@ -1,0 +1,82 @@
+"""What the families on Gymnasium's robots share: starts, controls, and one reward.
+
+`maesn.envs.cheetah` and `maesn.envs.ant_v5` have the families. Their robots are those of
+Gymnasium's `HalfCheetah-v5` and `Ant-v5`, read from the installed package (`pip install -e
+'.[gym]'`) and moved by the native engine, in double precision step for step as there.
+"""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key, ObservedReward, Readings
+from maesn.envs.base import AbstractMujocoEnv, Task
+
+NOISE = 0.1  # of the start: half width of positions, standard deviation of velocities; v5
+HORIZON = 200  # steps, in all of the sources
+
+
+class AbstractWalking(AbstractMujocoEnv[Task]):
+    """A robot of Gymnasium's with the one reward of its task, dense and sparse alike."""
+
+    frame_skip: ClassVar[int] = 5
+    control_period: ClassVar[float] = 0.05
+    variants: ClassVar[tuple[str, ...]] = ("reference",)
+    standing: eqx.AbstractClassVar[tuple[float, ...]]
+    """qpos that starts scatter around: the model's own."""
+    num_speeds: eqx.AbstractClassVar[int]
+    """Components of qvel."""
+    control_cost: eqx.AbstractClassVar[float]
+    """Cost of a squared unit of control."""
+
+    def initial(self, key: Key, task: Task) -> tuple[Float[Array, " qpos"], Float[Array, " qvel"]]:
+        position_key, velocity_key = jax.random.split(key)
+        standing = jnp.asarray(self.standing)
+        moved = jax.random.uniform(position_key, standing.shape, minval=-NOISE, maxval=NOISE)
+        return standing + moved, NOISE * jax.random.normal(velocity_key, (self.num_speeds,))
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+        return jnp.clip(action, -1.0, 1.0)
+
+    def cost_of(self, action: Float[Array, " action"]) -> Float[Array, ""]:
+        """Return the cost of the control."""
+        return self.control_cost * jnp.sum(self.control(action) ** 2)
+
+    def velocity(self, readings: Readings, next_readings: Readings, size: int) -> Array:
+        """Return the mean velocity in a step along the first `size` axes, m/s."""
+        moved = next_readings["qpos"][:size] - readings["qpos"][:size]
+        return moved / self.control_period
+
+    def observed_reward(
+        self,
+        kind: ObservedReward,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Task,
+    ) -> Float[Array, ""]:
+        """Return the reward, whatever its kind: there is one."""
+        return self.reward(readings, action, next_readings, task).total
+
+    def situation(self, task: Task) -> Any:
+        """Return nothing: the task decides the reward alone."""
+        return ()
+
+
+class AbstractPlaceless(AbstractWalking[Task]):
+    """A task without a goal that one could reach or draw."""
+
+    planar: ClassVar[bool] = False
+
+    def solved(self, readings: Readings, task: Task) -> Bool[Array, ""]:
+        """Never: the sources define no success."""
+        return jnp.zeros((), bool)
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return jnp.full(2, jnp.nan)
+
+    def goal(self, task: Task) -> Float[Array, " 2"]:
+        return jnp.full(2, jnp.nan)

@@ -1,0 +1,1 @@
+"""VariBAD: a recurrent belief about the task, learned by variational inference, and acted on."""

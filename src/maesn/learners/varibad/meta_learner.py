@@ -1,0 +1,276 @@
+"""VariBAD: acts on a learned belief about the task (Zintgraf et al. 2020).
+
+https://arxiv.org/abs/1910.08348. A recurrent encoder turns the steps of a trial into a posterior
+over a latent, which a decoder predicts rewards from. The policy sees the posterior's mean and
+spread, and learns on whole trials what it is worth to find out. With a bonus it is HyperX.
+"""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.axes import ActionKind, Key, ObservedReward
+from maesn.context import Nothing
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes
+from maesn.learners.base import AbstractMetaLearner, Problem
+from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
+from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_value import explained_variance
+from maesn.learners.trials import Trials, join_episodes
+from maesn.learners.varibad.bonus import BonusState, HyperBonus
+from maesn.learners.varibad.decoder import BeliefDecoderSettings
+from maesn.learners.varibad.encoder import BeliefEncoderSettings
+from maesn.learners.varibad.inference import BeliefInference
+from maesn.learners.varibad.policy import BeliefPolicy, side_by_side
+from maesn.learners.varibad.state import BeliefNetworks, VaribadInfo, VaribadState
+from maesn.learners.varibad.steps import Steps, TrialBuffer, step_features, steps_of
+from maesn.learners.varibad.value import BeliefValue
+from maesn.numerics import (
+    DiagonalGaussian,
+    MinibatchDescent,
+    masked_mean,
+    standardize,
+    trial_advantages,
+)
+from maesn.numerics.mesh import num_devices
+from maesn.numerics.normalization import no_observations
+from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.settings import check_choice, check_number
+
+# Of policy and value in the reference.
+PUBLISHED_DESCENT = MinibatchDescent(learning_rate=7e-4, epochs=2, minibatches=4)
+# Bytes that the buffer of trials takes at most. The newest checkpoint holds it.
+MOST_BUFFER_BYTES = 150_000_000
+
+
+class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
+    """Plays trials, and learns from them to believe and to act."""
+
+    encoder: BeliefEncoderSettings = BeliefEncoderSettings()
+    """The posterior over the latent."""
+    decoder: BeliefDecoderSettings = BeliefDecoderSettings()
+    """What the latent predicts."""
+    inference: BeliefInference = BeliefInference()
+    """How encoder and decoder learn."""
+    policy: AbstractPolicySettings = GaussianMLP()
+    """The policy's network, which sees observation and belief."""
+    policy_step: AbstractPolicyStep = ProximalStep(0.1, 0.01, PUBLISHED_DESCENT)
+    """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO). Reference: clip
+    0.05 on GridNavi, 0.1 on point goals; entropy weight 0.01 and 0.001; 4 and 8 minibatches."""
+    value: BeliefValue = BeliefValue(descent=PUBLISHED_DESCENT)
+    """The baseline that advantages are measured from."""
+    bonus: HyperBonus = HyperBonus()
+    """The bonus of HyperX; none by default."""
+    observed_reward: ObservedReward = "own"
+    """Reward that the encoder sees and the decoder predicts: the world's own, or the sparse one
+    while the policy learns from the dense one."""
+    meta_batch_size: int = 16
+    """Training tasks per meta-iteration, drawn without replacement. In each of them
+    `episodes_per_task` trials are played in parallel. Reference: 16, one trial each."""
+    trial_episodes: int = 2
+    """Episodes of a trial. Reference: 4 on GridNavi, 3 on point goals, 2 elsewhere."""
+    discount: float = 0.95
+    """Discount factor gamma of the rewards, across the episodes of a trial. Reference: 0.95 on
+    GridNavi, 0.99 on point goals, 0.97 elsewhere."""
+    gae_lambda: float = 0.95
+    """lambda of generalised advantage estimation. Reference: 0.95 on GridNavi, 0.9 elsewhere."""
+
+    def __check_init__(self) -> None:
+        for name in ("meta_batch_size", "trial_episodes"):
+            check_number(name, getattr(self, name), 1)
+        for name in ("discount", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")
+        check_choice("observed_reward", self.observed_reward, ObservedReward)
+
+    def init(self, key: Key, problem: Problem) -> VaribadState:
+        """See `AbstractMetaLearner.init`.
+
+        Raises:
+            ValueError: the training set holds fewer tasks than one meta-batch, or observations do
+                not fit the decoder.
+        """
+        check_enough_tasks(problem.num_tasks, self.meta_batch_size)
+        keys = jax.random.split(key, 5)
+        latent, sizes = self.encoder.latent_size, (problem.observation_size, problem.action_size)
+        encoder = self.encoder.init(keys[0], *sizes)
+        decoder = self.decoder.init(keys[1], latent, *sizes)
+        seen = problem.observation_size + 2 * latent
+        inner = self.policy.init(keys[2], seen, problem.action_size, 0)
+        policy = BeliefPolicy(encoder, inner, no_observations(seen), self.observed_reward)
+        return VaribadState(
+            networks=BeliefNetworks(policy, decoder),
+            opt_state=self.policy_step.init(inner),
+            inference=self.inference.init(encoder, decoder),
+            value=self.value.init(keys[3], seen, problem.action_size),
+            bonus=self.bonus.init(keys[4], seen),
+            buffer=TrialBuffer.empty(*self._capacity(problem), *sizes),
+            iteration=jnp.zeros((), int),
+        )
+
+    def _capacity(self, problem: Problem) -> tuple[int, int]:
+        """Return how many trials the buffer holds, and of how many steps."""
+        time = self.trial_episodes * problem.horizon
+        features = step_features(problem.observation_size, problem.action_size)
+        most = MOST_BUFFER_BYTES // (4 * features * time)
+        return max(min(self.inference.buffer_trials, most), 1), time
+
+    def iteration(self, state: VaribadState) -> Int[Array, ""]:
+        return state.iteration
+
+    def weights(self, state: VaribadState) -> BeliefNetworks:
+        return state.networks
+
+    def replay(self, state: VaribadState) -> TrialBuffer:
+        return state.buffer
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
+
+    def for_actions(self, kind: ActionKind) -> "VaribadMetaLearner":
+        return replace(self, policy=self.policy.for_actions(kind))
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """See `AbstractMetaLearner.check_batch`: no minibatch is empty, and one device learns.
+
+        Raises:
+            ValueError: there are too few trials, or several devices share the tasks.
+        """
+        if num_devices() > 1:
+            raise ValueError(
+                f"`varibad` learns on one device, but {num_devices()} share the tasks: train it "
+                "without sharing."
+            )
+        trials = self.meta_batch_size * episodes_per_task
+        least = max(self.policy_step.minibatches, self.value.descent.minibatches)
+        if trials < least:
+            raise ValueError(
+                f"a meta-iteration has only {trials} trials, {episodes_per_task} in each of "
+                f"{self.meta_batch_size} tasks, for {least} minibatches: lower "
+                "`descent.minibatches` of `policy_step` and `value`, or play more."
+            )
+
+    def fast_learner(self, state: VaribadState) -> RecurrentFastLearner:
+        """Return the learner of new tasks: without noise, as the reference evaluates it."""
+        return RecurrentFastLearner(state.networks.policy, self.trial_episodes, is_noisy=False)
+
+    def step(
+        self, key: Key, state: VaribadState, collect: Collect
+    ) -> tuple[VaribadState, VaribadInfo]:
+        task_key, play_key, learn_key = jax.random.split(key, 3)
+        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
+        episodes: list[Episodes] = []
+        for number in range(self.trial_episodes):
+            keys = task_keys(play_key, number, self.meta_batch_size)
+            trial_state = episodes[-1].trial_end if episodes else None
+            policy = state.networks.policy
+            agents = Agents(policy, Nothing(), shares_policy=True, trial_state=trial_state)
+            episodes.append(collect(keys, agents, index, stage=number))
+        return self._improve(learn_key, state, tuple(episodes))
+
+    @eqx.filter_jit
+    def _improve(
+        self, key: Key, state: VaribadState, episodes: tuple[Episodes, ...]
+    ) -> tuple[VaribadState, VaribadInfo]:
+        keys = jax.random.split(key, 4)
+        policy, decoder = state.networks.policy, state.networks.decoder
+        steps = steps_of(episodes)
+        beliefs = jax.vmap(policy.encoder.posteriors)(steps)
+        trials, raw = self._seen(policy, join_episodes(episodes), beliefs)
+        bonus, bonus_state = self._bonus(keys[0], state, steps, beliefs, trials)
+        rewarded = replace(trials, reward=trials.reward + bonus)
+
+        expected = self.value.values(state.value, rewarded)
+        advantages = self.advantages(rewarded, expected)
+        inner, opt_state, step = self.policy_step(
+            keys[1],
+            policy.policy,
+            state.opt_state,
+            rewarded,
+            standardize(advantages, trials.valid),
+        )
+        inner = self.policy.after_iteration(inner, state.iteration + 1)
+        value, value_accepted = self.value.fit(
+            keys[2], state.value, rewarded, advantages + expected
+        )
+        buffer = state.buffer.extend(steps)
+        encoder, decoder, adam, inference, inference_accepted = self.inference.learn(
+            keys[3], policy.encoder, self.decoder, decoder, state.inference, buffer
+        )
+        statistics = policy.statistics.with_batch(raw, trials.valid)
+        policy = BeliefPolicy(encoder, inner, statistics, self.observed_reward)
+        info = VaribadInfo(
+            **_described(episodes, trials),
+            bonus=masked_mean(bonus, trials.valid),
+            explained_variance=explained_variance(advantages, expected, trials.valid),
+            value_accepted=value_accepted,
+            policy_step=step,
+            inference=inference,
+            inference_accepted=inference_accepted,
+        )
+        after = VaribadState(
+            BeliefNetworks(policy, decoder),
+            opt_state,
+            adam,
+            value,
+            bonus_state,
+            buffer,
+            state.iteration + 1,
+        )
+        return after, info
+
+    def _seen(
+        self, policy: BeliefPolicy, trials: Trials, beliefs: DiagonalGaussian
+    ) -> tuple[Trials, Float[Array, "trial time seen"]]:
+        """Return the trials as the policy saw them, and that before it is normalised."""
+        before = jax.tree.map(lambda x: x[:, :-1], beliefs)
+        raw = side_by_side(trials.inputs.observation, before)
+        inputs = trials.inputs._replace(observation=policy.statistics.normalized(raw))
+        return replace(trials, inputs=inputs), raw
+
+    def _bonus(
+        self, key: Key, state: VaribadState, steps: Steps, beliefs: DiagonalGaussian, trials: Trials
+    ) -> tuple[Float[Array, "trial time"], BonusState | None]:
+        """Return the bonus of every step, and the state of the bonus after it."""
+        if state.bonus is None:
+            return jnp.zeros_like(trials.reward), None
+        noise_key, learn_key = jax.random.split(key)
+        policy, decoder = state.networks.policy, state.networks.decoder
+        after = jax.tree.map(lambda x: x[:, 1:], beliefs)
+        m = after.sample(noise_key)
+
+        def error(m: Array, step: Steps) -> Float[Array, ""]:
+            one = jax.tree.map(lambda x: x[None], step)
+            return self.decoder.surprise(decoder, m, one)[0]
+
+        errors = jax.vmap(jax.vmap(error))(m, steps)
+        seen = policy.hyper_state(steps.next_observation, after)
+        bonus, judged = self.bonus.judge(
+            state.bonus, state.iteration, seen, errors, trials.reward, steps.valid, self.discount
+        )
+        return bonus, self.bonus.learn(learn_key, judged, seen, steps.valid)
+
+    def advantages(
+        self, trials: Trials, expected: Float[Array, "trial time"]
+    ) -> Float[Array, "trial time"]:
+        """Return the advantage of every step, over the whole trial and not standardised."""
+        return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
+            trials.reward, expected, trials.valid, self.discount, self.gae_lambda
+        )
+
+
+def _described(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
+    """Return the part of `VaribadInfo` that tells what was played."""
+    first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
+    return {
+        "return_before": first.undiscounted_return.mean(),
+        "return_after": last.undiscounted_return.mean(),
+        "success_after": last.success.mean(),
+        "action_std": masked_mean(behaviour.std().mean(-1), trials.valid),
+        "entropy": masked_mean(behaviour.entropy(), trials.valid),
+    }

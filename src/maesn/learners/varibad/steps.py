@@ -1,0 +1,91 @@
+"""The steps of trials as inference sees them, and a buffer of the last trials."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from maesn.axes import Key
+from maesn.experience.episodes import Episodes
+from maesn.numerics import Ring
+
+
+class Steps(NamedTuple):
+    """Steps `[*batch, ...]` of trials, in their order; 0 where not valid."""
+
+    observation: Float[Array, "*batch observation"]
+    action: Float[Array, "*batch action"]
+    reward: Float[Array, "*batch"]
+    """The reward that the policy received."""
+    next_observation: Float[Array, "*batch observation"]
+    """What the action led to, at the end of an episode as well."""
+    valid: Bool[Array, "*batch"]
+    """True where the step was played, and what it led to is finite."""
+
+
+def steps_of(episodes: Sequence[Episodes]) -> Steps:
+    """Return the steps `[trial, time, ...]` of whole trials.
+
+    Args:
+        episodes: the first, second, ... episode of every trial, `[task, episode, time, ...]`.
+    """
+    parts = [_steps(one) for one in episodes]
+    joined = [jnp.concatenate(arrays, axis=2) for arrays in zip(*parts, strict=True)]
+    return Steps(*(x.reshape(-1, *x.shape[2:]) for x in joined))
+
+
+def _steps(episodes: Episodes) -> Steps:
+    before, after = episodes.observation[..., :-1, :], episodes.observation[..., 1:, :]
+    valid = episodes.valid & jnp.isfinite(after).all(-1)
+
+    def numbers(x: Array) -> Array:
+        return jnp.where(valid[..., None] if x.ndim > valid.ndim else valid, x, 0.0)
+
+    return Steps(
+        numbers(before),
+        numbers(episodes.action),
+        numbers(episodes.received_reward),
+        numbers(after),
+        valid,
+    )
+
+
+class TrialBuffer(eqx.Module):
+    """The last trials, of bounded memory: a row of the ring is a whole trial."""
+
+    ring: Ring
+    observation_size: int = eqx.field(static=True)
+    action_size: int = eqx.field(static=True)
+
+    @staticmethod
+    def empty(capacity: int, time: int, observation_size: int, action_size: int) -> "TrialBuffer":
+        """Return a buffer that `capacity` trials of `time` steps fit into."""
+        features = step_features(observation_size, action_size)
+        return TrialBuffer(Ring.empty(capacity, time * features), observation_size, action_size)
+
+    def extend(self, steps: Steps) -> "TrialBuffer":
+        """Append trials `[trial, time, ...]`; the oldest ones make room."""
+        wide = [x[..., None].astype(float) if x.ndim == 2 else x for x in steps]
+        rows = jnp.concatenate(wide, axis=-1).reshape(steps.valid.shape[0], -1)
+        ring = self.ring.extend(rows, jnp.ones(len(rows), bool))
+        return TrialBuffer(ring, self.observation_size, self.action_size)
+
+    def sample(self, key: Key, number: int) -> Steps:
+        """Draw trials uniformly, with replacement."""
+        rows = self.ring.sample(key, number)
+        o, a = self.observation_size, self.action_size
+        steps = rows.reshape(number, -1, step_features(o, a))
+        return Steps(
+            steps[..., :o],
+            steps[..., o : o + a],
+            steps[..., o + a],
+            steps[..., o + a + 1 : -1],
+            steps[..., -1] > 0,
+        )
+
+
+def step_features(observation_size: int, action_size: int) -> int:
+    """Return how many numbers a step takes in the buffer."""
+    return 2 * observation_size + action_size + 2
