@@ -14,7 +14,7 @@ BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs soak test-external test-metaworld fast unit lint style types imports bench docs clean
+.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs soak test-external test-metaworld peers fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
@@ -62,6 +62,19 @@ $(EXTERNAL)/.ready: pyproject.toml constraints-external.txt
 	@$(EXTERNAL)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints-external.txt --editable '.[gym]' beartype pytest \
 	  rliable sb3-contrib torch wandb
+	@touch $@
+
+# BoTorch brings PyTorch: 6 GB.
+PEERS := .venv-peers
+peers: | $(PEERS)/.ready ## Compare latent search with what BoTorch offers, in an environment of their own
+	@$(PEERS)/bin/python -m pytest --quiet --tb=short -W default tests/peers  # PyTorch warns at import
+	@PYTHONPATH=examples $(PEERS)/bin/python benchmarks/search_peers.py --out build/peers
+
+$(PEERS)/.ready: pyproject.toml constraints.txt constraints-peers.txt
+	@$(PYTHON) -m venv $(PEERS)
+	@$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --constraint constraints-peers.txt \
+	  --editable . beartype botorch cmaes pytest
 	@touch $@
 
 lint: $(TEST_READY) ## Check style, types and which package imports which
@@ -112,7 +125,7 @@ test-docs: $(TEST_READY) ## Run every example and every command of the documenta
 	@$(BIN)/python -m pytest --quiet -m "long or not long" tests/test_docs.py tests/long/test_documented_commands.py
 
 clean: ## Remove the environment and every cache (runs/ stays)
-	rm -rf $(VENV) $(EXTERNAL) $(METAWORLD) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(EXTERNAL) $(METAWORLD) $(PEERS) build dist .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

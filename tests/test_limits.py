@@ -106,6 +106,39 @@ def test_a_sweep_lies_below_what_no_searcher_exceeds(
     assert np.abs(steps).max() <= 0.1 + 1e-9
 
 
+def test_no_list_of_latents_is_better_than_the_one_that_dynamic_programming_finds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every list, and every latent to deploy at the goals that the list does not reach."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    search = load_script("benchmarks/limits_search.py")
+    stream, angles, latents = np.random.default_rng(0), 9, 5
+    for _ in range(50):
+        returns, reaches = stream.uniform(size=(angles, latents)), np.zeros((angles, latents), bool)
+        for latent in range(latents):
+            first, last = sorted(stream.integers(0, angles + 1, 2))
+            reaches[first:last, latent] = True
+        limit = search.best_lists(returns, reaches, (1, 2, 3))
+        for count, found in zip((1, 2, 3), limit.searcher, strict=True):
+            lists = itertools.combinations_with_replacement(range(latents), count)
+            known = [reaches[:, list(chosen)].any(axis=1) for chosen in lists]
+            best = [returns.max(axis=1)[k].sum() + returns[~k].sum(axis=0).max() for k in known]
+            assert found == pytest.approx(max(best) / angles)
+
+
+def test_a_latent_reaches_the_goals_between_those_where_its_episodes_are_rewarded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    search = load_script("benchmarks/limits_search.py")
+    far, length = np.array([-20.0, -30.0, -20.0, -25.0]), np.ones((4, 2, 3))
+    returns = far[:, None, None] - np.array([1.0, 2.0])[:, None] * length  # control costs
+    returns[0, 0, 1] += 9.0
+    returns[2, 0, 2] += 9.0
+    found = search.reached(search.Recorded(returns, length, far))
+    assert found.tolist() == [[True, False], [True, False], [True, False], [False, False]]
+
+
 def test_bounds_of_the_walking_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     walking = load_script("benchmarks/limits_walking.py")

@@ -6,12 +6,11 @@ Chromium comes from the system's packages (`apt install chromium`), or CHROMIUM 
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from chromium import DESK, PHONE, Opened
+from playwright.sync_api import Browser
 from synthetic_runs import write_run
 
 from maesn import GradientRule, SearchRule, adapt
@@ -25,17 +24,7 @@ from maesn.studies.spec import EvaluationSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Study
 
 HOSTILE = "<img src=x onerror=window.hacked=1>"
-PHONE, DESK = 390, 1180
-HEIGHTS = {PHONE: 844, DESK: 1620}
 PICTURES = (("light", DESK, "light"), ("dark", DESK, "dark"), ("phone", PHONE, "light"))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    assert path, "install Chromium, or name it by CHROMIUM"
-    with sync_playwright() as playwright:
-        yield playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
 
 
 @pytest.fixture(scope="module")
@@ -59,25 +48,6 @@ def of_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Study(spec).run(folder, workers=1)
     write_page(folder / PAGE, page_of(compare_study(folder / "small")))
     return folder / PAGE
-
-
-class Opened:
-    """A page, and what its console has said."""
-
-    def __init__(
-        self, browser: Browser, path: Path, width: int = DESK, scheme: Any = "light"
-    ) -> None:
-        context = browser.new_context(
-            viewport={"width": width, "height": HEIGHTS[width]}, color_scheme=scheme, offline=True
-        )
-        self.page: Page = context.new_page()
-        self.said: list[str] = []
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.goto(path.as_uri())
-
-    def text(self, selector: str) -> str:
-        return self.page.locator(selector).inner_text()
 
 
 @pytest.mark.parametrize("width", [PHONE, DESK])

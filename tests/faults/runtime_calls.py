@@ -163,6 +163,20 @@ def beliefs(_: random.Random, explorer: Explorer, __: Path) -> Answer:
     return explorer, "" if all(np.isfinite(x).all() for x in found) else f"{found}"
 
 
+def propose(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
+    """Propose, and report of one robot."""
+    for z in explorer.propose(stream.choice([0, 1, 2, 4]))[:1]:
+        explorer.add_result(z, [stream.gauss(0, 1)])
+    return explorer, "" if np.isfinite(explorer.beliefs.mean).all() else "beliefs are not finite"
+
+
+def add_result(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
+    search = explorer._state.search
+    z = [0.0, 0.0] if search is None or stream.random() < 0.2 else search.latent(0)
+    explorer.add_result(z, _vector(stream, 3))
+    return explorer, ""
+
+
 def save_and_load(_: random.Random, explorer: Explorer, directory: Path) -> Answer:
     explorer.save(directory / "saved.npz")
     loaded = Explorer.load(directory / "saved.npz")
@@ -183,6 +197,8 @@ CALL_WEIGHTS: dict[Call, float] = {
     discard: 1,
     control: 3,
     beliefs: 2,
+    propose: 2,
+    add_result: 2,
     save_and_load: 2,
     tighten: 0.5,
 }

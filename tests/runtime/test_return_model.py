@@ -12,6 +12,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.kernel import ROUGHNESS, matern, roughness
 from maesn.runtime.posterior import OUTLIER, Posterior, Reading
+from maesn.runtime.prior_moments import moments
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
 
 
@@ -293,3 +294,17 @@ def test_a_prior_that_means_nothing_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=complaint):
         change(random_prior(0))
+
+
+def test_moments_are_those_of_the_mixture() -> None:
+    """By second moments: E[y y'] = mean_i E[y y' | task i], y = f + c."""
+    model = model_of(random_prior(1))
+    points = np.random.default_rng(2).standard_normal((5, 2))
+    found, prior = moments(model, points), model.prior
+    tasks = model.task_means(points) + prior.offset_mean
+    within = model.covariance(points, points) + prior.offset_std**2
+    second = np.mean([np.outer(task, task) + within for task in tasks], axis=0)
+    mean = tasks.mean(axis=0)
+    np.testing.assert_allclose(found.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, second - np.outer(mean, mean), rtol=1e-9)
+    np.testing.assert_array_equal(found.noise, model.noise(points))

@@ -136,10 +136,13 @@ def test_no_latent_beyond_the_bound_is_chosen() -> None:
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An exported policy that searches, with draws around the best."""
-    path = tmp_path_factory.mktemp("search") / "policy.npz"
-    kept = {name: getattr(PRIOR, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
+    return searcher(tmp_path_factory.mktemp("search") / "policy.npz", PRIOR)
+
+
+def searcher(path: Path, prior: ReturnPrior) -> Path:
+    kept = {name: getattr(prior, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
     levels = {"proposed_levels": [0.1, 0.9], "deployed_levels": [0.02, 0.8]}
-    search = (replace(PRIOR, **kept, **levels), SearchSettings())
+    search = (replace(prior, **kept, **levels), SearchSettings())
     write_policy(path, exported_policy(fast_learner(), Point(), {}, search=search))
     return path
 
@@ -184,6 +187,80 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
     np.testing.assert_array_equal(explorer.beliefs.std, search.posterior.std)
     assert explorer.beliefs.interval == search.interval(search.best)
     assert explorer.beliefs.familiar == search.posterior.familiar > 0.5
+
+
+def test_four_robots_search_as_the_library_does_and_report_in_any_order(
+    tmp_path: Path,
+) -> None:
+    """One robot plays for itself; between the reports of the others the search is saved."""
+    target, horizon, path = np.asarray([1.0, 2.5]), Point().horizon, tmp_path / "robot.npz"
+    steered, keys = fast_learner().latent, jax.random.split(jax.random.key(5), 1)
+    exact = replace(PRIOR, noise=np.zeros_like(PRIOR.noise))  # so that it soon draws more latents
+    explorer = Explorer.load(searcher(path, exact))
+    exported = explorer.exported.search
+    assert steered is not None
+    assert exported is not None
+    library = SearchFastLearner(steered, exported.model, exported.settings, at_once=4)
+    state = library.init(keys)
+    explorer._generator = np.random.default_rng(jax.random.key_data(keys[0]).tolist())
+    order = np.random.default_rng(0)
+    for number in range(6):
+        latents = explorer.propose(4)
+        search, chosen = state.searches[0], list(state.chosen[0])
+        np.testing.assert_array_equal(latents, search.points[chosen])
+        rewards = np.zeros((4, horizon), np.float32)
+        rewards[:, 0] = peak(latents, target) - 20.0
+        for robot in order.permutation(4):
+            if robot == number % 4:
+                assert explorer.begin_episode(z=latents[robot]).tolist() == latents[robot].tolist()
+                for observation in observations(explorer, horizon):
+                    explorer.act(observation)
+                explorer.end_episode(rewards[robot])
+            else:
+                explorer.add_result(latents[robot], rewards[robot])
+            explorer.save(path)
+            explorer = Explorer.load(path)
+        info = explorer.adapt()
+        played = episodes_of(np.zeros((1, 4, horizon + 1, 2)), np.zeros((1, 4, horizon, 2)))
+        state = library.update(state, replace(played, reward=jnp.asarray(rewards[None])))
+        assert info.num_episodes == 4
+        readings = explorer._state.search_for("a test").posterior.readings
+        assert readings == state.searches[0].posterior.readings
+    # What was loaded was computed again, which may move the last bits.
+    found = explorer.beliefs.mean
+    expected = state.searches[0].beliefs.mean[: len(found)]  # the library has proposed again
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert len(found) > len(PRIOR.latents)  # some were drawn around the best
+    best = state.searches[0].latent(state.searches[0].best)
+    assert explorer.latent_mean.tolist() == best.tolist()
+
+
+def test_a_result_may_come_late_or_never(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=12)
+    first, one_each = explorer.propose(3), np.full(Point().horizon, 1.0 / Point().horizon)
+    explorer.add_result(first[1], -19.0 * one_each)
+    assert explorer.adapt().num_episodes == 1
+    explorer.propose(2)
+    explorer.add_result(first[0], -18.0 * one_each)
+    assert explorer.adapt().mean_return == pytest.approx(-18.0)
+    with pytest.raises(RuntimeError, match="at least 1 finished"):
+        explorer.adapt()
+
+
+def test_results_that_make_no_sense_change_nothing(policy: Path) -> None:
+    explorer = Explorer.load(policy, seed=13)
+    z, before = explorer.propose(1)[0], contents(explorer)
+    for rewards, said in (([], "shape"), ([np.nan], "finite"), ([1e101], "larger unit")):
+        with pytest.raises(ValueError, match=said):
+            explorer.add_result(z, rewards)
+    with pytest.raises(ValueError, match="no point of this search"):
+        explorer.add_result(z + 1.0, [0.0])
+    with pytest.raises(ValueError, match="`count`"):
+        explorer.propose(0)
+    assert contents(explorer) == before
+    explorer.begin_episode(z=z)
+    with pytest.raises(RuntimeError, match="`propose` was called while an episode"):
+        explorer.propose(2)
 
 
 def test_a_robot_s_search_is_saved_in_the_middle_and_goes_on_exactly(
@@ -270,8 +347,11 @@ def test_a_search_refuses_to_take_steps_back(policy: Path) -> None:
         Explorer.load(policy, safeguards=Safeguards(max_return_drop=1.0))
 
 
-def test_beliefs_are_those_of_a_search(tmp_path: Path) -> None:
+def test_beliefs_and_proposals_are_those_of_a_search(tmp_path: Path) -> None:
     path = tmp_path / "gradient.npz"
     write_policy(path, exported_policy(fast_learner(), Point(), {}))
+    explorer = Explorer.load(path)
     with pytest.raises(RuntimeError, match="export with the rule `search`"):
-        _ = Explorer.load(path).beliefs
+        _ = explorer.beliefs
+    with pytest.raises(RuntimeError, match="export with the rule `search`"):
+        explorer.propose(4)

@@ -100,7 +100,7 @@ class Recurrent(AbstractPolicySettings):
 
     @property
     def symlog(self) -> bool:
-        """Whether the network reads sign(x) log(1 + |x|) of its inputs."""
+        """Whether the network reads `sign(x) log(1 + |x|)` of its inputs."""
         return False
 
     def for_actions(self, kind: ActionKind) -> "Recurrent":
@@ -138,7 +138,7 @@ class HyperRecurrent(Recurrent):
     """Widths of the hidden layers that are made. Their GridNavi: one layer of 32."""
 
     symlog: bool = False
-    """Whether the network reads sign(x) log(1 + |x|) of observation, action and reward (Hafner et
+    """Whether the network reads `sign(x) log(1 + |x|)` of observation, action and reward (Hafner et
     al. 2023, "Mastering diverse domains through world models", equation 9). Gates of a recurrent
     layer do not react where inputs are large, such as the speeds of wheels."""
 

@@ -18,6 +18,16 @@ LARGEST_REWARD = 1e100
 """The squares of larger ones, summed over many steps, are beyond double precision."""
 
 
+def refuse_large(rewards: FloatArray) -> None:
+    """Raise ValueError if some reward is beyond `LARGEST_REWARD`."""
+    size = float(np.abs(rewards).max(initial=0.0))
+    if size > LARGEST_REWARD:
+        raise ValueError(
+            f"`rewards` must be at most {LARGEST_REWARD:g} in size, got {size:g}. Nothing was "
+            "recorded: give them in a larger unit."
+        )
+
+
 @dataclass(frozen=True)
 class Episode:
     """A finished episode of T steps.
@@ -37,12 +47,7 @@ class Episode:
     rewards: FloatArray
 
     def __post_init__(self) -> None:
-        size = float(np.abs(self.rewards).max(initial=0.0))
-        if size > LARGEST_REWARD:
-            raise ValueError(
-                f"`rewards` must be at most {LARGEST_REWARD:g} in size, got {size:g}. Nothing was "
-                "recorded: give them in a larger unit."
-            )
+        refuse_large(self.rewards)
 
     @property
     def undiscounted_return(self) -> float:

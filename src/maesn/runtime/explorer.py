@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maesn.runtime.acting import Actor
 from maesn.runtime.arrays import FloatArray, finite_vector
-from maesn.runtime.episode import Episode, RunningEpisode
+from maesn.runtime.episode import Episode
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.learning import AdaptationInfo, learned, surprise
 from maesn.runtime.limiter import Limiter
-from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import Beliefs
 from maesn.runtime.state import ExplorerState
@@ -57,7 +57,7 @@ class Explorer:
             )
         state = ExplorerState.new_task(exported) if state is None else state
         self._state = state.within(self.safeguards.max_latent_norm)
-        self._policy = self._conditioned()
+        self._actor = self._given_z()
 
     @staticmethod
     def load(
@@ -114,10 +114,7 @@ class Explorer:
     @property
     def beliefs(self) -> Beliefs:
         """What a search believes of the returns; raises RuntimeError where there is no search."""
-        search = self._state.search
-        if search is None:
-            raise RuntimeError("`beliefs` are those of a search: export with the rule `search`.")
-        return search.beliefs
+        return self._state.search_for("beliefs").beliefs
 
     @property
     def update(self) -> int:
@@ -155,7 +152,7 @@ class Explorer:
             RuntimeError: an episode is running.
             ValueError: z has the wrong size or is not finite, or comes with `explore=False`.
         """
-        self._refuse_if_running("begin_episode")
+        self._state.refuse_running("begin_episode")
         if not explore and z is not None:
             raise ValueError(
                 "`explore=False` holds z at the latent's mean, so that `z` cannot be chosen as "
@@ -164,8 +161,42 @@ class Explorer:
         size = self.exported.latent_size
         chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
         self._state = self._state.begun(explore, chosen, self._generator)
-        self._policy = self._conditioned()
-        return self._running("begin_episode").latent.copy()
+        self._actor = self._given_z()
+        return self._state.running_for("begin_episode").latent.copy()
+
+    def propose(self, count: int) -> FloatArray:
+        """Choose z for several robots to play at the same time, `[robot, latent]`.
+
+        Each is chosen as if those before it had returned what the search expects of them. Play
+        them with `begin_episode(z=...)`, or report with `add_result` what other robots got, in any
+        order: `adapt` learns in the order of proposal. One that is never played does no harm.
+
+        Raises:
+            RuntimeError: an episode is running, or there is no search.
+            ValueError: `count` is not at least 1.
+        """
+        self._state.refuse_running("propose")
+        if count < 1:
+            raise ValueError(f"`count` must be at least 1, got {count}.")
+        self._state, latents = self._state.proposing(count, self._generator)
+        return latents
+
+    def add_result(self, z: ArrayLike, rewards: ArrayLike) -> None:
+        """Keep what another robot got with a z of this search; the next `adapt` learns from it.
+
+        Args:
+            z: one of those that `propose` returned, `[latent]`.
+            rewards: r_t of every step of its episode, `[time]`.
+
+        Raises:
+            RuntimeError: there is no search.
+            ValueError: z was not proposed, or the rewards are not finite or none.
+        """
+        size, search = self.exported.latent_size, self._state.search_for("add_result")
+        point = search.index(finite_vector("z", z, size, "as the policy's latent"))
+        steps = max(np.size(rewards), 1)
+        checked = finite_vector("rewards", rewards, steps, "one for each step of the episode")
+        self._state = self._state.told(point, checked, self.exported.search_horizon)
 
     def act(
         self, observation: ArrayLike, explore: bool | None = None, normalized: bool = False
@@ -191,33 +222,11 @@ class Explorer:
                 it or the control is not finite, or `normalized` is asked of actuators without
                 limits.
         """
-        running, size = self._running("act"), self.exported.observation_size
+        running, size = self._state.running_for("act"), self.exported.observation_size
         seen = finite_vector("observation", observation, size, "as in training")
-        observed = self.exported.sensors.clipped(seen)
-        action = self._policy.mean(observed)
-        if not np.isfinite(action).all():
-            raise ValueError(
-                f"`observation` {observed} is so large that the policy's answer is {action}; "
-                "throw the episode away with `discard()`."
-            )
-        if normalized:
-            self.exported.actuators.refuse_unlimited()
-        random_state = self._generator.bit_generator.state
-        is_drawn = self.exported.is_noisy[running.purpose] if explore is None else explore
-        if is_drawn:
-            std = self.exported.policy.std
-            action += std * self._generator.standard_normal(std.shape[0])
-        before = running.controls[-1] if running.controls else None
-        control = self._limiter.control(action, before)
-        answer = self.exported.actuators.normalized(control) if normalized else control.copy()
-        if not np.isfinite([action, control, answer]).all():
-            self._generator.bit_generator.state = random_state
-            raise ValueError(
-                f"the control must be finite, but the action {action} becomes {answer}; nothing "
-                "was recorded. Limit the controls with `Safeguards`."
-            )
-        running.add(observed, action, control)
-        return answer
+        done = self._actor.decided(running, seen, explore, normalized)
+        running.add(done.observed, done.action, done.control)
+        return done.answer
 
     def control(self, action: ArrayLike) -> FloatArray:
         """Return what the actuators would get for an action of the policy, `[action]`.
@@ -241,7 +250,7 @@ class Explorer:
             RuntimeError: no episode is running, or it has no step yet.
             ValueError: not one finite reward for every step. The episode is still running.
         """
-        running = self._running("end_episode")
+        running = self._state.running_for("end_episode")
         if running.num_steps == 0:
             raise RuntimeError(
                 "`end_episode` needs at least one step, but `act` has not been called since "
@@ -260,7 +269,7 @@ class Explorer:
         Raises:
             RuntimeError: no episode is running.
         """
-        self._running("discard")
+        self._state.running_for("discard")
         self._state = replace(self._state, running=None)
 
     def adapt(self) -> AdaptationInfo:
@@ -273,28 +282,15 @@ class Explorer:
             RuntimeError: an episode is running, there are fewer than two finished episodes to
                 learn from (one with a search), or the update is not finite. The episodes are kept.
         """
-        self._refuse_if_running("adapt")
-        search = self.exported.search
-        horizon = 1 if search is None else search.horizon
+        self._state.refuse_running("adapt")
+        horizon = self.exported.search_horizon
         if complaint := surprise(self._state, horizon):
             warnings.warn(complaint, stacklevel=2)
         self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
 
-    def _conditioned(self) -> ConditionedPolicy:
+    def _given_z(self) -> Actor:
         running = self._state.running
         latent = self._state.latent.mean if running is None else running.latent
-        return self.exported.policy.given(latent)
-
-    def _running(self, method: str) -> RunningEpisode:
-        running = self._state.running
-        if running is None:
-            raise RuntimeError(f"`{method}` needs a running episode; call `begin_episode()` first.")
-        return running
-
-    def _refuse_if_running(self, method: str) -> None:
-        if self._state.running is not None:
-            raise RuntimeError(
-                f"`{method}` was called while an episode of {self._state.running.num_steps} steps "
-                "is running; finish it with `end_episode(rewards)` or call `discard()` first."
-            )
+        policy = self.exported.policy.given(latent)
+        return Actor(self.exported, policy, self._limiter, self._generator)

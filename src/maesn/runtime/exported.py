@@ -72,6 +72,11 @@ class ExportedPolicy:
         """Number of components of an action, and of a control."""
         return self.policy.action_size
 
+    @property
+    def search_horizon(self) -> int:
+        """Steps of a full episode, which a search alone needs; 1 without one."""
+        return 1 if self.search is None else self.search.horizon
+
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file."""
         return {

@@ -7,7 +7,6 @@ import numpy as np
 
 from maesn.runtime.baseline import episode_advantages
 from maesn.runtime.latent import Latent, LearningRule
-from maesn.runtime.posterior import Reading
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import LatentSearch
 from maesn.runtime.state import ExplorerState, Undo
@@ -43,18 +42,11 @@ def learned(
     Raises:
         RuntimeError: too few episodes, or the update is not finite.
     """
-    num_episodes = len(state.episodes)
-    needed = MINIMUM_EPISODES if state.search is None else 1
-    if num_episodes < needed:
-        raise RuntimeError(
-            f"`adapt` needs at least {needed} finished episodes to learn from, got "
-            f"{num_episodes}; play more with `begin_episode()`. Episodes that began with "
-            "`explore=False` are not learned from."
-        )
-    mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
     if state.search is not None:
-        info = AdaptationInfo(mean_return, num_episodes, rolled_back=False, shortened=False)
-        return _after_search(state, state.search, horizon), info
+        return _after_search(state, state.search, horizon)
+    num_episodes = len(state.episodes)
+    _refuse_fewer(MINIMUM_EPISODES, num_episodes)
+    mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
     if state.undo is not None and safeguards.is_drop(mean_return, state.undo.mean_return):
         info = AdaptationInfo(mean_return, num_episodes, rolled_back=True, shortened=False)
         return ExplorerState(state.undo.latent, state.update + 1), info
@@ -71,25 +63,29 @@ def surprise(state: ExplorerState, horizon: int) -> str:
     """Return a sentence if the next update is the first with returns that no prior explains."""
     if state.search is None or state.search.is_surprised:
         return ""
-    return state.search.complaint(_readings(state, state.search, horizon))
+    return state.search.complaint(state.readings(horizon))
 
 
-def _readings(state: ExplorerState, search: LatentSearch, horizon: int) -> list[Reading]:
-    return [
-        Reading(
-            search.index(episode.latent),
-            episode.undiscounted_return,
-            len(episode.rewards) / horizon,
-        )
-        for episode in state.episodes
-    ]
-
-
-def _after_search(state: ExplorerState, search: LatentSearch, horizon: int) -> ExplorerState:
+def _after_search(
+    state: ExplorerState, search: LatentSearch, horizon: int
+) -> tuple[ExplorerState, AdaptationInfo]:
     """Return the state after an update of the search; its latent is the one to deploy."""
-    search = search.after(_readings(state, search, horizon))
+    readings = state.readings(horizon)
+    _refuse_fewer(1, len(readings))
+    search = search.after(readings)
     latent = replace(state.latent, mean=search.latent(search.best))
-    return ExplorerState(latent, state.update + 1, search=search)
+    mean_return = float(np.mean([one.episode_return for one in readings]))
+    info = AdaptationInfo(mean_return, len(readings), rolled_back=False, shortened=False)
+    return ExplorerState(latent, state.update + 1, search=search), info
+
+
+def _refuse_fewer(needed: int, found: int) -> None:
+    if found < needed:
+        raise RuntimeError(
+            f"`adapt` needs at least {needed} finished episodes to learn from, got {found}; play "
+            "more with `begin_episode()`. Episodes that began with `explore=False` are not learned "
+            "from."
+        )
 
 
 def _policy_gradient_step(state: ExplorerState, rule: LearningRule) -> Latent:

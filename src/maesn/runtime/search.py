@@ -144,6 +144,10 @@ class LatentSearch:
         """Return the search with one more point."""
         return self._with_points(z[None])
 
+    def has(self, z: FloatArray) -> bool:
+        """Whether z is a point of this search."""
+        return bool((self.points == z).all(axis=1).any())
+
     def index(self, z: FloatArray) -> int:
         """Return the index of a point; raises `ValueError` if z is no point of this search."""
         found = np.flatnonzero((self.points == z).all(axis=1))

@@ -16,9 +16,11 @@ from maesn.runtime.episode import (
     RunningEpisode,
     episodes_from_arrays,
     episodes_to_arrays,
+    refuse_large,
 )
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.latent import Latent
+from maesn.runtime.posterior import Reading
 from maesn.runtime.search import LatentSearch
 
 
@@ -46,6 +48,8 @@ class ExplorerState:
         running: the episode that is being played, if any.
         undo: state to restore when the last update is taken back; None if there is none.
         search: state of the search; None where the latent follows its gradient.
+        proposed: points of the search that several robots play, in the order of proposal.
+        results: what other robots returned since the last update.
     """
 
     latent: Latent
@@ -54,6 +58,8 @@ class ExplorerState:
     running: RunningEpisode | None = None
     undo: Undo | None = None
     search: LatentSearch | None = None
+    proposed: tuple[int, ...] = ()
+    results: tuple[Reading, ...] = ()
 
     @staticmethod
     def new_task(exported: ExportedPolicy) -> "ExplorerState":
@@ -88,7 +94,7 @@ class ExplorerState:
             if z is None:
                 search, point = search.proposed(generator)
                 z = search.latent(point).copy()
-            else:
+            elif not search.has(z):
                 search = search.with_latent(z)
             return replace(self, running=RunningEpisode(z), search=search)
         if not explore:
@@ -96,6 +102,53 @@ class ExplorerState:
         if z is None:
             z = self.latent.draw(generator.standard_normal(self.latent.mean.size))
         return replace(self, running=RunningEpisode(z))
+
+    def running_for(self, call: str) -> RunningEpisode:
+        """Return the running episode; raises RuntimeError if there is none."""
+        if self.running is None:
+            raise RuntimeError(f"`{call}` needs a running episode; call `begin_episode()` first.")
+        return self.running
+
+    def refuse_running(self, call: str) -> None:
+        """Raise RuntimeError if an episode is running."""
+        if self.running is not None:
+            raise RuntimeError(
+                f"`{call}` was called while an episode of {self.running.num_steps} steps is "
+                "running; finish it with `end_episode(rewards)` or call `discard()` first."
+            )
+
+    def search_for(self, call: str) -> LatentSearch:
+        """Return the search; raises RuntimeError if there is none."""
+        if self.search is None:
+            raise RuntimeError(f"`{call}` needs a search: export with the rule `search`.")
+        return self.search
+
+    def proposing(
+        self, count: int, generator: np.random.Generator
+    ) -> "tuple[ExplorerState, FloatArray]":
+        """Return the state after a proposal of several z, and these, `[robot, latent]`."""
+        search, proposed = self.search_for("propose").proposed_together(generator, count)
+        return replace(self, search=search, proposed=proposed), search.points[list(proposed)]
+
+    def told(self, point: int, rewards: FloatArray, horizon: int) -> "ExplorerState":
+        """Return the state with what another robot got for a point."""
+        refuse_large(rewards)
+        result = Reading(point, float(rewards.sum()), len(rewards) / horizon)
+        return replace(self, results=(*self.results, result))
+
+    def readings(self, horizon: int) -> list[Reading]:
+        """Return what a search learns next, in the order of proposal; the unproposed is last."""
+        search = self.search_for("adapt")
+        own = [
+            Reading(
+                search.index(episode.latent),
+                episode.undiscounted_return,
+                len(episode.rewards) / horizon,
+            )
+            for episode in self.episodes
+        ]
+        place = {point: number for number, point in enumerate(self.proposed)}
+        return sorted([*own, *self.results], key=lambda one: place.get(one.point, len(place)))
 
     def arrays(self, exported: ExportedPolicy) -> Arrays:
         """Return the arrays to save in a file."""
@@ -110,7 +163,9 @@ class ExplorerState:
             kept["undo.mean"] = self.undo.latent.mean
             kept["undo.log_std"] = self.undo.latent.log_std
             kept["undo.mean_return"] = np.asarray(self.undo.mean_return)
-        return kept if self.search is None else kept | self.search.arrays()
+        if self.search is None:
+            return kept
+        return kept | self.search.arrays() | _results_to_arrays(self.proposed, self.results)
 
     def metadata(self) -> dict[str, Any]:
         """Return the other values to save in a file."""
@@ -131,14 +186,18 @@ class ExplorerState:
             running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
         if "undo.mean" in arrays:
             undo = Undo(_latent(arrays, "undo", size), float(take(arrays, "undo.mean_return")))
-        search = ExplorerState.new_task(exported).search
-        return ExplorerState(
+        state = ExplorerState.new_task(exported)
+        if state.search is not None:
+            search = state.search.repeated(arrays)
+            proposed, results = _results_from_arrays(arrays, len(search.points))
+            state = replace(state, search=search, proposed=proposed, results=results)
+        return replace(
+            state,
             latent=_latent(arrays, "latent", size),
             update=entry(metadata, "update", int),
             episodes=episodes_from_arrays(arrays, *sizes),
             running=running,
             undo=undo,
-            search=None if search is None else search.repeated(arrays),
         )
 
 
@@ -148,6 +207,35 @@ def _purpose(metadata: Mapping[str, Any]) -> Purpose:
         raise ValueError(f"entry `purpose` must be 'explore' or 'deploy', got {found!r}.")
     purpose: Purpose = found
     return purpose
+
+
+_RESULTS = ("point", "episode_return", "length")
+
+
+def _results_to_arrays(proposed: tuple[int, ...], results: tuple[Reading, ...]) -> Arrays:
+    fields = {name: [getattr(one, name) for one in results] for name in _RESULTS}
+    return {
+        "proposed": np.asarray(proposed, np.float64),
+        **{f"results.{name}": np.asarray(values, np.float64) for name, values in fields.items()},
+    }
+
+
+def _results_from_arrays(
+    arrays: Mapping[str, NDArray[np.generic]], num_points: int
+) -> tuple[tuple[int, ...], tuple[Reading, ...]]:
+    if "proposed" not in arrays:  # written before searches proposed several z
+        return (), ()
+    proposed = _points(take(arrays, "proposed", -1), num_points)
+    points = _points(take(arrays, "results.point", -1), num_points)
+    rest = [take(arrays, f"results.{name}", len(points)).tolist() for name in _RESULTS[1:]]
+    return proposed, tuple(map(Reading, points, *rest))
+
+
+def _points(stated: FloatArray, num_points: int) -> tuple[int, ...]:
+    points = tuple(int(point) for point in stated)
+    if not all(0 <= point < num_points for point in points):
+        raise ValueError("array `proposed` or `results.point` names points that are not there.")
+    return points
 
 
 def _latent(arrays: Mapping[str, NDArray[np.generic]], name: str, size: int) -> Latent:
