@@ -28,7 +28,7 @@ MORE = 8
 """Iterations after a run was gone on with."""
 LONG = 150
 ADAPTATION: dict[str, Any] = {"num_tasks": 2, "episodes": 4, "episodes_per_update": 2}
-PRIOR = PriorSettings(draws=12, adapted=False, episodes=2)
+PRIOR = PriorSettings(draws=12, adapted=False, episodes=2, searches=0)
 SAFEGUARDS = Safeguards(lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7)
 
 Outcome = tuple[bytes, dict[str, bytes]]

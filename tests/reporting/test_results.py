@@ -19,7 +19,7 @@ from maesn.studies.members import RUN
 
 RESULTS = ROOT / "results"
 RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
-MOST_BYTES = 6 * 10**6
+MOST_BYTES = 8 * 10**6
 
 
 def name_of(path: Path) -> str:
