@@ -56,7 +56,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Readings
 from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound
-from maesn.envs.base import Reward, RewardKind, Task, Variant
+from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.walking import HORIZON, AbstractPlaceless, AbstractWalking
@@ -98,7 +98,9 @@ class AbstractAntV5(AbstractWalking[Task]):
 
     def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""
-        return self.cost_of(action) + CONTACT_COST * jnp.sum(_contact_forces(readings) ** 2)
+        return super().costs(readings, action) + CONTACT_COST * jnp.sum(
+            _contact_forces(readings) ** 2
+        )
 
 
 class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
@@ -112,16 +114,13 @@ class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
     def observe(self, readings: Readings) -> Float[Array, " 105"]:
         return super().observe(readings)[2:]
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
-    ) -> Reward:
-        after = self.sound(readings, next_readings)
-        ahead = jnp.dot(self.velocity(readings, after, 2), task)
-        return Reward(ahead, SURVIVAL_BONUS - self.costs(after, action))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Goal
+    ) -> Float[Array, ""]:
+        return jnp.dot(self.velocity(readings, next_readings, 2), task)
+
+    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+        return super().costs(readings, action) - SURVIVAL_BONUS
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         height = readings["qpos"][2]
@@ -135,19 +134,10 @@ class AntGoal(AbstractAntV5[Goal], AbstractReaching):
     name: ClassVar[str] = "ant_goal"
     control_cost: ClassVar[float] = 0.1
 
-    def goal_reward(self, readings: Readings, task: Goal) -> Float[Array, ""]:
-        """Return the part of the reward that depends on the goal."""
-        return -jnp.abs(readings["qpos"][:2] - task).sum()
-
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
-    ) -> Reward:
-        after = self.sound(readings, next_readings)
-        return Reward(self.goal_reward(after, task), -self.costs(after, action))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Goal
+    ) -> Float[Array, ""]:
+        return -jnp.abs(next_readings["qpos"][:2] - task).sum()
 
     def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
         return observation[:2]
@@ -159,9 +149,11 @@ class SparseAntGoal(AntGoal):
     name: ClassVar[str] = "sparse_ant_goal"
     control_cost: ClassVar[float] = 0.01
 
-    def goal_reward(self, readings: Readings, task: Goal) -> Float[Array, ""]:
-        distance = self.distance(readings, task)
-        return jnp.where(self.solved(readings, task), 1.0 - distance, self.far_reward(task))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Goal
+    ) -> Float[Array, ""]:
+        distance, there = self.distance(next_readings, task), self.solved(next_readings, task)
+        return jnp.where(there, 1.0 - distance, self.far_reward(task))
 
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         return jnp.asarray(-self.sparse_radius)

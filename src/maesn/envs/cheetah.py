@@ -47,7 +47,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import Readings
-from maesn.envs.base import Reward, RewardKind, Task, Variant
+from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.walking import HORIZON, AbstractPlaceless
 from maesn.physics import field_values, load_model
@@ -87,14 +87,10 @@ class CheetahVel(AbstractCheetah[Float[Array, ""]]):
 
     name: ClassVar[str] = "cheetah_vel"
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Float[Array, ""],
-    ) -> Reward:
-        return Reward(-jnp.abs(self.speed(readings, next_readings) - task), -self.cost_of(action))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Float[Array, ""]
+    ) -> Float[Array, ""]:
+        return -jnp.abs(self.speed(readings, next_readings) - task)
 
 
 class CheetahDir(AbstractCheetah[Float[Array, ""]]):
@@ -102,14 +98,10 @@ class CheetahDir(AbstractCheetah[Float[Array, ""]]):
 
     name: ClassVar[str] = "cheetah_dir"
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Float[Array, ""],
-    ) -> Reward:
-        return Reward(task * self.speed(readings, next_readings), -self.cost_of(action))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Float[Array, ""]
+    ) -> Float[Array, ""]:
+        return task * self.speed(readings, next_readings)
 
 
 class Body(NamedTuple):
@@ -128,15 +120,10 @@ class CheetahBody(AbstractCheetah[Body]):
 
     name: ClassVar[str] = "cheetah_body"
 
-    def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Body,
-    ) -> Reward:
-        speed, height = self.speed(readings, next_readings), next_readings["qpos"][1]
-        return Reward(speed + height, -self.cost_of(action))
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Body
+    ) -> Float[Array, ""]:
+        return self.speed(readings, next_readings) + next_readings["qpos"][1]
 
     def model_fields(self, task: Body) -> dict[str, Array]:
         factors = {

@@ -5,6 +5,7 @@ Gymnasium's `HalfCheetah-v5` and `Ant-v5`, read from the installed package (`pip
 '.[gym]'`) and moved by the native engine, in double precision step for step as there.
 """
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key, ObservedReward, Readings
-from maesn.envs.base import AbstractMujocoEnv, Task
+from maesn.envs.base import AbstractMujocoEnv, Reward, Task
 
 NOISE = 0.1  # of the start: half width of positions, standard deviation of velocities; v5
 HORIZON = 200  # steps, in all of the sources
@@ -41,8 +42,28 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
     def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
         return jnp.clip(action, -1.0, 1.0)
 
-    def cost_of(self, action: Float[Array, " action"]) -> Float[Array, ""]:
-        """Return the cost of the control."""
+    @abstractmethod
+    def goal_reward(
+        self, readings: Readings, next_readings: Readings, task: Task
+    ) -> Float[Array, ""]:
+        """Return the part of a step's reward that depends on the task."""
+
+    def reward(
+        self,
+        readings: Readings,
+        action: Float[Array, " action"],
+        next_readings: Readings,
+        task: Task,
+    ) -> Reward:
+        after = self.sound(readings, next_readings)
+        return Reward(self.goal_reward(readings, after, task), -self.costs(after, action))
+
+    def sound(self, readings: Readings, next_readings: Readings) -> Readings:
+        """Return the state after a step, from which its reward is computed."""
+        return next_readings
+
+    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+        """Return the cost of the control, and of the state that it led to."""
         return self.control_cost * jnp.sum(self.control(action) ** 2)
 
     def velocity(self, readings: Readings, next_readings: Readings, size: int) -> Array:

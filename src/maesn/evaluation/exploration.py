@@ -29,7 +29,6 @@ from maesn.reporting.runs import (
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
-from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file
 from maesn.storage import RunError, write_arrays
 from maesn.worlds.collector import Collector
@@ -148,7 +147,6 @@ def spread_latents(size: int) -> np.ndarray:
 def _searches(run: Run) -> RecordedSearches:
     """Search in the first tasks of the test set."""
     with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
-        assert isinstance(learner, SearchFastLearner)
         collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
         states, played = [learner.init(keys)], []
         for episode in range(_EPISODES):

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from maesn.axes import Key
-from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractSettableLatent, Purpose
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import NOMINAL, ReturnPrior
@@ -48,24 +47,20 @@ def calibrated(
             purpose: Purpose = "deploy" if count % 3 == 2 else "explore"
             episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys[part], count)
             episodes = collect(episode_keys, learner.agents(state, purpose), slots[part])
-            places[purpose] += _places(state, episodes, purpose)
+            readings = learner.readings(state, episodes, purpose)
+            places[purpose] += _places(state, readings)
             if purpose == "explore":
-                state = learner.update(state, episodes)
+                state = learner.after(state, readings)
     proposed = _levels(places["explore"], NOMINAL)
     deployed = _levels(places["deploy"], proposed)
     return dataclasses.replace(prior, proposed_levels=proposed, deployed_levels=deployed)
 
 
-def _places(state: SearchState, episodes: Episodes, purpose: Purpose) -> Iterator[float]:
+def _places(state: SearchState, readings: Sequence[Sequence[Reading]]) -> Iterator[float]:
     """Yield where returns lie in what was predicted of them, unless they were known exactly."""
-    returns = np.asarray(episodes.undiscounted_return[:, 0], np.float64)
-    lengths = np.asarray(episodes.valid[:, 0].mean(-1), np.float64)
-    for search, (proposed,), *played in zip(
-        state.searches, state.chosen, returns, lengths, strict=True
-    ):
-        point = search.best if purpose == "deploy" else proposed
-        if not search.posterior.is_known(point):
-            yield search.posterior.place(Reading(point, *played))
+    for search, (reading,) in zip(state.searches, readings, strict=True):
+        if not search.posterior.is_known(reading.point):
+            yield search.posterior.place(reading)
 
 
 def _levels(places: Sequence[float], otherwise: Sequence[float]) -> tuple[float, float]:

@@ -65,21 +65,30 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
         return replace(self.steered.holding(np.asarray(latents, np.float32)), is_noisy=False)
 
     def update(self, state: SearchState, episodes: Episodes) -> SearchState:
+        readings = self.readings(state, episodes)
+        pairs = zip(state.searches, readings, strict=True)
+        complaints = list(filter(None, (search.complaint(some) for search, some in pairs)))
+        if complaints and not any(search.is_surprised for search in state.searches):
+            tasks = len(state.searches)
+            logger.warning("In %d of %d tasks, %s", len(complaints), tasks, complaints[0])
+        return self.after(state, readings)
+
+    def readings(
+        self, state: SearchState, episodes: Episodes, purpose: Purpose = "explore"
+    ) -> list[list[Reading]]:
+        """Return what episodes tell that were played for a purpose, in each task."""
         returns = np.asarray(episodes.undiscounted_return, np.float64)
         lengths = np.asarray(episodes.valid.mean(-1), np.float64)
-        searches, complaints = [], []
-        for search, points, *per_episode in zip(
-            state.searches, state.chosen, returns, lengths, strict=True
-        ):
-            played = zip(itertools.cycle(points), *per_episode, strict=False)
-            readings = list(itertools.starmap(Reading, played))
-            complaints.append(search.complaint(readings))
-            searches.append(search.after(readings))
-        if any(complaints) and not any(search.is_surprised for search in state.searches):
-            number = sum(map(bool, complaints))
-            said = next(filter(None, complaints))
-            logger.warning("In %d of %d tasks, %s", number, len(complaints), said)
-        return self._propose(searches, state.generators)
+        points = [(best,) for best in _best(state)] if purpose == "deploy" else state.chosen
+        return [
+            list(map(Reading, itertools.cycle(some), *per_episode))
+            for some, *per_episode in zip(points, returns, lengths, strict=True)
+        ]
+
+    def after(self, state: SearchState, readings: Sequence[Sequence[Reading]]) -> SearchState:
+        """Return the state after some readings in each task."""
+        pairs = zip(state.searches, readings, strict=True)
+        return self._propose([search.after(some) for search, some in pairs], state.generators)
 
     def _propose(
         self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]

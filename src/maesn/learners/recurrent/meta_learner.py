@@ -23,11 +23,10 @@ from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.value import RecurrentValue
 from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import ValueState, explained_variance
-from maesn.learners.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, check_trials, join_episodes
 from maesn.numerics import mesh, standardize, trial_advantages
 from maesn.numerics.mesh import check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
-from maesn.settings import check_number
 
 
 class RecurrentMetaState(eqx.Module):
@@ -81,11 +80,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     """lambda of generalised advantage estimation. garage's RL2: 0.95."""
 
     def __check_init__(self) -> None:
-        for name in ("meta_batch_size", "trial_episodes"):
-            check_number(name, getattr(self, name), 1)
-        for name in ("discount", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")
+        check_trials(self)
         if self.trial_episodes > 1 and not self.policy.is_recurrent:
             raise ValueError(
                 f"`trial_episodes` is {self.trial_episodes}, but a policy of `"

@@ -21,7 +21,7 @@ from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import explained_variance
-from maesn.learners.trials import Trials, join_episodes
+from maesn.learners.trials import Trials, check_trials, join_episodes
 from maesn.learners.varibad.bonus import BonusState, HyperBonus
 from maesn.learners.varibad.decoder import BeliefDecoderSettings
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
@@ -40,7 +40,7 @@ from maesn.numerics import (
 from maesn.numerics.mesh import num_devices
 from maesn.numerics.normalization import no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.settings import check_choice, check_number
+from maesn.settings import check_choice
 
 # Of policy and value in the reference.
 PUBLISHED_DESCENT = MinibatchDescent(learning_rate=7e-4, epochs=2, minibatches=4)
@@ -81,11 +81,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
     """lambda of generalised advantage estimation. Reference: 0.95 on GridNavi, 0.9 elsewhere."""
 
     def __check_init__(self) -> None:
-        for name in ("meta_batch_size", "trial_episodes"):
-            check_number(name, getattr(self, name), 1)
-        for name in ("discount", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")
+        check_trials(self)
         check_choice("observed_reward", self.observed_reward, ObservedReward)
 
     def init(self, key: Key, problem: Problem) -> VaribadState:
