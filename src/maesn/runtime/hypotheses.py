@@ -122,8 +122,8 @@ class MixedPosterior:
         """Return weights, means and standard deviations of an episode's return, `[component]`."""
         pairs = zip(self.hypotheses.models, self.parts, strict=True)
         found = [part.predicted(model, point, length) for model, part in pairs]
-        stds = [np.full(len(mean), std) for mean, std in found]
-        return self.weights, np.concatenate([mean for mean, _ in found]), np.concatenate(stds)
+        stds = [np.full(len(one.mean), one.std) for one in found]
+        return self.weights, np.concatenate([one.mean for one in found]), np.concatenate(stds)
 
     def place(self, reading: Reading) -> float:
         """Return the probability of a return below that of a reading."""

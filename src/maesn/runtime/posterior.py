@@ -1,7 +1,7 @@
 """The posterior over the returns of latents in a new task, under one model of them."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -52,6 +52,19 @@ class Reading:
     point: int
     episode_return: float
     length: float = 1.0
+
+
+class Prediction(NamedTuple):
+    """What is predicted of the return of an episode."""
+
+    mean: FloatArray
+    """Mean in each component, `[task]`."""
+    std: float
+    """Standard deviation in each component, with the noise of the episode."""
+    covariance: FloatArray
+    """Covariance with f, `[point]`."""
+    offset: float
+    """Covariance with c."""
 
 
 @dataclass(frozen=True)
@@ -129,21 +142,19 @@ class Posterior:
         z = self.points[point : point + 1]
         return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
 
-    def predicted(
-        self, model: TaskModel, point: int, length: float = 1.0
-    ) -> tuple[FloatArray, float]:
-        """Return mean `[task]` and standard deviation of an episode's return in each component."""
-        covariance, offset = self._covariances(model, point, length)
-        noise = float(model.noise(self.points[point : point + 1])[0])
-        variance = float(covariance[point]) + length * offset + noise
-        return self.task_mean[:, point] + length * self.task_offset, float(
-            np.sqrt(max(variance, 0.0))
-        )
+    def predicted(self, model: TaskModel, point: int, length: float = 1.0) -> Prediction:
+        """Return what is predicted of an episode's return, given the readings so far."""
+        z = self.points[point : point + 1]
+        reading_row = self.rows[:, point] + length * self.offset_rows
+        covariance = model.covariance(z, self.points)[0] - reading_row @ self.rows
+        offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
+        variance = float(covariance[point]) + length * offset + float(model.noise(z)[0])
+        mean = self.task_mean[:, point] + length * self.task_offset
+        return Prediction(mean, float(np.sqrt(max(variance, 0.0))), covariance, offset)
 
     def conditioned(self, model: TaskModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
-        expected, std = self.predicted(model, reading.point, reading.length)
-        covariance, offset = self._covariances(model, reading.point, reading.length)
+        expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
         error = reading.episode_return - expected
         if self.is_known(model, reading.point):
             scale = np.inf  # it teaches nothing, so its row is zero
@@ -162,13 +173,6 @@ class Posterior:
             scales=np.append(self.scales, scale),
             innovations=np.vstack([self.innovations, innovation]),
         )
-
-    def _covariances(self, model: TaskModel, j: int, length: float) -> tuple[FloatArray, float]:
-        """Return the covariances of a reading with f and with c, given the readings so far."""
-        reading_row = self.rows[:, j] + length * self.offset_rows
-        covariance = model.covariance(self.points[j : j + 1], self.points)[0]
-        offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
-        return covariance - reading_row @ self.rows, offset
 
     def extended(self, model: TaskModel, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
