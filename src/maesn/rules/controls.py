@@ -1,7 +1,7 @@
 """Controls of a search: what is left of it without the training tasks, and without any model."""
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
