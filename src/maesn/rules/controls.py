@@ -35,7 +35,8 @@ class StationaryRule(SearchRule):
         learner = super().fast_learner(trained, env)
         scale = self.settings.length_scale
         alike = replace(learner.model.unlike(), base=learner.model, length_scale=scale)
-        return replace(learner, model=alike)
+        # Where a task is surely familiar, a search asks a model for nothing that this one lacks.
+        return replace(learner, model=alike)  # type: ignore[arg-type]
 
 
 class RandomRule(AbstractRule):
@@ -90,5 +91,5 @@ class RandomLatents(AbstractFastLearner[RandomState]):
 
     def _drawn(self, state: RandomState) -> Float[Array, "task z"]:
         keys = jax.vmap(jax.random.fold_in, (0, None))(state.keys, state.played)
-        draw = jax.vmap(lambda key: jax.random.normal(key, (self.steered.size,)))
-        return self.spread * draw(keys)
+        draws = jax.vmap(jax.random.normal, (0, None))(keys, (self.steered.size,))
+        return self.spread * draws
