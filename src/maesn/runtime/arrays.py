@@ -16,18 +16,10 @@ def float64(values: Any) -> FloatArray:
 
 
 def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> FloatArray:
-    """Return a copy of `values` in double precision, or refuse it.
+    """Return a copy of `values` in double precision; raises ValueError for NaN or another size.
 
     A copy, because robots reuse their buffers: `data.qpos` of a simulator is overwritten in place.
-
-    Args:
-        name: name of the argument, for the message.
-        values: what the caller gave.
-        size: the number of components that it must have.
-        reason: why it must have that size, for the message.
-
-    Raises:
-        ValueError: not `size` finite numbers.
+    Messages use the name of the argument, and the reason for its size.
     """
     try:
         vector = np.array(values, dtype=np.float64)
@@ -45,6 +37,16 @@ def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> Float
             "recorded: give finite values."
         )
     return vector
+
+
+def named(prefix: str, value: object, *fields: str) -> Arrays:
+    """Return some fields of a value under the names that they have in a file."""
+    return {f"{prefix}.{field}": getattr(value, field) for field in fields}
+
+
+def taken(arrays: Arrays, prefix: str, size: int, *fields: str, **options: bool) -> dict[str, Any]:
+    """Return vectors of a file, `[size]`, as the arguments of what they are fields of."""
+    return {field: take(arrays, f"{prefix}.{field}", size, **options) for field in fields}
 
 
 def take(

@@ -68,11 +68,7 @@ def discounted_returns(reward: FloatArray, discount: float) -> FloatArray:
 
 
 def features(observation: FloatArray) -> FloatArray:
-    """Return [o, o^2, t, t^2, t^3, 1] with o clipped and t in hundreds of steps.
-
-    Args:
-        observation: observations of one episode, `[time, observation]`.
-    """
+    """Return [o, o^2, t, t^2, t^3, 1] of one episode, with o clipped and t in hundreds of steps."""
     clipped = np.clip(observation, -FEATURE_CLIP, FEATURE_CLIP)
     time = np.arange(observation.shape[0]) / FEATURE_TIME_SCALE
     powers = np.stack([time, time**2, time**3, np.ones_like(time)], axis=-1)

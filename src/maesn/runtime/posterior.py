@@ -1,12 +1,12 @@
 """The posterior over the returns of latents in a new task, under one model of them."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.return_model import ReturnModel
 
 # A return is an outlier if it is further from every task's prediction than this, in standard
 # deviations. Its noise is then raised until it is exactly this far from the nearest prediction.
@@ -15,28 +15,6 @@ OUTLIER = 4.0
 KNOWN = 1e-9
 # Standard deviation where nothing varies, as a share of the largest error: squares stay finite.
 _LEAST_STD = 1e-150
-
-
-@runtime_checkable
-class TaskModel(Protocol):
-    """A mixture of Gaussian processes that share one covariance; see `ReturnModel`."""
-
-    @property
-    def prior(self) -> ReturnPrior:
-        """What is known of the noise and of c."""
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of components."""
-
-    def task_means(self, latents: FloatArray) -> FloatArray:
-        """Return the mean of f in each component, `[task, point]`."""
-
-    def noise(self, latents: FloatArray) -> FloatArray:
-        """Return the variance of one episode's return, `[point]`."""
-
-    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the covariance of f in each component, `[first, second]`."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +78,7 @@ class Posterior:
     innovations: FloatArray
 
     @staticmethod
-    def of_prior(model: TaskModel, points: FloatArray) -> "Posterior":
+    def of_prior(model: ReturnModel, points: FloatArray) -> "Posterior":
         """Return the distribution at some latents before any reading."""
         return Posterior(
             points,
@@ -136,13 +114,13 @@ class Posterior:
         between = self.task_weights @ (self.task_mean - self.mean) ** 2
         return np.sqrt(between + np.maximum(self.variance, 0.0))
 
-    def is_known(self, model: TaskModel, point: int) -> bool:
+    def is_known(self, model: ReturnModel, point: int) -> bool:
         """Whether a latent would return what it returned before: its episodes have no noise."""
         played = any(one.point == point for one in self.readings)
         z = self.points[point : point + 1]
         return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
 
-    def predicted(self, model: TaskModel, point: int, length: float = 1.0) -> Prediction:
+    def predicted(self, model: ReturnModel, point: int, length: float = 1.0) -> Prediction:
         """Return what is predicted of an episode's return, given the readings so far."""
         z = self.points[point : point + 1]
         reading_row = self.rows[:, point] + length * self.offset_rows
@@ -152,7 +130,7 @@ class Posterior:
         mean = self.task_mean[:, point] + length * self.task_offset
         return Prediction(mean, float(np.sqrt(max(variance, 0.0))), covariance, offset)
 
-    def conditioned(self, model: TaskModel, reading: Reading) -> "Posterior":
+    def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
         error = reading.episode_return - expected
@@ -174,7 +152,7 @@ class Posterior:
             innovations=np.vstack([self.innovations, innovation]),
         )
 
-    def extended(self, model: TaskModel, more: FloatArray) -> "Posterior":
+    def extended(self, model: ReturnModel, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
         rows = np.zeros((len(self.readings), len(more)))
         for index, reading in enumerate(self.readings):
