@@ -1,10 +1,7 @@
 """Run directories: what they hold, and where they can be made."""
 
 import dataclasses
-import errno
-import os
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -140,20 +137,6 @@ def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
     for place in ("file", "file/sub"):
         with pytest.raises(RunError, match="cannot work in"):
             create_tiny(tmp_path / place)
-
-
-@pytest.mark.parametrize("call", ["os.fsync", "pathlib.Path.mkdir", "pathlib.Path.replace"])
-def test_a_directory_that_could_not_be_filled_can_be_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(call, fail)
-        with pytest.raises(RunError, match=os.strerror(errno.ENOSPC)):
-            create_tiny(tmp_path / "run")
-    assert create_tiny(tmp_path / "run").latest().iteration == 0
 
 
 def test_no_run_there(tmp_path: Path) -> None:

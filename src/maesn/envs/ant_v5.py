@@ -54,7 +54,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Readings
+from maesn.axes import Action, Readings
 from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound
 from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
@@ -96,7 +96,7 @@ class AbstractAntV5(AbstractWalking[Task]):
         alive = is_sound(next_readings)
         return jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
 
-    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+    def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""
         return super().costs(readings, action) + CONTACT_COST * jnp.sum(
             _contact_forces(readings) ** 2
@@ -119,7 +119,7 @@ class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
     ) -> Float[Array, ""]:
         return jnp.dot(self.velocity(readings, next_readings, 2), task)
 
-    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+    def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         return super().costs(readings, action) - SURVIVAL_BONUS
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:

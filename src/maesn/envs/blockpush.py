@@ -45,7 +45,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
 from maesn.envs.goals import goal_reward
 from maesn.envs.tasks import TaskFamily
@@ -102,7 +102,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         moved = jnp.asarray(task.layout) - _homes()
         return jnp.concatenate([jnp.zeros(3), moved.reshape(-1)]), jnp.zeros(13)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 3"]:
+    def control(self, action: Action) -> Float[Array, " 3"]:
         return jnp.clip(ACTION_SCALE * action, -ACTION_SCALE, ACTION_SCALE)
 
     def observe(self, readings: Readings) -> Float[Array, " 26"]:
@@ -118,11 +118,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         return jnp.concatenate([chosen.astype(float), jnp.asarray(task.goal)])
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: BlockPushTask,
+        self, readings: Readings, action: Action, next_readings: Readings, task: BlockPushTask
     ) -> Reward:
         """Return the reward of one step, all of it due to the goal.
 
@@ -212,11 +208,7 @@ def _scatter(
 
 
 def _check_tasks(tasks: BlockPushTask) -> None:
-    """Refuse a block that is not there.
-
-    Raises:
-        ValueError: an index is out of range; JAX would silently take the nearest block.
-    """
+    """Raise ValueError for a block that is not there: JAX would silently take the nearest."""
     wrong = np.flatnonzero((tasks.block < 0) | (tasks.block >= NUM_BLOCKS))
     if wrong.size:
         raise ValueError(

@@ -164,11 +164,7 @@ def _draw_bodies(stream: np.random.Generator, size: int) -> Body:
 
 
 def _check_bodies(bodies: Body) -> None:
-    """Refuse factors that make no body.
-
-    Raises:
-        ValueError: one is not positive.
-    """
+    """Raise ValueError for factors that are not positive."""
     for name, factors in bodies._asdict().items():
         wrong = np.flatnonzero(factors <= 0)
         if wrong.size:

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Readings
+from maesn.axes import Action, ActionKind, Readings
 from maesn.envs.base import Reward, RewardKind, Variant
 from maesn.envs.reaching import AbstractPoint, Goal
 from maesn.envs.tasks import TaskFamily
@@ -58,7 +58,7 @@ class GridNavi(AbstractPoint):
     observation_size: int = 2
     action_size: int = len(MOVES)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
+    def control(self, action: Action) -> Float[Array, " action"]:
         return action
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
@@ -67,11 +67,7 @@ class GridNavi(AbstractPoint):
         return {"qpos": there, "qvel": there - here}
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         there = self.solved(next_readings, task)
         return Reward(jnp.where(there, GOAL_REWARD, OTHER_REWARD), jnp.zeros(()))

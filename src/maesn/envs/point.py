@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractDriving, AbstractPoint, Goal
@@ -61,7 +61,7 @@ class Point(AbstractDriving, AbstractPoint):
     def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
         return POSITION_NOISE * jax.random.normal(key, (2,)), jnp.zeros(2)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:

@@ -43,7 +43,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import Readings
+from maesn.axes import Action, Readings
 from maesn.envs.base import Reward, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractPoint, Goal
@@ -73,7 +73,7 @@ class SparsePoint(AbstractPoint):
     observation_size: int = 2
     action_size: int = 2
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
@@ -81,11 +81,7 @@ class SparsePoint(AbstractPoint):
         return {"qpos": readings["qpos"] + step, "qvel": step / self.control_period}
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         distance = self.distance(next_readings, task)
         near = jnp.where(distance <= self.sparse_radius, 1.0 - distance, 0.0)

@@ -34,7 +34,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractDriving, Goal
@@ -69,7 +69,7 @@ class Wheeled(AbstractDriving, AbstractMujocoEnv[Goal]):
         qpos = POSITION_NOISE * jax.random.normal(position_key, (6,))
         return qpos, VELOCITY_NOISE * jax.random.normal(velocity_key, (6,))
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(ACTION_SCALE * action, -ACTION_SCALE, ACTION_SCALE)
 
     def observe(self, readings: Readings) -> Float[Array, " 12"]:
