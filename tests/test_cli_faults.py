@@ -70,8 +70,7 @@ def test_wrong_words_get_a_sentence(
 
 
 @pytest.mark.parametrize(
-    "document",
-    ["[" * 10**5, "", "\0", '{"schema": 2}', '{"schema": [[2]]}', "1e999"],
+    "document", ["[" * 10**5, "", "\0", '{"schema": 2}', '{"schema": [[2]]}', "1e999"]
 )
 def test_damaged_configurations_get_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], document: str

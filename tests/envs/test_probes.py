@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from chain import LENGTH, Chain
-from learning_problems.probes import (
-    HiddenEnd,
-)
+from learning_problems.probes import HiddenEnd
 from playing import constant_agents, play
 
 from maesn.envs import RewardKind, TaskSet

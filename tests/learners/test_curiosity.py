@@ -24,8 +24,7 @@ SMALL = CuriosityBonus(
 )
 # Compiled, as the learners call them.
 judge, learn, information_gains = map(
-    eqx.filter_jit,
-    (CuriosityBonus.judge, CuriosityBonus.learn, CuriosityBonus.information_gains),
+    eqx.filter_jit, (CuriosityBonus.judge, CuriosityBonus.learn, CuriosityBonus.information_gains)
 )
 
 

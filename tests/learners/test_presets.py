@@ -220,8 +220,7 @@ def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "decides"),
-    [("maml", True), pytest.param("maesn", False, marks=pytest.mark.long)],
+    ("name", "decides"), [("maml", True), pytest.param("maesn", False, marks=pytest.mark.long)]
 )
 def test_the_hessian_has_a_stride_of_its_own(name: str, decides: bool) -> None:
     outer = replace(SMALL["outer"], hessian_stride=1)

@@ -20,13 +20,7 @@ from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import (
-    SCRATCH,
-    GradientStep,
-    PolicyGradient,
-    PolicyImprovement,
-    TrustRegionStep,
-)
+from maesn.learners import SCRATCH, GradientStep, PolicyGradient, PolicyImprovement, TrustRegionStep
 from maesn.networks import MLP, Linear
 from maesn.numerics import DiagonalGaussian
 from maesn.numerics.trust_region import TrustRegion
@@ -43,10 +37,7 @@ ROWS = (0, 3)
 def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: float) -> None:
     problem = make_problem(2, UNEQUAL, inner_updates=0, latent=0)
     theta = to_policy(problem.parameters)
-    rules = {
-        "reinforce": GradientStep(0.3),
-        "trpo": TrustRegionStep(TrustRegion(cg_steps=10), 1),
-    }
+    rules = {"reinforce": GradientStep(0.3), "trpo": TrustRegionStep(TrustRegion(cg_steps=10), 1)}
     improvement = PolicyImprovement(rules[method])
     state = improvement.begin(keys(2), Agents(stacked(theta, 2), Nothing(), shares_policy=False))
     batch = problem.batches(0)

@@ -251,10 +251,7 @@ def test_in_a_new_task_it_acts_without_noise_and_its_belief_goes_on() -> None:
     outcome = adapt(fast, collect, episodes=2 * EPISODES)
     assert outcome.trial_episodes == TRIAL
     for episodes in collect.played:
-        np.testing.assert_array_equal(
-            episodes.action,
-            episodes.behaviour.mode(),
-        )
+        np.testing.assert_array_equal(episodes.action, episodes.behaviour.mode())
     for later, before in zip(collect.played[1:], collect.played, strict=False):
         for x, y in zip(*map(jax.tree.leaves, (later.trial_start, before.trial_end)), strict=True):
             np.testing.assert_array_equal(x, y)

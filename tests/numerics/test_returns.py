@@ -8,12 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.numerics import (
-    discounted_returns,
-    generalized_advantages,
-    masked_mean,
-    standardize,
-)
+from maesn.numerics import discounted_returns, generalized_advantages, masked_mean, standardize
 
 TIME = 12
 LENGTHS = (1, 5, TIME)
@@ -64,7 +59,7 @@ def test_returns_agree_with_a_double_loop(length: int, discount: float) -> None:
 
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize(
-    ("discount", "gae_lambda"), [(0.9, 0.7), (1, 0.5), (0.5, 1), (0.9, 0), (0, 0.9)]
+    ("discount", "gae_lambda"), [(0.9, 0.7), (1.0, 0.5), (0.5, 1.0), (0.9, 0.0)]
 )
 def test_advantages_agree_with_a_double_loop(
     length: int, discount: float, gae_lambda: float

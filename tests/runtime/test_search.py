@@ -180,9 +180,7 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
     assert explorer.beliefs.familiar == search.posterior.familiar > 0.5
 
 
-def test_four_robots_search_as_the_library_does_and_report_in_any_order(
-    tmp_path: Path,
-) -> None:
+def test_four_robots_search_as_the_library_does_and_report_in_any_order(tmp_path: Path) -> None:
     """One robot plays for itself; between the reports of the others the search is saved."""
     target, horizon, path = np.asarray([1.0, 2.5]), Point().horizon, tmp_path / "robot.npz"
     steered, keys = fast_learner().latent, jax.random.split(jax.random.key(5), 1)

@@ -17,15 +17,7 @@ import numpy as np
 import pytest
 import strange_families
 from playing import agents, keys, play
-from strange_families import (
-    EPISODES,
-    SEED,
-    broken,
-    family_of,
-    impatient,
-    is_running,
-    seeds,
-)
+from strange_families import EPISODES, SEED, broken, family_of, impatient, is_running, seeds
 from strangers import (
     HORIZON,
     Diarist,
@@ -249,9 +241,7 @@ def checked(make_env: Callable[[np.ndarray, str], object]) -> None:
     check_env_contract(env, rows()[0])
 
 
-def test_an_environment_is_stepped_before_training_starts(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_an_environment_is_stepped_before_training_starts(caplog: pytest.LogCaptureFixture) -> None:
     checked(make_settable)
     assert not caplog.records
     reason = r"`stranger`, task 0: `step` raised ValueError: the gears are stuck"

@@ -178,10 +178,5 @@ cheetah_dir = TaskFamily(
     "cheetah_dir", CheetahDir, _first_directions, ("direction",), seed=1803, num_tasks=2
 )
 cheetah_body = TaskFamily(
-    "cheetah_body",
-    CheetahBody,
-    _draw_bodies,
-    Body._fields,
-    seed=2301,
-    check_tasks=_check_bodies,
+    "cheetah_body", CheetahBody, _draw_bodies, Body._fields, seed=2301, check_tasks=_check_bodies
 )

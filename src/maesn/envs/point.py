@@ -66,10 +66,7 @@ class Point(AbstractDriving, AbstractPoint):
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
         velocity = STEP_LENGTH / self.control_period * control
-        return {
-            "qpos": readings["qpos"] + self.control_period * velocity,
-            "qvel": velocity,
-        }
+        return {"qpos": readings["qpos"] + self.control_period * velocity, "qvel": velocity}
 
 
 point = half_circle_family("point", Point, GOAL_RADIUS, seed=2)

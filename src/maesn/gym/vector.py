@@ -70,10 +70,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return self._stepper.tasks
 
     def reset(
-        self,
-        *,
-        seed: Seeds = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Seeds = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start episodes.
 

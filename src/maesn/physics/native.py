@@ -125,9 +125,7 @@ class NativeSimulator:
         return self._read()
 
     def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        abandoned: _Mask | None = None,
+        self, control: Float[np.ndarray, "simulation control"], abandoned: _Mask | None = None
     ) -> Readings:
         """Advance every simulation by one control step.
 

@@ -50,10 +50,7 @@ def taken(arrays: Arrays, prefix: str, size: int, *fields: str, **options: bool)
 
 
 def take(
-    arrays: Mapping[str, NDArray[np.generic]],
-    name: str,
-    *shape: int,
-    allow_infinite: bool = False,
+    arrays: Mapping[str, NDArray[np.generic]], name: str, *shape: int, allow_infinite: bool = False
 ) -> FloatArray:
     """Return one array of a file in double precision, or say what is wrong with it.
 

@@ -19,10 +19,7 @@ STANDARDIZE_EPSILON = 1e-8
 
 
 def episode_advantages(
-    observations: Sequence[FloatArray],
-    rewards: Sequence[FloatArray],
-    discount: float,
-    ridge: float,
+    observations: Sequence[FloatArray], rewards: Sequence[FloatArray], discount: float, ridge: float
 ) -> FloatArray:
     """Return the standardised advantage of the draw of z in every episode.
 

@@ -98,11 +98,7 @@ class RunningEpisode:
 
     @staticmethod
     def from_arrays(
-        arrays: Arrays,
-        observation_size: int,
-        action_size: int,
-        latent_size: int,
-        purpose: Purpose,
+        arrays: Arrays, observation_size: int, action_size: int, latent_size: int, purpose: Purpose
     ) -> "RunningEpisode":
         """Rebuild a saved running episode; raises ValueError if its arrays do not fit."""
         observations = take(arrays, "running.observations", -1, observation_size)

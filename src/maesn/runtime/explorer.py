@@ -61,9 +61,7 @@ class Explorer:
 
     @staticmethod
     def load(
-        path: str | os.PathLike[str],
-        seed: int | None = None,
-        safeguards: Safeguards | None = None,
+        path: str | os.PathLike[str], seed: int | None = None, safeguards: Safeguards | None = None
     ) -> "Explorer":
         """Return the explorer of a file.
 

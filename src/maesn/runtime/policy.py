@@ -47,8 +47,7 @@ class GaussianPolicy:
         first, bias = self.weights[0], self.biases[0]
         shifted = bias + latent.astype(np.float32) @ first[split:]
         return ConditionedPolicy(
-            (np.ascontiguousarray(first[:split]), *self.weights[1:]),
-            (shifted, *self.biases[1:]),
+            (np.ascontiguousarray(first[:split]), *self.weights[1:]), (shifted, *self.biases[1:])
         )
 
     def arrays(self) -> Arrays:

@@ -11,13 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
-from maesn.axes import (
-    HostReadings,
-    Key,
-    Readings,
-    RecurrentState,
-    TaskKeys,
-)
+from maesn.axes import HostReadings, Key, Readings, RecurrentState, TaskKeys
 from maesn.envs.base import AnyEnv
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes

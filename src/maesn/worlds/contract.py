@@ -9,12 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from maesn.envs.base import (
-    AbstractMujocoEnv,
-    AbstractPureEnv,
-    AbstractSimulatedEnv,
-    AnyEnv,
-)
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
 from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.physics import field_values, load_model, resting_readings
 from maesn.policies import USUAL, AbstractPolicy

@@ -62,12 +62,7 @@ class _PureAdvance(NamedTuple):
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def scan_episodes(
-    env: AnyEnv,
-    advance: Advance,
-    act: Act,
-    actors: Actors,
-    state: Any,
-    first: Readings,
+    env: AnyEnv, advance: Advance, act: Act, actors: Actors, state: Any, first: Readings
 ) -> tuple[Trajectory, Bool[Array, "time task episode"]]:
     """Play one episode of `env.horizon` steps in every simulation, in one compiled program.
 

@@ -52,10 +52,7 @@ class Scene:
         self._renderer = Renderer(_model(env), view, width, height)
 
     def draw(
-        self,
-        readings: HostReadings,
-        task: Any,
-        trail: Float[np.ndarray, "point 2"] | None = None,
+        self, readings: HostReadings, task: Any, trail: Float[np.ndarray, "point 2"] | None = None
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Return a picture of one state.
 
