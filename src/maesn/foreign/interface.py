@@ -51,14 +51,10 @@ class Interface(NamedTuple):
 
 
 def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
-    """Return what an environment looks like from outside.
+    """Return what an environment looks like from outside, from the facts that it says of itself.
 
-    Args:
-        facts: what it says of itself.
-        arrivals: asked only if there are wrappers.
-
-    Raises:
-        InterfaceError: actions are neither bounded vectors nor choices.
+    It is asked for arrivals only if there are wrappers. InterfaceError says that actions are
+    neither bounded vectors nor choices.
     """
     kind, *bounds = facts["spaces"]["action"]
     if kind not in ("Box", "Discrete"):

@@ -79,11 +79,7 @@ class WorkerPool:
         return [worker.process.pid for worker in self._workers]
 
     def describe(self, task: bytes) -> Interface:
-        """Return the interface of the environment of a task.
-
-        Raises:
-            InterfaceError: its spaces are not supported.
-        """
+        """Return the interface of the environment of a task, or raise InterfaceError."""
 
         def arrivals(controls: np.ndarray) -> tuple[list[np.ndarray], list[float]]:
             found, clocks = self._first("probe", task, packed(controls))
@@ -102,12 +98,7 @@ class WorkerPool:
         return answer
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
-        """Begin an episode in every simulation.
-
-        Args:
-            tasks: one for each simulation.
-            seeds: one for each episode.
-        """
+        """Begin an episode in every simulation, each with its task and its seed."""
         return self._read("begin", len(tasks), tasks, seeds)
 
     def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
@@ -119,9 +110,7 @@ class WorkerPool:
     ) -> list[UInt8[np.ndarray, "height width 3"]]:
         """Return the pictures that the first simulations draw of their present states.
 
-        Args:
-            num_simulations: number of the first ones; at most as many as have begun.
-            library: what MuJoCo draws with, unless the variable MUJOCO_GL says so.
+        MuJoCo draws with that library, unless the variable MUJOCO_GL says so.
         """
         pictures: list[Any] = [None] * num_simulations
         for share, drawn in self._ask("picture", num_simulations, [library] * num_simulations):
@@ -189,13 +178,7 @@ def hosted_in(python: str | os.PathLike[str]) -> Iterator[None]:
     """Let workers that start in this block run in another interpreter, Python 3.10 or later.
 
     It needs NumPy and what the environments import. Nothing of this library is installed there, and
-    no run records where it is.
-
-    Args:
-        python: path of the interpreter.
-
-    Raises:
-        RunError: there is no such program.
+    no run records where it is. RunError says that the path is none of a program.
     """
     if not os.access(python, os.X_OK) or Path(python).is_dir():
         raise RunError(

@@ -76,11 +76,7 @@ class HostedEnvironment:
         self._ended = True
 
     def facts(self, task: bytes) -> dict[str, Any]:
-        """Return what the environment of a task says of itself.
-
-        Args:
-            task: pickled, so that tasks of any type can be compared.
-        """
+        """Return what the environment of a task says of itself."""
         env = self._with_task(task)
         inner = _unwrapped(env)
         return {
@@ -92,13 +88,9 @@ class HostedEnvironment:
         }
 
     def probe(self, task: bytes, controls: Any) -> tuple[list[Any], list[float]]:
-        """Return what becomes of controls on their way through the wrappers.
+        """Return what becomes of controls, `[control, component]`, on their way inside.
 
         The innermost environment plays the first one, and then repeats its answer.
-
-        Args:
-            task: pickled.
-            controls: `[control, component]`, packed.
 
         Returns:
             For each control, the actions that arrive at the innermost environment, `[call, action]`
@@ -184,9 +176,8 @@ class HostedEnvironment:
     def picture(self, library: str | None) -> Any:
         """Return the environment's picture of its present state, `[height, width, 3]`, packed.
 
-        Args:
-            library: what MuJoCo draws with, unless the variable MUJOCO_GL says so. It is set no
-                earlier than here: MuJoCo's import fails where the library cannot be used.
+        MuJoCo draws with that library, unless the variable MUJOCO_GL says so. It is set no earlier
+        than here: MuJoCo's import fails where the library cannot be used.
         """
         if library is not None:
             os.environ.setdefault("MUJOCO_GL", library)

@@ -22,7 +22,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     Args:
         family: as for `Stepper`, like every other setting.
         render_mode: `rgb_array` for pictures from `render`; None for none.
-        settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`; see `Stepper`.
+        settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`.
 
     Raises:
         RunError: there is no such family or set of tasks.

@@ -118,10 +118,7 @@ class MjxEngine:
     ) -> tuple[MjxState, Readings]:
         """Return a simulation in a state, with nothing before it, and the readings of that state.
 
-        Args:
-            qpos: generalised positions.
-            qvel: generalised velocities.
-            dynamics: one simulation's own, of `MjxEngine.dynamics`; empty for the model's.
+        Its dynamics are of `MjxEngine.dynamics`; empty for the model's.
         """
         with _own_rules():
             dtype = self._blank.qpos.dtype
@@ -129,16 +126,9 @@ class MjxEngine:
             return self._derived(data, dynamics)
 
     def step(self, state: MjxState, control: Float[Array, " control"]) -> tuple[MjxState, Readings]:
-        """Advance a simulation by one control step.
+        """Advance a simulation by one control step, and return its readings, none a substep behind.
 
         What blows up is neither reset nor reported: its numbers are simply no longer finite.
-
-        Args:
-            state: the state before the step.
-            control: input of the actuators, constant during the step.
-
-        Returns:
-            The new state and its readings: none of them is a substep behind.
         """
         with _own_rules():
             model = self._variants.model(state.dynamics)
@@ -172,11 +162,7 @@ class MjxEngine:
 
 
 def import_mjx() -> ModuleType:
-    """Return the module `mujoco.mjx`.
-
-    Raises:
-        EngineError: it is not installed.
-    """
+    """Return the module `mujoco.mjx`; EngineError if it is not installed."""
     if importlib.util.find_spec("mujoco.mjx") is None:
         raise EngineError(
             "the engine `mjx` needs the package mujoco-mjx, which is not installed: "

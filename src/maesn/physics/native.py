@@ -127,14 +127,11 @@ class NativeSimulator:
     def step(
         self, control: Float[np.ndarray, "simulation control"], abandoned: _Mask | None = None
     ) -> Readings:
-        """Advance every simulation by one control step.
+        """Advance every simulation by one control step, and return readings, none a substep behind.
 
         Args:
             control: input of the actuators, constant during the step.
             abandoned: simulations whose results are ignored until the next reset: they may blow up.
-
-        Returns:
-            The readings of the new state: none of them is a substep behind.
 
         Raises:
             PhysicsError: a control is not finite, or a simulation that counts has blown up.
