@@ -39,7 +39,7 @@ def runaway(directory: Path) -> type:
 
 def test_physics_that_blows_up_after_the_end_is_no_error(tmp_path: Path) -> None:
     # v_t = 10^t m/s in the episodes that are pushed: the first above 100 is v_3, and the first
-    # acceleration that MuJoCo warns of is met in step 8 (tests/test_rollout_errors.py).
+    # acceleration that MuJoCo warns of is met in step 8.
     env = runaway(tmp_path)(horizon=12)
     tasks = TaskSet(CartTask(np.float32([1, 0]), np.float32([1, 1])))
     episodes = play(env, tasks, [0, 1], episodes=EPISODES)

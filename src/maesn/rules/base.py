@@ -65,7 +65,7 @@ class AbstractRule(eqx.Module):
         """
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Raise ValueError if the rule can do nothing with these numbers of episodes of each task."""
+        """Raise ValueError if the rule can do nothing with so many episodes of each task."""
 
     @property
     def label(self) -> str:
