@@ -91,6 +91,8 @@ def moved_by(rule: GradientStep | TrustRegionStep) -> np.ndarray:
 # E[-(a - g)²] = -(m - g)² - s², so its slopes in m and log s are -2 (m - g) and -2 s². Advantages
 # are divided by the standard deviation of the reward: its variance is 2 s⁴ + 4 s² (m - g)².
 SLOPE = np.array([-2 * (MEAN - GOAL), -2 * STD**2])
+
+
 def test_adam_scales_the_step() -> None:
     # Its first step has the size asked for, whatever the gradient.
     found = moved_by(GradientStep(step_size=0.01, scaling="adam"))

@@ -54,12 +54,9 @@ def describe_env(env: AnyEnv) -> EnvRecord:
 
 
 def rebuild_env(family: TaskFamily, recorded: EnvRecord, **overrides: Any) -> AnyEnv:
-    """Return the recorded environment, whatever the family's defaults are today.
+    """Return the environment of `describe_env`, whatever the family's defaults are today.
 
-    Args:
-        family: the family of the recorded environment.
-        recorded: the result of `describe_env`, possibly read from JSON.
-        overrides: fields that are to differ from the record, such as `reward_kind`.
+    Overrides are fields that are to differ from the record, such as `reward_kind`.
 
     Raises:
         ValueError: a constant of the environment or its model differs from the record, or a

@@ -94,12 +94,8 @@ class SparsePoint(AbstractPoint):
 def make_sparse_point(variant: Variant = "reference", **settings: Any) -> SparsePoint:
     """The sparse point robot of PEARL, VariBAD and MetaCURE.
 
-    Args:
-        variant: `pearl`, which `reference` means as well, `varibad` or `metacure`.
-        settings: fields that are not to be as the variant has them.
-
-    Raises:
-        ValueError: there is no such variant, or a setting is wrong.
+    The variant is `pearl`, which `reference` means as well, `varibad` or `metacure`; settings are
+    fields that are not to be as it has them. Either may be a ValueError.
     """
     name: Variant = "pearl" if variant == "reference" else variant
     return SparsePoint(variant=name, **(PROTOCOLS.get(name, {}) | settings))

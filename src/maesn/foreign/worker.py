@@ -293,15 +293,9 @@ def flattener(space: Any, where: str) -> Flattener:
     """Return a function that checks and flattens observations, in the order of Gymnasium's own.
 
     Gymnasium's `contains` asks for exact types and bounds, which environments often miss by little;
-    its `flatten` asks for nothing, and takes numbers of one part for those of another.
-
-    Args:
-        space: the space of an observation, or of a part of one.
-        where: the name of the observation in messages.
-
-    Returns:
-        The function; a text that is equal for spaces whose elements flatten alike; and a name for
-        each component.
+    its `flatten` asks for nothing, and takes numbers of one part for those of another. With it come
+    a text that is equal for spaces whose elements flatten alike, and a name for each component.
+    Messages call the observation, or the part of one, by `where`.
     """
     kind = _kind(space)
     if kind in ("Dict", "Tuple"):
@@ -452,14 +446,9 @@ class _Share:
         self._recipe = (make_env, *others)
 
     def answer(self, request: str, columns: Sequence[Any]) -> Any:
-        """Call a method of one environment after the other.
+        """Call a method of one environment after the other, with one value of each column.
 
-        Args:
-            request: name of the method of `HostedEnvironment`.
-            columns: for each argument of the method, one value per environment.
-
-        Returns:
-            The results; readings as one packed array.
+        Returns the results; readings as one packed array.
         """
         if request == "step":
             columns = [unpacked(columns[0])]
@@ -503,10 +492,10 @@ def _serve(connection: Connection, mark: mmap.mmap) -> None:
 
 
 def main(protocol: str, connection: str, mark: str, path: str) -> None:
-    """Serve the parent process until it closes the connection.
+    """Serve the parent process, of the same protocol, until it closes the connection.
 
     Args:
-        protocol: that of the parent; another worker's would be misunderstood.
+        protocol: version of the parent's.
         connection: file descriptor of a socket to the parent, which sends the recipe of a `_Share`
             and then requests: name and columns. Answers are (result, None) or (None, failure).
         mark: file descriptor of the memory for `MARK`, which both processes map.

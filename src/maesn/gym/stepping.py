@@ -150,17 +150,8 @@ class Stepper:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Information]:
         """Advance all episodes by one step; what happens to those that have ended means nothing.
 
-        Args:
-            action: one row for each episode, in the action space; beyond it the actuators saturate.
-
-        Returns:
-            Observations, rewards, which episodes have terminated, which have run out of time, and
-            information.
-
-        Raises:
-            EpisodeError: the physics of an episode blew up, or an observation or a reward is not
-                finite.
-            ValueError: the actions have another shape than their space, or are no choices.
+        Actions have one row for each episode; beyond the action space the actuators saturate.
+        Returns and raises as `TaskEnv.step`; ValueError also of what is no choice.
         """
         before, action = self._readings, np.asarray(action, np.float32)
         size = () if self._is_discrete else (self.env.action_size,)

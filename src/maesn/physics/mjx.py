@@ -93,17 +93,10 @@ class MjxEngine:
         self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
 
     def dynamics(self, model_fields: ModelFields) -> Dynamics:
-        """Return the parts of the model that depend on the fields, derived ones included.
+        """Return the parts of the model that depend on the fields, `[simulation, ...]`.
 
         Do not call it in a compiled program: MuJoCo itself (`mj_setConst`) computes the derived
         parts on the host, once for each distinct row.
-
-        Args:
-            model_fields: dynamics that differ between simulations, by the names of `mujoco.MjModel`
-                (or "opt.<field>").
-
-        Returns:
-            Arrays with a leading `simulation` axis, to be mapped over with `initial`.
 
         Raises:
             PhysicsError: a value is not finite.

@@ -95,7 +95,7 @@ class NativeSimulator:
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """Put simulations into a state, as if they had just been made.
+        """Put simulations into a state, as if they had just been made, and return all readings.
 
         Args:
             qpos: generalised positions.
@@ -104,9 +104,6 @@ class NativeSimulator:
                 the model's own values, whatever an earlier reset gave them.
             simulations: indices, ascending, of those that are reset and that the rows belong to;
                 None for all. The others stay where they are.
-
-        Returns:
-            The readings of all simulations.
 
         Raises:
             PhysicsError: a state or a field is not finite.

@@ -94,14 +94,14 @@ class Renderer:
         *,
         ringed: bool = False,
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state.
+        """Return a picture of one state, in metres on the floor.
 
         Args:
             qpos: generalised positions.
-            goal: its position on the floor in metres.
-            radius: radius of the goal region, in metres.
+            goal: its position.
+            radius: radius of the goal region.
             judged: position of what has to reach the goal; a thin line joins the two.
-            trail: positions on the floor, in metres, that are joined by a line; None for no line.
+            trail: positions that are joined by a line; None for no line.
             ringed: whether a ring marks what has to reach the goal.
         """
         way = np.stack([judged, goal])

@@ -52,16 +52,11 @@ def taken(arrays: Arrays, prefix: str, size: int, *fields: str, **options: bool)
 def take(
     arrays: Mapping[str, NDArray[np.generic]], name: str, *shape: int, allow_infinite: bool = False
 ) -> FloatArray:
-    """Return one array of a file in double precision, or say what is wrong with it.
-
-    Args:
-        arrays: the arrays of the file by name.
-        name: name of the array.
-        shape: sizes that it must have; -1 for any.
-        allow_infinite: whether infinities are meant, as in limits that do not exist.
+    """Return one array of a file in double precision; a size of its shape that is -1 may be any.
 
     Raises:
-        ValueError: it is missing, of another shape, or not a number.
+        ValueError: it is missing, of another shape, not a number, or infinite where that is not
+            allowed, as in limits that do not exist.
     """
     if name not in arrays:
         raise ValueError(f"array `{name}` is missing from the file; write it again.")

@@ -98,13 +98,8 @@ class LearningRule:
             mean' = mean + scale * mean_step * g_mean,  and likewise for log_std
 
         elementwise per component of the latent (equations (4) and (5), with the gradient of
-        section "Using the Latent Spaces for Exploration").
-
-        Args:
-            latent: what the episodes were played with.
-            drawn: z_e, `[episode, latent]`.
-            advantage: A_e, standardised, `[episode]`.
-            update: number of this update, from 0.
+        section "Using the Latent Spaces for Exploration"). z_e is `[episode, latent]`, the
+        standardised A_e `[episode]`; updates count from 0.
         """
         deviation = (drawn - latent.mean) / latent.std
         slope_mean = (advantage @ deviation) / (advantage.shape[0] * latent.std)

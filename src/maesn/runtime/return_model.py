@@ -200,9 +200,7 @@ def moments(model: ReturnModel, latents: FloatArray) -> Moments:
 
         mean = mean_i x_i + E[c],    covariance = cov_i(x_i) + R + var(c).
 
-    Args:
-        model: the model of returns, as `ExportedSearch.model`.
-        latents: `[point, z]`, distinct from each other.
+    The latents are `[point, z]`, distinct from each other.
     """
     tasks = model.task_means(latents)
     centred = tasks - tasks.mean(axis=0)
