@@ -35,24 +35,16 @@ def nowhere(_: Any) -> Float[Array, " 2"]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How the environments of a family are made, hosted and shown."""
+    """How the environments of a family are made, hosted and shown; see `gymnasium_family`."""
 
     make_env: Callable[[Any, str], Any] | str
-    """Called with a task and "dense" or "sparse"; or its `module:name`."""
     time_limit: float
-    """Seconds that one call of an environment may take."""
     max_environments: int
-    """Environments that adaptation may keep at once."""
     position: Callable[[Any], Any]
-    """Planar position (metres) for figures from an observation, or `nowhere`."""
     goal: Callable[[Any], Any]
-    """Planar position (metres) for figures from a task, or `nowhere`."""
     situation: Callable[[Any], Any] | None
-    """What of a task an episode depends on; None for all of it."""
     reward: Callable[..., Any] | None
-    """The environment's own reward, as a function; None if it cannot be said."""
     python: str = ""
-    """Path of the interpreter, unless `--python` names one; as in `gymnasium_family`."""
 
 
 class AbstractGymnasiumEnv(AbstractEnv[Any]):

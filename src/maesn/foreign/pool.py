@@ -39,21 +39,17 @@ class WorkerPool:
     """Worker processes, each of which hosts every n-th environment.
 
     Tasks are those of `pack_task`. Every request raises a `WorkerError` if an environment cannot be
-    used; the pool must then be closed.
+    used, or if `make_env` cannot be sent; the pool must then be closed.
 
     Args:
-        make_env: the user's function of a task and the kind of reward, or its `module:name`.
-            Functions that a worker cannot import (those of a script, and lambdas) are sent by
-            value.
+        make_env: as for `gymnasium_family`. Functions that a worker cannot import (those of a
+            script, and lambdas) are sent by value.
         reward: "dense" or "sparse".
         spaces: those that every task must have; None for the first one's.
         num_workers: largest number of processes; they start when there are simulations for them.
         time_limit: seconds that one call of one environment may take.
         python: path of the interpreter, unless `hosted_in` names another; empty, or where there is
             none: this one.
-
-    Raises:
-        WorkerError: `make_env` cannot be sent to a process.
     """
 
     def __init__(

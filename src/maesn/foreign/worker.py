@@ -57,13 +57,8 @@ class HostedEnvironment:
     After its end, an episode keeps its last reading with reward 0 while others go on: the
     environment is not stepped again before it is reset. A reading is a vector of single precision:
     the observation, flattened, then the reward and whether the episode is terminated, truncated and
-    solved.
-
-    Args:
-        make_env: the user's function of a task and the kind of reward. It is called once if its
-            environment has a method `set_task`, and for every new task otherwise.
-        reward: "dense" or "sparse".
-        spaces: the `spaces` of `facts` that every task must have; None for the first one's.
+    solved. `make_env` is called once if its environment has a method `set_task`, and for every new
+    task otherwise. All tasks must have the `spaces` of `facts`; None for the first one's.
     """
 
     def __init__(self, make_env: Any, reward: str, spaces: dict[str, Any] | None = None) -> None:

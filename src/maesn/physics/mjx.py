@@ -52,13 +52,12 @@ class MjxEngine:
     """A model on JAX's device. `initial` and `step` are pure functions of one simulation.
 
     Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
+        model: as for `load_model`.
         readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
         frame_skip: physics steps per control step.
 
     Raises:
         EngineError: MJX is not installed.
-        FileNotFoundError: there is no such model.
         ValueError: MJX lacks something that the model or the readings need, or an argument is out
             of range.
     """

@@ -46,7 +46,7 @@ class NativeSimulator:
     MuJoCo's warning counters after it.
 
     Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
+        model: as for `load_model`.
         num_simulations: how many simulations move together.
         readings: names of the fields of `mujoco.MjData` that `reset` and `step` return.
         frame_skip: physics steps per control step.
@@ -56,7 +56,6 @@ class NativeSimulator:
 
     Raises:
         EngineError: the installed MuJoCo is older than 4.0.
-        FileNotFoundError: there is no such model.
         ValueError: an argument is out of range, or MuJoCo knows no reading of that name.
     """
 
