@@ -10,16 +10,24 @@ from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import InnerStep, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import (
+    BeliefDecoderSettings,
+    BeliefEncoderSettings,
+    BeliefInference,
     CuriosityBonus,
     GradientStep,
+    HyperBonus,
     ProximalOuterStep,
     ProximalStep,
     RecurrentValue,
     TrustRegionOuterStep,
     TrustRegionStep,
     maesn,
+    pearl,
     rl2,
+    varibad,
 )
+from maesn.learners.pearl.encoder import EncoderSettings
+from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
@@ -33,6 +41,17 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     rl2: [
         *(("meta_batch_size", 0), ("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -0.5))
     ],
+    pearl: [*(("meta_batch_size", 0), ("extra_batches", -1))],
+    EncoderSettings: [("kl_weight", -1.0), ("hidden_sizes", (0,))],
+    SoftActorCritic: [
+        *(("discount", 1.5), ("learning_rate", 0.0), ("output_penalty", -1.0)),
+        ("hidden_sizes", (0,)),
+    ],
+    varibad: [*(("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -1.0))],
+    BeliefEncoderSettings: [("latent_size", 0), ("hidden_size", 0)],
+    BeliefDecoderSettings: [("cells", (0, 2)), ("reward_std", 0.0)],
+    BeliefInference: [("kl_weight", -1.0), ("prefixes", 0)],
+    HyperBonus: [("novelty_weight", -1.0), ("last_iteration", 0)],
     CuriosityBonus: [
         *(("weight", -1.0), ("hidden_sizes", (0,)), ("updates", -1), ("samples", 0)),
         *(("batch_size", 0), ("pool_size", 0), ("pool_additions", 0), ("median_window", 0)),
