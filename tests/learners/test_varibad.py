@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.probes import HiddenEnd, HiddenSide
-from small_runs import finish
+from small_runs import create, finish
 
 from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
