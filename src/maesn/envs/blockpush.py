@@ -16,19 +16,8 @@ Observation (26 components; 28 in the variant `paper`):
 | 16-25 | velocity x, y of blocks 0 to 4                     | m/s   |
 | 26-27 | `paper` only, the instruction: goal x, y           | m     |
 
-Action (3 components a, unbounded; the motors receive u = clip(2 a, -2, 2)):
-
-| index | control u                                          | unit and range      |
-|-------|----------------------------------------------------|---------------------|
-| 0-1   | force on the gripper in x and y                    | N, -2 to 2          |
-| 2     | torque on the gripper about z                      | N m, -2 to 2        |
-
-Reward, with d the distance in metres of the relevant block from the goal g:
-
-| variant     | dense  | sparse, outside of the radius |
-|-------------|--------|-------------------------------|
-| `reference` | -5 d   | -5 |g|                        |
-| `paper`     | -d     | -c_max                        |
+Action (3 components a, unbounded; the motors receive u = clip(2 a, -2, 2)): force on the gripper in
+x and y (N), and torque about z (N m).
 
 Episodes last 100 steps of 0.01 s and never terminate. They start exactly as the task says, at rest
 and with the gripper at the origin: nothing is random but the policy. At full force the gripper

@@ -4,11 +4,7 @@ Source: `GridNavi` of lmzintgraf/varibad (`environments/navigation/gridworld.py`
 `GridNavi-v0` with 5 x 5 cells and 15 steps). There are 21 tasks, and every set is all of them: as
 in the paper, new tasks are the old ones.
 
-Observation (2 components; the goal is not among them):
-
-| index | quantity              | unit           |
-|-------|-----------------------|----------------|
-| 0-1   | column and row        | cells, 0 to 4  |
+Observation (2 components; the goal is not among them): column and row, 0 to 4.
 
 Action (one of 5): stay, up, right, down, left. A move against a wall leaves the agent where it is.
 

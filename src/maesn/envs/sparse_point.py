@@ -2,28 +2,12 @@
 
 Sources: `SparsePointEnv` of katerakelly/oyster (`rlkit/envs/point_robot.py`), of lmzintgraf/varibad
 (`environments/navigation/point_robot.py`, before its fork with other goals) and of
-NagisaZj/MetaCURE-Public (`rlkit/envs/point_robot.py`). They differ in a few numbers:
+NagisaZj/MetaCURE-Public (`rlkit/envs/point_robot.py`). `docs/reference/families.md` says in which
+numbers they differ. `reference` means `pearl`. The variant does not choose the reward.
 
-| variant    | radius R | steps T | reward in meta-training | tasks of the paper's code |
-|------------|----------|---------|-------------------------|---------------------------|
-| `pearl`    | 0.2      | 20      | dense                   | 80 and 20 of an even grid |
-| `varibad`  | 0.2      | 100     | sparse                  | drawn afresh              |
-| `metacure` | 0.3      | 32      | sparse                  | 40 and 20 of an even grid |
+Observation (2 components; the goal is not among them): position x, y.
 
-`reference` means `pearl`. The variant does not choose the reward: train `varibad` and `metacure` as
-their papers do with `sparse`.
-
-Observation (2 components; the goal is not among them):
-
-| index | quantity              | unit |
-|-------|-----------------------|------|
-| 0-1   | position x, y         | 1    |
-
-Action (2 components a, unbounded; the point moves by 0.1 u, with u = clip(a, -1, 1)):
-
-| index | control u             | unit and range      |
-|-------|-----------------------|---------------------|
-| 0-1   | step in x and y       | 0.1, -1 to 1        |
+Action (2 components a, unbounded): step in x and y, 0.1 u with u = clip(a, -1, 1).
 
 Every episode starts at the origin and has T steps; nothing ends it early. Goals lie on the upper
 half of the unit circle. With d the distance from the goal after the step, the reward is
